@@ -1,0 +1,1 @@
+"""Aircraft aerodynamics from flight logs with dependent Gaussian processes, as ordinary scikit-learn."""

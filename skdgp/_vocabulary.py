@@ -1,0 +1,82 @@
+"""The words of the house: every table column with its unit, axis and sign, written once.
+
+Body axes: x forward, y right, z down, origin at the centre of gravity. SI units and radians everywhere.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Channel(NamedTuple):
+    """One column of a flight table: its SI unit and what it means."""
+
+    unit: str
+    meaning: str
+
+
+CHANNELS = {
+    "time": Channel("s", "time on the log's one clock, increasing within a flight"),
+    "flight": Channel("", "flight identifier"),
+    # Air data: relative to the air, so the wind is inside them.
+    "airspeed": Channel("m/s", "true airspeed V"),
+    "alpha": Channel("rad", "angle of attack, > 0 nose above the relative wind"),
+    "beta": Channel("rad", "sideslip, > 0 relative wind from the right"),
+    "alpha_dot": Channel("rad/s", "rate of change of alpha"),
+    "beta_dot": Channel("rad/s", "rate of change of beta"),
+    "density": Channel("kg/m^3", "air density"),
+    "altitude": Channel("m", "altitude above mean sea level"),
+    "wind_north": Channel("m/s", "velocity of the air, north"),
+    "wind_east": Channel("m/s", "velocity of the air, east"),
+    "wind_down": Channel("m/s", "velocity of the air, down"),
+    # Inertial quantities.
+    "p": Channel("rad/s", "roll rate, > 0 right wing down"),
+    "q": Channel("rad/s", "pitch rate, > 0 nose up"),
+    "r": Channel("rad/s", "yaw rate, > 0 nose right"),
+    "p_dot": Channel("rad/s^2", "roll acceleration"),
+    "q_dot": Channel("rad/s^2", "pitch acceleration"),
+    "r_dot": Channel("rad/s^2", "yaw acceleration"),
+    "ax": Channel("m/s^2", "specific force at the CG, forward (what an accelerometer reads)"),
+    "ay": Channel("m/s^2", "specific force at the CG, right"),
+    "az": Channel("m/s^2", "specific force at the CG, down (about -9.8 in level flight)"),
+    "u": Channel("m/s", "ground-relative velocity, forward"),
+    "v": Channel("m/s", "ground-relative velocity, right"),
+    "w": Channel("m/s", "ground-relative velocity, down (body axis)"),
+    "phi": Channel("rad", "roll angle, > 0 right wing down"),
+    "theta": Channel("rad", "pitch angle, > 0 nose up"),
+    "psi": Channel("rad", "heading, > 0 clockwise from north"),
+    "north": Channel("m", "position, north"),
+    "east": Channel("m", "position, east"),
+    "down": Channel("m", "position, down"),
+    "v_north": Channel("m/s", "ground velocity, north"),
+    "v_east": Channel("m/s", "ground velocity, east"),
+    "v_down": Channel("m/s", "ground velocity, down"),
+    # Controls and propulsion.
+    "throttle": Channel("", "throttle, 0 to 1"),
+    "propeller_speed": Channel("rad/s", "propeller speed Omega"),
+    "elevator": Channel("rad", "elevator, > 0 pitches down"),
+    "aileron": Channel("rad", "aileron, > 0 rolls right"),
+    "rudder": Channel("rad", "rudder, > 0 yaws left"),
+    "elevon_left": Channel("rad", "left elevon, > 0 trailing edge down"),
+    "elevon_right": Channel("rad", "right elevon, > 0 trailing edge down"),
+    "thrust_x": Channel("N", "propulsive force, forward"),
+    "thrust_y": Channel("N", "propulsive force, right"),
+    "thrust_z": Channel("N", "propulsive force, down"),
+    "thrust_l": Channel("N m", "propulsive moment about the CG, roll"),
+    "thrust_m": Channel("N m", "propulsive moment about the CG, pitch"),
+    "thrust_n": Channel("N m", "propulsive moment about the CG, yaw"),
+    # Aerodynamic coefficients, body axes.
+    "CX": Channel("", "force coefficient, forward"),
+    "CY": Channel("", "force coefficient, right"),
+    "CZ": Channel("", "force coefficient, down"),
+    "Cl": Channel("", "moment coefficient, roll (by span)"),
+    "Cm": Channel("", "moment coefficient, pitch (by chord)"),
+    "Cn": Channel("", "moment coefficient, yaw (by span)"),
+}
+
+COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+LONGITUDINAL = ("CX", "CZ", "Cm")
+LATERAL = ("CY", "Cl", "Cn")
+
+TRUTH_SUFFIX = "_true"
+"""Columns that end so are noise-free truth of a simulation: for scoring only."""

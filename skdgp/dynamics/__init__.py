@@ -1,1 +1,43 @@
+"""The aircraft half: what is flown, how it moves, and what its flights say about its aerodynamics.
 
+Body axes x forward, y right, z down; moments about the centre of gravity; SI units and radians.
+The seam to the learning half is a table: flights in, the six coefficients out, and back.
+"""
+
+from ._aircraft import Aircraft
+from ._frames import (
+    air_data,
+    air_velocity,
+    body_to_ned,
+    euler_to_matrix,
+    euler_to_quaternion,
+    gravity_in_body_axes,
+    ned_to_body,
+    quaternion_rate,
+    quaternion_to_euler,
+    quaternion_to_matrix,
+)
+from ._integrate import rk4, rk4_step
+from ._propeller import Propeller
+from ._rigid_body import STATE_NAMES, rigid_body_derivative
+from ._thrust_line import ThrustLine
+
+__all__ = [
+    "STATE_NAMES",
+    "Aircraft",
+    "Propeller",
+    "ThrustLine",
+    "air_data",
+    "air_velocity",
+    "body_to_ned",
+    "euler_to_matrix",
+    "euler_to_quaternion",
+    "gravity_in_body_axes",
+    "ned_to_body",
+    "quaternion_rate",
+    "quaternion_to_euler",
+    "quaternion_to_matrix",
+    "rigid_body_derivative",
+    "rk4",
+    "rk4_step",
+]

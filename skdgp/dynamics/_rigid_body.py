@@ -36,8 +36,9 @@ def rigid_body_derivative(
     """Return d state / dt of a rigid aircraft under ``force`` and ``moment``.
 
     position_dot = R v;  v_dot = force / m + R^T (0, 0, g) - omega x v;
-    quaternion_dot = 1/2 quaternion * omega;  omega_dot = I^-1 (moment - omega x (I omega)), R the rotation body to NED (Stevens, Lewis & Johnson 2016,
-    section 1.7). The quaternion's length does not matter, so nothing renormalises it.
+    quaternion_dot = 1/2 quaternion * omega;  omega_dot = I^-1 (moment - omega x (I omega)),
+    R the rotation body to NED (Stevens, Lewis & Johnson 2016, section 1.7). The quaternion's length does not
+    matter, so nothing renormalises it.
 
     Parameters
     ----------

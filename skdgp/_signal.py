@@ -194,9 +194,7 @@ def _per_channel(values, time, flight, cutoff, *, derivative):
         channels = np.flatnonzero(group.ravel() == g)
         rows = np.flatnonzero(keep)
         if rows.size:
-            part = _per_flight(
-                columns[np.ix_(rows, channels)], time[rows], codes[rows], cutoff, derivative, remarks
-            )
+            part = _per_flight(columns[np.ix_(rows, channels)], time[rows], codes[rows], cutoff, derivative, remarks)
             out[np.ix_(rows, channels)] = part
     for remark in sorted(remarks):
         warnings.warn(remark, UserWarning, stacklevel=3)
@@ -233,7 +231,8 @@ def _filter_run(columns, time, cutoff, kernel, derivative):
     if n == 1:
         return np.full_like(columns, np.nan) if derivative else columns
     if cutoff is None or (kernel is None and isinstance(cutoff, str)):
-        return _slope(columns, _grid(time)[0]) if derivative else columns
+        grid, jittered = _grid(time)
+        return _slope(columns, time if jittered else grid) if derivative else columns
     grid, jittered = _grid(time)
     on_grid = interpolate.CubicSpline(time, columns)(grid) if jittered else columns
     step = (grid[-1] - grid[0]) / (len(grid) - 1)
@@ -399,7 +398,8 @@ def _split(time, codes):
     if max(gap.sum(), uneven.sum()) > 0.1 * max(same.sum(), 10):
         raise ValueError(
             f"Got time steps from {step[same].min():.3g} s to {step[same].max():.3g} s (median "
-            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: resample the "
+            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: resample "
+            "the "
             "log to one uniform clock first."
         )
     edges = [0, *(np.flatnonzero(starts) + 1).tolist(), len(time)]

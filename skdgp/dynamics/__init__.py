@@ -5,6 +5,7 @@ The seam to the learning half is a table: flights in, the six coefficients out, 
 """
 
 from ._aircraft import Aircraft
+from ._checks import standard_density
 from ._frames import (
     air_data,
     air_velocity,
@@ -18,6 +19,8 @@ from ._frames import (
     quaternion_to_matrix,
 )
 from ._integrate import rk4, rk4_step
+from ._inverse import aerodynamic_coefficients
+from ._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
 from ._propeller import Propeller
 from ._rigid_body import STATE_NAMES, rigid_body_derivative
 from ._thrust_line import ThrustLine
@@ -27,17 +30,23 @@ __all__ = [
     "Aircraft",
     "Propeller",
     "ThrustLine",
+    "aerodynamic_coefficients",
+    "aerodynamic_loads",
     "air_data",
     "air_velocity",
     "body_to_ned",
     "euler_to_matrix",
     "euler_to_quaternion",
+    "external_loads",
     "gravity_in_body_axes",
     "ned_to_body",
+    "propeller_loads",
+    "propulsive_loads",
     "quaternion_rate",
     "quaternion_to_euler",
     "quaternion_to_matrix",
     "rigid_body_derivative",
     "rk4",
     "rk4_step",
+    "standard_density",
 ]

@@ -79,9 +79,7 @@ class Aircraft:
             if isinstance(value, Mapping):
                 value = _build(kind, value, name)
             elif value is not None and not isinstance(value, kind):
-                raise TypeError(
-                    f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or a mapping."
-                )
+                raise TypeError(f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or a mapping.")
             object.__setattr__(self, name, value)
 
     @cached_property

@@ -24,9 +24,7 @@ def rk4_step(
     return state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
 
 
-def rk4(
-    derivative: Callable[[float, np.ndarray], np.ndarray], state0: ArrayLike, times: ArrayLike
-) -> np.ndarray:
+def rk4(derivative: Callable[[float, np.ndarray], np.ndarray], state0: ArrayLike, times: ArrayLike) -> np.ndarray:
     """Return the states at ``times`` [s], one step from each time to the next, starting from ``state0``.
 
     Parameters

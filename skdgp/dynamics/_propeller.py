@@ -58,9 +58,7 @@ class Propeller:
         if not (np.isfinite(self.diameter) and self.diameter > 0):
             raise ValueError(f"Got propeller diameter {self.diameter!r}, but expected a number > 0 [m].")
         if self.rotation not in (1, -1):
-            raise ValueError(
-                f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or -1."
-            )
+            raise ValueError(f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or -1.")
         for name, least in (("thrust_coefficients", 1), ("torque_coefficients", 0)):
             values = tuple(float(c) for c in getattr(self, name))
             if not (least <= len(values) <= 3 and np.isfinite(values).all()):
@@ -85,12 +83,7 @@ class Propeller:
     def advance_ratio(self, propeller_speed: ArrayLike, airspeed: ArrayLike) -> np.ndarray:
         """Return J = V / (n D) = 2 pi V / (Omega D), infinite where the propeller stands still."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return (
-                2.0
-                * np.pi
-                * np.asarray(airspeed, float)
-                / (np.asarray(propeller_speed, float) * self.diameter)
-            )
+            return 2.0 * np.pi * np.asarray(airspeed, float) / (np.asarray(propeller_speed, float) * self.diameter)
 
     @classmethod
     def from_table(
@@ -134,16 +127,12 @@ class Propeller:
         >>> [round(c, 3) for c in propeller.thrust_coefficients]
         [0.1, -0.125]
         """
-        check_columns(
-            check_table(table, what="bench table"), ["propeller_speed", "thrust"], what="bench table"
-        )
+        check_columns(check_table(table, what="bench table"), ["propeller_speed", "thrust"], what="bench table")
         if degree not in (0, 1, 2):
             raise ValueError(f"Got degree={degree!r}, but expected 0, 1 or 2.")
         speed = table["propeller_speed"].to_numpy(float)
         airspeed = table["airspeed"].to_numpy(float) if "airspeed" in table else np.zeros_like(speed)
-        density = (
-            table["density"].to_numpy(float) if "density" in table else np.full_like(speed, SEA_LEVEL_DENSITY)
-        )
+        density = table["density"].to_numpy(float) if "density" in table else np.full_like(speed, SEA_LEVEL_DENSITY)
         _check_bench(speed, airspeed, density, table["thrust"].to_numpy(float))
         static = not (airspeed > 0).any()
         if static and pitch is None:
@@ -181,11 +170,7 @@ class Propeller:
         n = np.asarray(propeller_speed, dtype=float) / (2.0 * np.pi)
         advance = np.asarray(airspeed, dtype=float) / self.diameter
         c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
-        return (
-            np.asarray(density, float)
-            * self.diameter**power
-            * ((c0 * n + c1 * advance) * n + c2 * advance**2)
-        )
+        return np.asarray(density, float) * self.diameter**power * ((c0 * n + c1 * advance) * n + c2 * advance**2)
 
 
 def _basis(speed, airspeed, density, diameter, degree) -> np.ndarray:

@@ -86,9 +86,7 @@ def rigid_body_derivative(
     derivative[..., 7] = 0.5 * (q0 * p + e2 * r - e3 * q)
     derivative[..., 8] = 0.5 * (q0 * q + e3 * p - e1 * r)
     derivative[..., 9] = 0.5 * (q0 * r + e1 * q - e2 * p)
-    derivative[..., RATES] = (
-        moment - gyroscopic_moment(state[..., RATES], aircraft)
-    ) @ aircraft.inertia_inverse
+    derivative[..., RATES] = (moment - gyroscopic_moment(state[..., RATES], aircraft)) @ aircraft.inertia_inverse
     return derivative
 
 

@@ -1,0 +1,174 @@
+"""Checks of a flight table at the door of the aircraft half: columns, signs, and units that can be noticed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+
+from .._signal import flight_segments
+from .._validation import check_columns, check_table
+
+__all__ = ["check_flight", "standard_density"]
+
+LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
+SLACK = 0.05
+"""Noise that may carry an angle over its largest value [rad]."""
+
+
+def standard_density(altitude) -> np.ndarray:
+    """Return the density [kg/m^3] of the International Standard Atmosphere, altitude in the troposphere [m].
+
+    rho = 1.225 (1 - 2.25577e-5 h)^4.25588 (ICAO Doc 7488).
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import standard_density
+    >>> standard_density([0.0, 1000.0]).round(4)
+    array([1.225 , 1.1117])
+    """
+    return 1.225 * (1.0 - 2.25577e-5 * np.asarray(altitude, dtype=float)) ** 4.25588
+
+
+def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
+    """Return the contiguous stretches of a flight table that has the ``needed`` columns in SI units.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or not numeric, time does not increase within a flight, airspeed is not
+        positive, or values are impossible in SI units.
+
+    Warns
+    -----
+    UserWarning
+        If values are possible but smell of another unit or sign.
+    """
+    check_columns(check_table(flight), needed)
+    for name in needed:
+        if not pd.api.types.is_numeric_dtype(flight[name]):
+            raise ValueError(f"Got column {name!r} of type {flight[name].dtype}, but expected numbers.")
+    segments = flight_segments(flight["time"].to_numpy(float), flight.get("flight"))
+    for check in (_airspeed, _density, _angles, _rates, _accelerations):
+        check(flight)
+    return segments
+
+
+def _airspeed(flight: pd.DataFrame) -> None:
+    airspeed = _values(flight, "airspeed")
+    bad = np.flatnonzero(airspeed <= 0)
+    if bad.size:
+        raise ValueError(
+            f"Got airspeed {airspeed[bad[0]]:g} m/s at row {bad[0]} and {bad.size} rows with airspeed <= 0, but "
+            "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the ground, e.g. "
+            "flight[flight.airspeed > 5], or set the airspeed of those rows to NaN."
+        )
+    ground = np.sqrt(sum(_values(flight, name) ** 2 for name in ("v_north", "v_east", "v_down")))
+    ratio = np.nanmedian(airspeed) / np.nanmedian(ground) if _seen(airspeed) and _seen(ground) else 1.0
+    if not 0.5 < ratio < 1.8:
+        _warn(
+            f"The median airspeed is {ratio:.2f} times the median ground speed, but both should be m/s (1.94: "
+            "airspeed in knots; 3.6: in km/h). Ignore this only if the wind was that strong."
+        )
+
+
+def _density(flight: pd.DataFrame) -> None:
+    density = _values(flight, "density")
+    if not _seen(density):
+        return
+    middle = np.nanmedian(density)
+    if not 0.05 < middle < 2.5 or np.nanmin(density) <= 0:
+        raise ValueError(
+            f"Got density from {np.nanmin(density):g} to {np.nanmax(density):g}, but expected air in kg/m^3 (1.225 "
+            "at sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
+        )
+    altitude = _values(flight, "altitude")
+    if _seen(altitude) and abs(np.nanmedian(altitude)) < 11e3:
+        standard = float(standard_density(np.nanmedian(altitude)))
+        if not 0.8 < middle / standard < 1.25:
+            _warn(
+                f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of the standard "
+                f"atmosphere at the median altitude {np.nanmedian(altitude):.0f} m: check the units of both."
+            )
+
+
+def _angles(flight: pd.DataFrame) -> None:
+    for name, largest in LARGEST_ANGLE.items():
+        values = np.abs(_values(flight, name))
+        if not _seen(values):
+            continue
+        if np.nanmax(values) > largest + SLACK:
+            raise ValueError(
+                f"Got {name} up to {np.nanmax(values):g}, but expected radians, at most {largest:.3f}: if these "
+                f"are degrees, use numpy.deg2rad(flight[{name!r}])."
+            )
+        if name in ("alpha", "beta") and np.nanmedian(values) > 0.7:
+            _warn(
+                f"The median |{name}| is {np.nanmedian(values):.2f} rad ({np.rad2deg(np.nanmedian(values)):.0f} "
+                "deg), but expected radians: these look like degrees."
+            )
+
+
+def _rates(flight: pd.DataFrame) -> None:
+    for name in ("p", "q", "r"):
+        rate = np.abs(_values(flight, name))
+        if _seen(rate) and np.nanmax(rate) > 50:
+            raise ValueError(
+                f"Got |{name}| up to {np.nanmax(rate):g}, but expected rad/s (50 rad/s is eight turns a second): "
+                f"if these are degrees per second, use numpy.deg2rad(flight[{name!r}])."
+            )
+    turned, gyro = _roll_over_a_second(flight)
+    if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
+        raise ValueError(
+            f"The roll rate p integrates to {gyro / turned:.3g} times the change of phi, but expected about 1: one "
+            "of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad on it, and on q and r as on p."
+        )
+
+
+def _roll_over_a_second(flight: pd.DataFrame) -> tuple[float, float]:
+    """Return the root mean squares of the change of phi in a second, and of p integrated over it."""
+    phi, p, time = (_values(flight, name) for name in ("phi", "p", "time"))
+    if not (_seen(phi) and _seen(p) and len(flight) > 2):
+        return 0.0, 0.0
+    step = np.nanmedian(np.diff(time))
+    lag = int(min(max(round(1.0 / step), 1), len(flight) - 1))
+    codes = pd.factorize(flight["flight"])[0] if "flight" in flight else np.zeros(len(flight))
+    whole = (codes[lag:] == codes[:-lag]) & (np.abs(time[lag:] - time[:-lag] - lag * step) < step)
+    change = np.angle(np.exp(1j * (phi[lag:] - phi[:-lag])))[whole]
+    integral = np.convolve(p, np.ones(lag), mode="valid")[: len(phi) - lag][whole] * step
+    good = np.isfinite(change) & np.isfinite(integral)
+    if not good.any():
+        return 0.0, 0.0
+    return float(np.sqrt(np.mean(change[good] ** 2))), float(np.sqrt(np.mean(integral[good] ** 2)))
+
+
+def _accelerations(flight: pd.DataFrame) -> None:
+    specific = np.stack([_values(flight, name) for name in ("ax", "ay", "az")], axis=-1)
+    size = np.linalg.norm(specific, axis=-1)
+    if not _seen(size):
+        return
+    if not 3.0 < np.nanmedian(size) < 300.0:
+        _warn(
+            f"The median specific force |(ax, ay, az)| is {np.nanmedian(size):.3g} m/s^2, but level flight gives 9.8: "
+            "multiply by 9.80665 if these are g; if gravity was taken out of them, put it back (an accelerometer "
+            "reads specific force)."
+        )
+    elif np.nanmedian(specific[:, 2]) > 3.0:
+        _warn(
+            f"The median az is {np.nanmedian(specific[:, 2]):+.2f} m/s^2, but z points down and level flight gives "
+            "about -9.8: change the signs of ay and az if the sensor's z points up."
+        )
+
+
+def _values(flight: pd.DataFrame, name: str) -> np.ndarray:
+    return flight[name].to_numpy(float) if name in flight else np.full(len(flight), np.nan)
+
+
+def _seen(values: np.ndarray) -> bool:
+    return bool(np.isfinite(values).any())
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, UserWarning, stacklevel=5)

@@ -1,0 +1,106 @@
+"""Inverse dynamics: the aerodynamic coefficients that a flight must have had to move as it did."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from .._signal import differentiate, smooth
+from .._vocabulary import COEFFICIENTS
+from ._aircraft import Aircraft
+from ._checks import check_flight
+from ._loads import dynamic_pressure, external_loads, propulsive_loads
+from ._rigid_body import gyroscopic_moment
+
+__all__ = ["aerodynamic_coefficients"]
+
+RATES = ["p", "q", "r"]
+RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
+SPECIFIC_FORCE = ["ax", "ay", "az"]
+
+
+def aerodynamic_coefficients(
+    flight: pd.DataFrame,
+    aircraft: Aircraft,
+    *,
+    cutoff: float | str | None = "auto",
+    thrust: str | None = "auto",
+    external_forces: Sequence[str] = (),
+) -> pd.DataFrame:
+    """Return the six aerodynamic coefficients along a flight.
+
+    With specific force f, rates omega, propulsive and external loads F_T, M_T (Hemakumara & Sukkarieh 2011,
+    equations 3 to 8),
+
+        F_A = m f - F_T,   M_A = I omega_dot + omega x (I omega) - M_T,
+        (CX, CY, CZ) = F_A / (qbar S),   (Cl, Cm, Cn) = M_A / (qbar S (b, c, b)),   qbar = rho V^2 / 2.
+
+    Gravity does not appear: an accelerometer does not feel it.
+
+    Parameters
+    ----------
+    flight : pandas.DataFrame
+        Columns ``time`` [s], ``airspeed`` [m/s], ``density`` [kg/m^3], ``ax``, ``ay``, ``az`` [m/s^2], ``p``,
+        ``q``, ``r`` [rad/s]; ``flight`` (id) where there are several; ``p_dot``, ``q_dot``, ``r_dot`` [rad/s^2]
+        where all three were measured, else the rates are differentiated.
+    aircraft : Aircraft
+        Mass, inertia and reference lengths.
+    cutoff : float, "auto" or None, default="auto"
+        Zero-phase smoothing of the measured channels, and of the rates before they are differentiated: a corner
+        frequency [Hz], the smoother that each channel's own spectrum implies, or none.
+    thrust : {"auto", "columns", "propeller", None}, default="auto"
+        The columns thrust_x, thrust_y, thrust_z [N] (and thrust_l, thrust_m, thrust_n [N m]) where they stand,
+        else the aircraft's propeller at ``propeller_speed`` [rad/s]. None: no propulsion (a glider).
+    external_forces : sequence of str, default=()
+        Further loads to take away: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
+        tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns CX, CY, CZ, Cl, Cm, Cn with the flight's index; NaN where a channel needed is NaN.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, time does not increase, airspeed is not positive, values are impossible in SI
+        units, or nothing tells the thrust.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> flight = pd.DataFrame({"time": np.arange(4) * 0.02, "airspeed": 12.0, "density": 1.2, "ax": 0.3,
+    ...                        "ay": 0.0, "az": -9.8, "p": 0.0, "q": 0.0, "r": 0.0})
+    >>> aerodynamic_coefficients(flight, glider, cutoff=None, thrust=None).round(3).iloc[0].to_dict()
+    {'CX': 0.014, 'CY': 0.0, 'CZ': -0.454, 'Cl': 0.0, 'Cm': 0.0, 'Cn': 0.0}
+    """
+    check_flight(flight, ["time", "airspeed", "density", *SPECIFIC_FORCE, *RATES])
+    measured, rate_derivatives = _smoothed(flight, cutoff)
+    force, moment = propulsive_loads(measured, aircraft, thrust)
+    external_force, external_moment = external_loads(flight, external_forces)
+    rates = measured[RATES].to_numpy(float)
+    force = aircraft.mass * measured[SPECIFIC_FORCE].to_numpy(float) - force - external_force
+    moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft) - moment - external_moment
+    scale = dynamic_pressure(measured["airspeed"], measured["density"])[:, None] * aircraft.wing_area
+    values = np.hstack([force / scale, moment / (scale * aircraft.moment_lengths)])
+    values[~np.isfinite(values).all(axis=1)] = np.nan
+    return pd.DataFrame(values, columns=list(COEFFICIENTS), index=flight.index)
+
+
+def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:
+    """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
+    clock = {"time": flight["time"].to_numpy(float), "flight": flight.get("flight"), "cutoff": cutoff}
+    names = ["airspeed", *SPECIFIC_FORCE, *RATES]
+    given = all(name in flight for name in RATE_DERIVATIVES)
+    if given:
+        names += RATE_DERIVATIVES
+    raw = flight[names].to_numpy(float)
+    measured = flight.assign(**dict(zip(names, smooth(raw, **clock).T, strict=True)))
+    if given:
+        return measured, measured[RATE_DERIVATIVES].to_numpy(float)
+    return measured, differentiate(flight[RATES].to_numpy(float), **clock)

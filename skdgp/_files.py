@@ -62,6 +62,6 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
 
 
 def _flush_to_disk(path: Path) -> None:
-    """Force the bytes out before the rename, or a power cut could leave an empty file under the final name."""
+    """Force the bytes out before the rename, or a power cut could leave an empty file in its place."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())

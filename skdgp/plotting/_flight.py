@@ -1,0 +1,284 @@
+"""What was flown: the inputs against time, and the path over the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from skdgp._validation import check_columns, check_table
+from skdgp.plotting._arrays import check_time, choose
+from skdgp.plotting._envelope import line_points
+from skdgp.plotting._ground_path import ground_path
+from skdgp.plotting._style import (
+    CYCLE,
+    PALETTE,
+    axis_label,
+    check_matplotlib,
+    display_unit,
+    legend_above,
+    panels,
+    scale_beside,
+    tidy,
+)
+
+INPUTS = ("throttle", "elevator", "aileron", "rudder")
+ELEVONS = ("elevon_left", "elevon_right")
+
+
+class FlightDisplay:
+    """The inputs flown against time (the paper's figure 4) or the path over the ground (its figure 5).
+
+    Use :meth:`from_flights`. All parameters are kept as attributes.
+
+    Parameters
+    ----------
+    flights : dict of name to DataFrame
+        Flight tables in SI units, at least with ``time``.
+
+    Attributes
+    ----------
+    axes_ : ndarray of Axes
+        The panels: inputs by rows and flights by columns, or the one with the path.
+    figure_ : Figure
+        The figure they are in.
+    lines_ : list of artists
+        The lines, panel by panel; for a path one per flight.
+    starts_ : list of Line2D
+        For a path: where each flight begins.
+    colorbar_ : Colorbar or None
+        The scale of altitude or time along a path.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from matplotlib.figure import Figure
+    >>> from skdgp.plotting import FlightDisplay
+    >>> t = np.arange(0.0, 60.0, 0.1)
+    >>> flight = pd.DataFrame({"time": t, "rudder": 0.1 * np.sin(t), "v_north": 40.0, "v_east": 10 * np.sin(t / 9)})
+    >>> display = FlightDisplay.from_flights({"train": flight}, ax=Figure())
+    >>> display.axes_[0, 0].get_ylabel()
+    'rudder [deg]'
+    >>> path = FlightDisplay.from_flights({"train": flight}, kind="path", ax=Figure())
+    >>> path.axes_[0, 0].get_xlabel()
+    'east [m]'
+    """
+
+    def __init__(self, *, flights):
+        self.flights = flights
+
+    def plot(self, ax=None, *, kind="inputs", **options):
+        """Draw the inputs or the path.
+
+        Parameters
+        ----------
+        ax : Axes, Figure, SubFigure or array of Axes, optional
+            Where to draw; default: a new pyplot figure.
+        kind : {"inputs", "path"}, default="inputs"
+            What to draw.
+        **options
+            Of :meth:`plot_inputs` or :meth:`plot_path`.
+
+        Returns
+        -------
+        FlightDisplay
+            Itself, with the artists as attributes.
+        """
+        if kind not in ("inputs", "path"):
+            raise ValueError(f"Got kind={kind!r}, but expected 'inputs' or 'path'.")
+        return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
+
+    def plot_inputs(self, ax=None, *, channels=None, flights=None, n_bins=2000, titles=True):
+        """Draw the inputs against time, one row per input and one column per flight.
+
+        Parameters
+        ----------
+        ax : Axes, Figure, SubFigure or array of Axes, optional
+            Where to draw; default: a new pyplot figure.
+        channels : names, optional
+            Columns to draw; default: throttle, elevator, aileron, rudder, those that some flight has (the
+            elevons where no flight has an elevator).
+        flights : names, optional
+            Which flights, default all.
+        n_bins : int, default=2000
+            Time slices a longer record is drawn with; of each the extremes are kept.
+        titles : bool, default=True
+            Whether to write each flight's name above its column.
+
+        Returns
+        -------
+        FlightDisplay
+            Itself, with the artists as attributes.
+        """
+        check_matplotlib(f"{type(self).__name__}.plot_inputs")
+        names = self._names(flights)
+        channels = self.inputs if channels is None else [channels] if isinstance(channels, str) else list(channels)
+        size = (2 + 4 * len(names), 1 + 1.3 * len(channels))
+        axes = panels(ax, len(channels), len(names), figsize=size, sharex="col", sharey="row")
+        self.lines_ = []
+        for column, name in zip(axes.T, names, strict=True):
+            for one, channel in zip(column, channels, strict=True):
+                self.lines_.append(self._draw_input(one, name, channel, n_bins))
+            column[-1].set_xlabel("time [s]")
+            if titles:
+                column[0].set_title(name, fontsize="medium", loc="left")
+        for row, channel in zip(axes, channels, strict=True):
+            row[0].set_ylabel(axis_label(channel))
+        self.axes_, self.figure_, self.colorbar_ = axes, axes.flat[0].figure, None
+        return self
+
+    def plot_path(self, ax=None, *, color_by=None, flights=None, legend=True):
+        """Draw the path over the ground, north up, both axes to one scale.
+
+        Positions are the columns ``north`` and ``east``; where these are absent, ``v_north`` and ``v_east``
+        are integrated (trapezoids) from the origin.
+
+        Parameters
+        ----------
+        ax : Axes or Figure, optional
+            Where to draw; default: a new pyplot figure.
+        color_by : {"flight", "altitude", "time"}, optional
+            What the colour means; default: the flight when there are several, else the altitude or the time.
+        flights : names, optional
+            Which flights, default all.
+        legend : bool, default=True
+            Whether to name the flights.
+
+        Returns
+        -------
+        FlightDisplay
+            Itself, with the artists as attributes.
+        """
+        check_matplotlib(f"{type(self).__name__}.plot_path")
+        names = self._names(flights)
+        color_by = self._check_color(color_by, names)
+        paths = {name: ground_path(self.flights[name], name) for name in names}
+        ax = panels(ax, 1, 1, figsize=(6.0, 5.4))[0, 0]
+        draw = _draw_plain if color_by == "flight" else _draw_coloured
+        self.lines_, scale = draw(ax, paths, color_by)
+        colors = CYCLE if color_by == "flight" else (PALETTE["vermillion"],)
+        self.starts_ = [
+            _draw_start(ax, path, name, k, colors[k % len(colors)]) for k, (name, path) in enumerate(paths.items())
+        ]
+        _finish_map(ax)
+        self.colorbar_ = None if scale is None else scale_beside(ax, scale, axis_label(color_by))
+        if legend:
+            legend_above(ax, self.lines_ if color_by == "flight" else self.starts_)
+        self.axes_, self.figure_ = np.array([[ax]]), ax.figure
+        return self
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the inputs that some flight has."""
+        have = set().union(*(table.columns for table in self.flights.values()))
+        wanted = INPUTS if "elevator" in have else (INPUTS[0], *ELEVONS, *INPUTS[2:])
+        found = [name for name in wanted if name in have]
+        if not found:
+            raise ValueError(f"Got flights without any of {[*INPUTS, *ELEVONS]}: name the columns as channels=...")
+        return found
+
+    def _names(self, flights) -> list[str]:
+        names = tuple(self.flights)
+        return [names[k] for k in choose(names, flights)]
+
+    def _draw_input(self, ax, name, channel, n_bins):
+        table = self.flights[name]
+        tidy(ax)
+        if channel not in table.columns:
+            ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, ha="center", va="center", fontsize="small")
+            return None
+        values = display_unit(channel)[0] * table[channel].to_numpy(dtype=float)
+        points = line_points(table["time"].to_numpy(dtype=float), values, n_bins=n_bins)
+        color = CYCLE[list(self.flights).index(name) % len(CYCLE)]
+        return ax.plot(*points, color=color, linewidth=0.9, label=name)[0]
+
+    def _check_color(self, color_by, names) -> str:
+        altitude = all("altitude" in self.flights[name].columns for name in names)
+        if color_by is None:
+            return "flight" if len(names) > 1 else "altitude" if altitude else "time"
+        if color_by not in ("flight", "altitude", "time"):
+            raise ValueError(f"Got color_by={color_by!r}, but expected 'flight', 'altitude' or 'time'.")
+        if color_by == "altitude" and not altitude:
+            raise ValueError("Got color_by='altitude' for a flight without that column: use 'flight' or 'time'.")
+        return color_by
+
+    @classmethod
+    def from_flights(cls, flights, *, kind="inputs", ax=None, **plot_options):
+        """Draw flight tables.
+
+        Parameters
+        ----------
+        flights : DataFrame, or dict of name to DataFrame
+            One table (divided by its column ``flight``, where it has one) or several with their names.
+        kind : {"inputs", "path"}, default="inputs"
+            What to draw.
+        ax, **plot_options
+            See :meth:`plot_inputs` and :meth:`plot_path`.
+
+        Returns
+        -------
+        FlightDisplay
+            The display, drawn.
+
+        Raises
+        ------
+        ValueError
+            If a table lacks the columns that the picture needs.
+        """
+        check_matplotlib(f"{cls.__name__}.from_flights")
+        return cls(flights=named_flights(flights)).plot(ax, kind=kind, **plot_options)
+
+
+def named_flights(flights) -> dict[str, pd.DataFrame]:
+    """Return checked flight tables by name; one table is divided by its column ``flight``."""
+    if not isinstance(flights, Mapping):
+        table = check_table(flights)
+        if "flight" in table.columns:
+            flights = {str(name): part for name, part in table.groupby("flight", sort=False)}
+        else:
+            flights = {"flight": table}
+    if not flights:
+        raise ValueError("Got no flights, but expected at least one table.")
+    for name, table in flights.items():
+        check_columns(check_table(table, what=f"flight {name!r}"), ["time"], what=f"flight {name!r}")
+        check_time(table["time"])
+    return {str(name): table for name, table in flights.items()}
+
+
+def _draw_plain(ax, paths, color_by):
+    lines = []
+    for k, (name, path) in enumerate(paths.items()):
+        color = CYCLE[k % len(CYCLE)]
+        lines += ax.plot(path["east"], path["north"], color=color, linewidth=1.2, label=name)
+    return lines, None
+
+
+def _draw_coloured(ax, paths, color_by):
+    from matplotlib.collections import LineCollection
+
+    values = np.concatenate([path[color_by].to_numpy() for path in paths.values()])
+    lines = []
+    for name, path in paths.items():
+        points = path[["east", "north"]].to_numpy()
+        segments = np.stack([points[:-1], points[1:]], axis=1)
+        lines.append(ax.add_collection(LineCollection(segments, cmap="viridis", linewidths=1.6, label=name)))
+        lines[-1].set_array(0.5 * (path[color_by].to_numpy()[:-1] + path[color_by].to_numpy()[1:]))
+        lines[-1].set_clim(np.nanmin(values), np.nanmax(values))
+    ax.autoscale_view()
+    return lines, lines[0]
+
+
+def _draw_start(ax, path, name, k, color):
+    """Mark where a flight begins, each flight with a marker of its own."""
+    begin = path.iloc[:1]
+    style = {"marker": "os^Dv*"[k % 6], "markersize": 6, "markeredgecolor": "white", "linestyle": "none"}
+    return ax.plot(begin["east"], begin["north"], color=color, zorder=3, label=f"{name}: start", **style)[0]
+
+
+def _finish_map(ax) -> None:
+    tidy(ax)
+    ax.margins(0.05)
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set(xlabel=axis_label("east"), ylabel=axis_label("north"))

@@ -22,6 +22,7 @@ from ._integrate import rk4, rk4_step
 from ._inverse import aerodynamic_coefficients
 from ._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
 from ._propeller import Propeller
+from ._replay import replay, replay_errors
 from ._rigid_body import STATE_NAMES, rigid_body_derivative
 from ._thrust_line import ThrustLine
 
@@ -45,6 +46,8 @@ __all__ = [
     "quaternion_rate",
     "quaternion_to_euler",
     "quaternion_to_matrix",
+    "replay",
+    "replay_errors",
     "rigid_body_derivative",
     "rk4",
     "rk4_step",

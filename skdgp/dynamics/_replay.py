@@ -33,7 +33,7 @@ def replay(
     *,
     std: pd.DataFrame | ArrayLike | None = None,
     horizon: float | Sequence[float] = 2.0,
-    correlation_time: float = 1.0,
+    correlation_time: float = 0.5,
     initial_std: Mapping[str, float] | None = None,
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
@@ -48,8 +48,9 @@ def replay(
     Parameters
     ----------
     flight : pandas.DataFrame
-        ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, and ``v_north``,
-        ``v_east``, ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down`` where known; ``flight`` (id); the columns that tell the thrust.
+        ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``; ``v_north``, ``v_east``,
+        ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down`` where known; ``flight`` (id); the columns
+        that tell the thrust.
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     coefficients : array-like of shape (n, 6)
@@ -58,9 +59,10 @@ def replay(
         Standard deviations of the coefficients, or their covariances across the six. Gives the bands.
     horizon : float or sequence of float, default=2.0
         Seconds from restart to restart.
-    correlation_time : float, default=1.0
+    correlation_time : float, default=0.5
         Time [s] over which the errors of the coefficients forget themselves: error = std * z with
-        corr(z(t), z(t')) = exp(-|t - t'| / correlation_time). ``numpy.inf``: one error for a whole window.
+        corr(z(t), z(t')) = exp(-|t - t'| / correlation_time). 0: every sample anew; ``numpy.inf``: one error for a
+        whole window, the widest bands.
     initial_std : mapping of str to float, optional
         Standard deviations of the measured state at a restart, by name ("v_east", "phi", "p", ...).
     thrust, external_forces
@@ -71,8 +73,9 @@ def replay(
     Returns
     -------
     pandas.DataFrame
-        Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``, ``window``
-        (count of restarts), ``elapsed`` [s] since the restart, the states v_north, v_east, v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ...
+        Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``, ``window`` (count of
+        restarts), ``elapsed`` [s] since the restart, the states (north, east, down where known) v_north, v_east,
+        v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ...
         A row where one window ends and the next starts shows the end. Rows not flown are NaN, their window -1.
 
     Raises
@@ -98,7 +101,7 @@ def replay(
     >>> coefficients = np.tile([0.0, 0.02, -0.45, 0.0, 0.0, 0.0], (101, 1))
     >>> flown = replay(flight, glider, coefficients, std=np.full((101, 6), 1e-4), thrust=None)
     >>> flown[["elapsed", "v_east", "v_east_std"]].iloc[-1].round(2).to_dict()
-    {'elapsed': 2.0, 'v_east': 0.86, 'v_east_std': 0.46}
+    {'elapsed': 2.0, 'v_east': 0.86, 'v_east_std': 0.4}
     """
     horizons = np.atleast_1d(np.asarray(horizon, dtype=float))
     if not (horizons > 0).all() or not correlation_time >= 0:

@@ -1,1 +1,7 @@
+"""The prior: multi-output covariance functions as scikit-learn kernels."""
 
+from skdgp.kernels._base import MultiOutputKernel, Sum
+from skdgp.kernels._convolved import ConvolvedGaussian
+from skdgp.kernels._trend import LinearTrend
+
+__all__ = ["ConvolvedGaussian", "LinearTrend", "MultiOutputKernel", "Sum"]

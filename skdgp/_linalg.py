@@ -1,0 +1,90 @@
+"""The one room for factorisations: Cholesky that says what it did, inverses and solves in place."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.linalg.blas import dtrsm
+
+JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
+
+
+class JitterWarning(UserWarning):
+    """A covariance matrix was not positive definite in double precision and its diagonal was raised."""
+
+
+def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
+    """Return the lower Cholesky factor of ``assemble()``, raising the diagonal when, and only when, it is needed.
+
+    Parameters
+    ----------
+    assemble : callable
+        Returns the symmetric matrix, (N, N) in Fortran order, of which the lower triangle is read. It is
+        factored in place, and asked for again when a factorisation fails: one N x N matrix of memory.
+
+    Returns
+    -------
+    L : ndarray (N, N), Fortran order
+        Lower factor; what stands above the diagonal is not to be read.
+
+    Warns
+    -----
+    JitterWarning
+        When the diagonal had to be raised, with the amount relative to its mean.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When 1e-4 of the mean of the diagonal is not enough, or the matrix is not finite.
+    """
+    jitter = 0.0
+    while True:
+        K = assemble()
+        diagonal = np.einsum("ii->i", K)
+        mean = diagonal.mean()
+        if jitter:
+            diagonal += jitter * mean
+        L, info = lapack.dpotrf(K, lower=1, overwrite_a=1, clean=0)
+        if info == 0 and np.isfinite(np.einsum("ii->i", L)).all():
+            break
+        jitter = 10 * jitter if jitter else JITTER_FIRST
+        if jitter > 1.01 * JITTER_LAST or not np.isfinite(mean):
+            raise np.linalg.LinAlgError(
+                f"The covariance matrix of {len(K)} values is not positive definite even with {JITTER_LAST:g} of its mean "
+                "diagonal added. Raise the noise (its lower bound), remove repeated samples, or shorten the length scales."
+            )
+    if jitter:
+        warnings.warn(
+            f"The covariance matrix of {len(L)} values was not positive definite in double precision; {jitter:g} of its "
+            "mean diagonal was added. The results are those of a slightly noisier model: remove repeated samples or "
+            "raise the lower bound of the noise if that matters.",
+            JitterWarning,
+            stacklevel=3,
+        )
+    return L
+
+
+def cholesky_solve(L: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return K^-1 b from the lower factor of K."""
+    return lapack.dpotrs(L, b, lower=1)[0]
+
+
+def cholesky_inverse(L: np.ndarray) -> np.ndarray:
+    """Return K^-1 in the lower triangle of ``L``, which it overwrites."""
+    inverse, info = lapack.dpotri(L, lower=1, overwrite_c=1)
+    if info:
+        raise np.linalg.LinAlgError(f"The inverse from the Cholesky factor failed (potri info {info}).")
+    return inverse
+
+
+def triangular_solve(L: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return L^-1 B; ``B`` in Fortran order is overwritten."""
+    return dtrsm(1.0, L, B, lower=1, overwrite_b=1)
+
+
+def log_determinant(L: np.ndarray) -> float:
+    """Return log |K| from its factor."""
+    return 2.0 * float(np.log(np.einsum("ii->i", L)).sum())

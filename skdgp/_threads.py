@@ -1,0 +1,32 @@
+"""Threads for work on tiles, given back afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+from threadpoolctl import ThreadpoolController
+
+
+@lru_cache(maxsize=1)
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def n_threads() -> int:
+    """Return how many threads BLAS may use now, which is how many the tiles use: one setting rules both."""
+    return max((lib.num_threads for lib in _controller().select(user_api="blas").lib_controllers), default=1)
+
+
+def thread_map(function: Callable, tasks: Iterable) -> list:
+    """Return ``[function(task) for task in tasks]``, the tasks on as many threads as BLAS may use.
+
+    BLAS itself is held to one thread meanwhile, so that the tiles do not compete with it.
+    """
+    tasks = list(tasks)
+    workers = min(n_threads(), len(tasks))
+    if workers <= 1:
+        return [function(task) for task in tasks]
+    with _controller().limit(limits=1, user_api="blas"), ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(function, tasks))

@@ -1,0 +1,87 @@
+"""Maximising the log marginal likelihood: bounded L-BFGS, the best point kept whatever happens."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from sklearn.exceptions import ConvergenceWarning
+
+from skdgp._progress import tell
+
+
+class Optimum(NamedTuple):
+    """Where a maximisation ended."""
+
+    theta: np.ndarray
+    value: float
+    n_iter: int
+    n_evaluations: int
+    interrupted: bool
+
+
+class _Objective:
+    """Negative log likelihood for a minimiser, that remembers its best point and reports on its way."""
+
+    def __init__(self, log_likelihood, theta, stage):
+        self.log_likelihood, self.stage = log_likelihood, stage
+        self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
+
+    def __call__(self, theta, eval_gradient=True):
+        self.n_evaluations += 1
+        try:
+            value, gradient = self.log_likelihood(theta)
+        except np.linalg.LinAlgError:
+            value, gradient = -np.inf, np.zeros_like(theta)
+        if not (np.isfinite(value) and np.isfinite(gradient).all()):
+            # A wall, finite so that the line search can turn round.
+            value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
+        elif value > self.value:
+            self.theta, self.value = np.array(theta), value
+        tell(self.stage, self.n_evaluations, self.value)
+        return (-value, -gradient) if eval_gradient else -value
+
+
+def maximize(log_likelihood, theta, bounds, *, optimizer="fmin_l_bfgs_b", max_iter=100, tolerance=1e-7, stage="fit"):
+    """Return the best point found from ``theta`` on.
+
+    Parameters
+    ----------
+    log_likelihood : callable
+        theta (n,) -> value and gradient (n,).
+    theta : ndarray (n,)
+        Where to start.
+    bounds : ndarray (n, 2)
+    optimizer : "fmin_l_bfgs_b" or callable
+        A callable has scikit-learn's signature: (obj_func, initial_theta, bounds) -> theta, minimum.
+    max_iter : int
+    tolerance : float
+        Stop when the likelihood rises by less than this fraction of itself in one iteration.
+    stage : str
+        What the progress listeners are told.
+
+    Warns
+    -----
+    ConvergenceWarning
+        When it was interrupted (Ctrl-C), with the point that was kept.
+    """
+    theta = np.clip(theta, bounds[:, 0], bounds[:, 1])
+    objective = _Objective(log_likelihood, theta, stage)
+    n_iter, interrupted = 0, False
+    try:
+        if callable(optimizer):
+            optimizer(objective, theta, bounds)
+        else:
+            options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "ftol": tolerance, "gtol": 1e-4, "maxcor": 20}
+            n_iter = minimize(objective, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options).nit
+    except KeyboardInterrupt:
+        interrupted = True
+        warnings.warn(
+            f"The fit was interrupted after {objective.n_evaluations} evaluations; the best hyperparameters so far are "
+            f"kept (log marginal likelihood {objective.value:.6g}). Fit again for more.",
+            ConvergenceWarning,
+            stacklevel=2,
+        )
+    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted)

@@ -1,0 +1,257 @@
+"""The contract of a multi-output kernel, and the one place where hyperparameters become theta and back."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
+from sklearn.gaussian_process.kernels import Sum as _SklearnSum
+
+
+class Free(NamedTuple):
+    """The free entries of one parameter array.
+
+    ``index`` has the array's shape: entries with the same number are one hyperparameter, -1 is not free.
+    ``log`` tells the transform: theta holds the logarithm, or the signed value itself.
+    """
+
+    name: str
+    index: np.ndarray
+    log: bool
+    bounds: object
+
+    @property
+    def n_elements(self) -> int:
+        """How many entries of theta the parameter has."""
+        return 0 if isinstance(self.bounds, str) else int(self.index.max(initial=-1)) + 1
+
+
+class MultiOutputKernel(Kernel):
+    """Covariance between the outputs of a vector-valued process, as a scikit-learn ``Kernel``.
+
+    Inputs are one (n_i, d) array per output, so outputs observed at different samples need no padding; a
+    single (n, d) array means the same samples for every output. Matrices are output-major: all samples of
+    the first output, then all of the second. A subclass states four blocks, each for one pair of outputs;
+    everything else follows from them.
+    """
+
+    n_outputs: int
+
+    @abstractmethod
+    def block(self, i: int, j: int, Xi, Xj) -> np.ndarray:
+        """Return cov(y_i(Xi), y_j(Xj)), (n_i, n_j)."""
+
+    @abstractmethod
+    def block_gradient(self, i: int, j: int, Xi, Xj, W) -> np.ndarray:
+        """Return sum(W * dK_ij / dtheta), (n_theta,): the contraction, never the (n_i, n_j, n_theta) array."""
+
+    @abstractmethod
+    def block_derivative(self, i: int, j: int, Xi, Xj) -> np.ndarray:
+        """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j)."""
+
+    @abstractmethod
+    def block_diag(self, i: int, Xi) -> np.ndarray:
+        """Return var(y_i(Xi)), (n_i,)."""
+
+    @abstractmethod
+    def derivative_diag(self, i: int, Xi) -> np.ndarray:
+        """Return the prior variance of dy_i/dx at Xi, (n_i, d)."""
+
+    @abstractmethod
+    def initialize(self, X, Y, random_state) -> MultiOutputKernel:
+        """Return the kernel with shapes, starting values and bounds taken from data where none were given.
+
+        X is (n, d), Y is (n, P) with NaN where an output was not observed.
+        """
+
+    def unexplained(self, X, Y) -> np.ndarray:
+        """Return what of Y, (n, P), this kernel leaves to the others of a sum when they choose starting values."""
+        return Y
+
+    # -- what follows from the blocks ------------------------------------------------------------------
+
+    def split(self, X) -> list[np.ndarray]:
+        """Return X as one array per output."""
+        if isinstance(X, (list, tuple)) and len(X) and np.ndim(X[0]) == 2:
+            arrays = [np.asarray(x, dtype=float) for x in X]
+            if len(arrays) != self.n_outputs:
+                raise ValueError(
+                    f"Got {len(arrays)} input arrays, but expected one for each of the {self.n_outputs} outputs."
+                )
+            return arrays
+        return [np.asarray(X, dtype=float)] * self.n_outputs
+
+    def __call__(self, X, Y=None, eval_gradient=False):
+        """Return the covariance matrix, (sum n_i, sum n_j), output-major, and on request its gradient.
+
+        Parameters
+        ----------
+        X, Y : array (n, d), or a list of one (n_i, d) array per output
+            ``Y=None`` means ``Y=X``.
+        eval_gradient : bool
+            Also return dK/dtheta, (N, N, n_theta): for small matrices. Inference uses ``block_gradient``.
+        """
+        if eval_gradient and Y is not None:
+            raise ValueError("The gradient can only be had for Y=None.")
+        rows = self.split(X)
+        columns = rows if Y is None else self.split(Y)
+        K = np.block([[self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)] for i, Xi in enumerate(rows)])
+        return (K, self._dense_gradient(rows)) if eval_gradient else K
+
+    def _dense_gradient(self, rows):
+        """Return dK/dtheta, (N, N, n_theta), one entry of K at a time."""
+        points = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi]
+        one = np.ones((1, 1))
+        upper = np.array(
+            [[self.block_gradient(i, j, x, z, one) for j, z in points] if len(self.theta) else [] for i, x in points]
+        )
+        return upper.reshape(len(points), len(points), len(self.theta))
+
+    def diag(self, X):
+        """Return the diagonal of ``kernel(X)``, (sum n_i,)."""
+        return np.concatenate([self.block_diag(i, Xi) for i, Xi in enumerate(self.split(X))])
+
+    def __add__(self, other):
+        return Sum(self, other)
+
+    # -- hyperparameters -------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _free(self) -> list[Free]:
+        """Return the free parameters, in theta's order."""
+
+    @property
+    def hyperparameters(self):
+        """Each hyperparameter with its number of elements and bounds."""
+        return [
+            Hyperparameter(f.name, "numeric", f.bounds if isinstance(f.bounds, str) else _pairs(f), f.n_elements or 1)
+            for f in self._free()
+        ]
+
+    @property
+    def theta(self):
+        """Free hyperparameters, (n_theta,): logarithms of the positive ones, signed ones as they are."""
+        parts = []
+        for f in self._free():
+            if f.n_elements:
+                part = np.empty(f.n_elements)
+                chosen = f.index >= 0
+                part[f.index[chosen]] = self._value(f.name)[chosen]
+                parts.append(np.log(part) if f.log else part)
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    @theta.setter
+    def theta(self, theta):
+        theta = np.asarray(theta, dtype=float)
+        expected = sum(f.n_elements for f in self._free())
+        if theta.shape != (expected,):
+            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
+        start = 0
+        for f in self._free():
+            if f.n_elements:
+                part = theta[start : start + f.n_elements]
+                start += f.n_elements
+                value = self._value(f.name).copy()
+                chosen = f.index >= 0
+                value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
+                setattr(self, f.name, value)
+
+    @property
+    def bounds(self):
+        """Bounds on theta, (n_theta, 2), in theta's own coordinates."""
+        parts = [np.log(_pairs(f)) if f.log else _pairs(f) for f in self._free() if f.n_elements]
+        return np.concatenate(parts) if parts else np.empty((0, 2))
+
+    @property
+    def n_dims(self):
+        """Length of theta."""
+        return sum(f.n_elements for f in self._free())
+
+    def _value(self, name) -> np.ndarray:
+        """Return a parameter as the array that theta and the equations index."""
+        return np.asarray(getattr(self, name), dtype=float)
+
+    def __setattr__(self, name, value):
+        self.__dict__.pop("_cache", None)  # what was derived from the parameters
+        super().__setattr__(name, value)
+
+    def __getstate__(self):
+        return {name: value for name, value in self.__dict__.items() if name != "_cache"}
+
+    def __eq__(self, other):
+        if type(self) is not type(other):
+            return False
+        mine, theirs = self.get_params(), other.get_params()
+        return set(mine) == set(theirs) and all(np.array_equal(mine[k], theirs[k]) for k in mine)
+
+    __hash__ = None
+
+    def __repr__(self):
+        shown = {k: v for k, v in self.get_params(deep=False).items() if v is not None and np.ndim(v) == 0}
+        return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in shown.items())})"
+
+    def is_stationary(self):
+        """Return whether the covariance depends on x - x' alone."""
+        return False
+
+    def pull_back(self, gradients: dict[str, np.ndarray]) -> np.ndarray:
+        """Return d/dtheta from derivatives with respect to the entries (of their logarithm where log)."""
+        parts = []
+        for f in self._free():
+            if f.n_elements:
+                chosen = f.index >= 0
+                parts.append(np.bincount(f.index[chosen], weights=gradients[f.name][chosen], minlength=f.n_elements))
+        return np.concatenate(parts) if parts else np.empty(0)
+
+
+class Sum(_SklearnSum, MultiOutputKernel):
+    """The sum of two multi-output kernels: covariance of a sum of independent processes."""
+
+    @property
+    def n_outputs(self):
+        """Number of outputs P."""
+        return self.k1.n_outputs
+
+    def block(self, i, j, Xi, Xj):
+        return self.k1.block(i, j, Xi, Xj) + self.k2.block(i, j, Xi, Xj)
+
+    def block_gradient(self, i, j, Xi, Xj, W):
+        return np.concatenate([k.block_gradient(i, j, Xi, Xj, W) for k in (self.k1, self.k2)])
+
+    def block_derivative(self, i, j, Xi, Xj):
+        return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
+
+    def block_diag(self, i, Xi):
+        return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)
+
+    def derivative_diag(self, i, Xi):
+        return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
+
+    def initialize(self, X, Y, random_state):
+        first = self.k1.initialize(X, Y, random_state)
+        return Sum(first, self.k2.initialize(X, first.unexplained(X, Y), random_state))
+
+    def unexplained(self, X, Y):
+        return self.k2.unexplained(X, self.k1.unexplained(X, Y))
+
+    def diag(self, X):
+        return self.k1.diag(X) + self.k2.diag(X)
+
+    def _free(self):
+        return [*self.k1._free(), *self.k2._free()]
+
+    def __repr__(self):
+        return f"{self.k1!r} + {self.k2!r}"
+
+
+def _pairs(f: Free) -> np.ndarray:
+    """Return the bounds of a free parameter, (n_elements, 2), from one pair, or one pair for each entry."""
+    bounds = np.asarray(f.bounds, dtype=float)
+    if bounds.shape == (2,):
+        return np.tile(bounds, (f.n_elements, 1))
+    chosen = f.index >= 0
+    pairs = np.empty((f.n_elements, 2))
+    pairs[f.index[chosen]] = np.broadcast_to(bounds, (*f.index.shape, 2))[chosen]
+    return pairs

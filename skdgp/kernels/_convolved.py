@@ -1,0 +1,381 @@
+"""The convolved Gaussian kernel: outputs as smoothed copies of shared white noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skdgp.kernels._base import Free, MultiOutputKernel
+from skdgp.kernels._start import starting_values
+
+COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
+
+
+class ConvolvedGaussian(MultiOutputKernel):
+    r"""Dependent outputs: every output is a sum of white-noise processes, each through a Gaussian filter.
+
+    Latent process m reaches output i through
+    :math:`h_{mi}(s) = v_{mi} \exp(-\tfrac12 (s-\mu_{mi})^T A_{mi} (s-\mu_{mi}))`, so for a separation
+    :math:`\delta = s_a - s_b` (Hemakumara & Sukkarieh 2011, equations 14 to 16)
+
+    .. math:: K_{ij}(\delta) = \sum_m \frac{(2\pi)^{d/2} v_{mi} v_{mj}}{\sqrt{|A_{mi} + A_{mj}|}}
+              \exp\!\big(-\tfrac12 (\delta - \mu_{mi} + \mu_{mj})^T \Sigma_{mij} (\delta - \mu_{mi} + \mu_{mj})\big),
+              \quad \Sigma_{mij} = A_{mi} (A_{mi} + A_{mj})^{-1} A_{mj}.
+
+    It is parametrised by what can be read: the amplitude :math:`w = v \pi^{d/4} |A|^{-1/4}`, so that
+    :math:`K_{ii}(0) = \sum_m w_{mi}^2`, and the length scale :math:`\ell` of the output's own covariance,
+    :math:`A = 2\,\mathrm{diag}(\ell^{-2})`, which is scikit-learn's ``RBF`` length scale.
+
+    Parameters
+    ----------
+    n_latent : int
+        Latent processes that feed every output.
+    private_latents : bool
+        Whether each output also has a latent of its own.
+    covariance_type : {"spherical", "diag", "full", "tied"}
+        The filters' widths: one number, one per regressor, a full matrix, or one per regressor that all outputs
+        of a latent have in common (with zero shifts: the linear model of coregionalisation).
+    amplitude : array (M, P) or None
+        Signed w, the last axis tells P, shared latents first, then the private ones. None: from the data.
+    length_scale : array (M, P, d) or None
+        Positive, the last axis tells d, in the units of the regressors. None: from the data.
+    shear : array (M, P, d (d - 1) / 2) or float
+        For "full": the strictly lower part of the unit-triangular C in A = 2 D^-1 C C^T D^-1, D = diag(length_scale).
+    shift : array (M, P, d) or float
+        mu, in the units of the regressors. Only differences between outputs matter: the first output's is zero.
+    amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array (..., 2), "fixed" or None
+        Bounds on the values. None: from the data.
+
+    Attributes
+    ----------
+    v : ndarray (M, P)
+        Filter gains; zero where a latent does not feed an output.
+    A : ndarray (M, P, d) or, for "full", (M, P, d, d)
+        Filter precisions.
+    mu : ndarray (M, P, d)
+        Filter shifts.
+
+    Examples
+    --------
+    >>> from skdgp.kernels import ConvolvedGaussian
+    >>> kernel = ConvolvedGaussian(1, private_latents=False, amplitude=[[1.0, -2.0]], length_scale=1.0)
+    >>> kernel([[0.0]])
+    array([[ 1., -2.],
+           [-2.,  4.]])
+    """
+
+    def __init__(
+        self,
+        n_latent=1,
+        *,
+        private_latents=True,
+        covariance_type="diag",
+        amplitude=None,
+        length_scale=None,
+        shear=0.0,
+        shift=0.0,
+        amplitude_bounds=None,
+        length_scale_bounds=None,
+        shear_bounds=None,
+        shift_bounds="fixed",
+    ):
+        self.n_latent = n_latent
+        self.private_latents = private_latents
+        self.covariance_type = covariance_type
+        self.amplitude = amplitude
+        self.length_scale = length_scale
+        self.shear = shear
+        self.shift = shift
+        self.amplitude_bounds = amplitude_bounds
+        self.length_scale_bounds = length_scale_bounds
+        self.shear_bounds = shear_bounds
+        self.shift_bounds = shift_bounds
+
+    # -- shapes ----------------------------------------------------------------------------------------
+
+    def _arrays(self):
+        """Return the parameters broadcast to (M, P, ...), by name, and who feeds whom, (M, P)."""
+        cache = self.__dict__.setdefault("_cache", {})
+        if "arrays" not in cache:
+            cache["arrays"] = self._broadcast()
+        return cache["arrays"]
+
+    def _broadcast(self):
+        if self.covariance_type not in COVARIANCE_TYPES:
+            raise ValueError(f"Got covariance_type={self.covariance_type!r}, but expected one of {COVARIANCE_TYPES}.")
+        if self.amplitude is None or self.length_scale is None:
+            raise ValueError(
+                "ConvolvedGaussian has no values yet: give amplitude and length_scale, or let "
+                "DependentGPRegressor.fit take them from the data."
+            )
+        w, lengths = np.asarray(self.amplitude, dtype=float), np.asarray(self.length_scale, dtype=float)
+        P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
+        feeds = _feeds(self.n_latent, P, self.private_latents)
+        M = len(feeds)
+        if M == 0:
+            raise ValueError("Got n_latent=0 without private latents, but expected at least one latent process.")
+        if not (lengths > 0).all():
+            raise ValueError("Got a length_scale that is not positive; expected lengths > 0.")
+        return {
+            "feeds": feeds,
+            "amplitude": _as_shape("amplitude", w, (M, P)) * feeds,
+            "length_scale": _as_shape("length_scale", lengths, (M, P, d)),
+            "shear": _as_shape("shear", self.shear, (M, P, d * (d - 1) // 2)),
+            "shift": _as_shape("shift", self.shift, (M, P, d)),
+        }
+
+    def _value(self, name):
+        return self._arrays()[name]
+
+    @property
+    def n_outputs(self):
+        """Number of outputs P."""
+        return self._value("amplitude").shape[1]
+
+    @property
+    def n_features(self):
+        """Number of regressors d."""
+        return self._value("length_scale").shape[2]
+
+    def initialize(self, X, Y, random_state):
+        params = self.get_params()
+        for name, value in starting_values(self.n_latent, self.private_latents, X, Y, random_state).items():
+            if params[name] is None:
+                params[name] = value
+        kernel = ConvolvedGaussian(**params)
+        for what, got, want in (
+            ("outputs", kernel.n_outputs, Y.shape[1]),
+            ("regressors", kernel.n_features, X.shape[1]),
+        ):
+            if got != want:
+                raise ValueError(
+                    f"The kernel is for {got} {what}, but the data have {want}: the last axis of amplitude counts "
+                    "outputs, that of length_scale regressors; leave them None to take them from the data."
+                )
+        return kernel
+
+    def _free(self):
+        feeds = self._value("feeds").astype(bool)
+        M, P, d = self._value("shift").shape
+        pairs = self._value("shear").shape[-1]
+        latent, output = np.indices((M, P))
+        # One filter for each latent and output, or, tied, one for each latent.
+        own = latent * P + output
+        width = latent if self.covariance_type == "tied" else own
+        per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
+        moves = feeds & (output > 0) & (latent < self.n_latent)
+        free = [
+            Free("amplitude", _number(own, feeds), False, _or(self.amplitude_bounds, (-1e3, 1e3))),
+            Free(
+                "length_scale",
+                _number(width[..., None] * d + per_feature, feeds[..., None]),
+                True,
+                _or(self.length_scale_bounds, (1e-3, 1e3)),
+            ),
+            Free(
+                "shift",
+                _number(own[..., None] * d + np.arange(d), moves[..., None]),
+                False,
+                _or(self.shift_bounds, (-1e2, 1e2)),
+            ),
+        ]
+        if self.covariance_type == "full":
+            index = _number(own[..., None] * pairs + np.arange(pairs), feeds[..., None])
+            free.append(Free("shear", index, False, _or(self.shear_bounds, (-10.0, 10.0))))
+        return free
+
+    # -- published parameters --------------------------------------------------------------------------
+
+    @property
+    def A(self):
+        """Filter precisions, (M, P, d) or (M, P, d, d)."""
+        if self.covariance_type != "full":
+            return 2.0 / self._value("length_scale") ** 2
+        R = self._roots()
+        return 2.0 * R @ np.swapaxes(R, -1, -2)
+
+    @property
+    def mu(self):
+        """Filter shifts, (M, P, d)."""
+        return self._value("shift")
+
+    @property
+    def v(self):
+        """Filter gains, (M, P): v = w |A|^(1/4) / pi^(d/4)."""
+        lengths = self._value("length_scale")
+        logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
+        return self._value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)
+
+    def _roots(self):
+        """Return R, (M, P, d, d), with A = 2 R R^T and R = D^-1 C."""
+        lengths = self._value("length_scale")
+        d = lengths.shape[-1]
+        C = np.broadcast_to(np.eye(d), (*lengths.shape, d)).copy()
+        C[..., *np.tril_indices(d, -1)] = self._value("shear")
+        return C / lengths[..., :, None]
+
+    # -- the equations ---------------------------------------------------------------------------------
+
+    def _pair(self, i, j):
+        """Return latents that feed both outputs, gains, c, F with Sigma = F F^T (its diagonal), and mu_i - mu_j."""
+        cache = self.__dict__.setdefault("_cache", {})
+        if (i, j) not in cache:
+            both = np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
+            w, mu = self._value("amplitude")[both], self._value("shift")[both]
+            if self.covariance_type == "full":
+                c, F = _full_pair(self._roots()[both][:, [i, j]])
+            else:
+                li, lj = self._value("length_scale")[both][:, [i, j]].swapaxes(0, 1)
+                total = li**2 + lj**2
+                c, F = np.sqrt(2 * li * lj / total).prod(axis=1), np.sqrt(2 / total)
+            cache[i, j] = both, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
+        return cache[i, j]
+
+    def _exponentials(self, i, j, Xi, Xj):
+        """Yield for each latent its place in the pair and exp(-1/2 (delta - mu)^T Sigma (delta - mu)), (n_i, n_j)."""
+        _, _, _, F, shift = self._pair(i, j)
+        for k in range(len(F)):
+            a, b = Xi - shift[k], Xj
+            a, b = (a * F[k], b * F[k]) if F.ndim == 2 else (a @ F[k], b @ F[k])
+            middle = b.mean(axis=0)  # near the data, so that the expanded square loses no digits
+            a, b = a - middle, b - middle
+            # One product gives the whole exponent: a b - a^2 / 2 - b^2 / 2.
+            left = np.column_stack([a, np.einsum("nk,nk->n", a, a) * -0.5, np.ones(len(a))])
+            right = np.column_stack([b, np.ones(len(b)), np.einsum("nk,nk->n", b, b) * -0.5])
+            E = left @ right.T
+            yield k, np.exp(E, out=E)
+
+    def block(self, i, j, Xi, Xj):
+        K = np.zeros((len(Xi), len(Xj)))
+        gains = self._pair(i, j)[1]
+        for k, E in self._exponentials(i, j, Xi, Xj):
+            E *= gains[k]
+            K += E
+        return K
+
+    def block_diag(self, i, Xi):
+        return np.full(len(Xi), (self._value("amplitude")[:, i] ** 2).sum())
+
+    def _precision(self, i, j, k):
+        """Return Sigma of one latent, (d, d)."""
+        F = self._pair(i, j)[3][k]
+        return F @ F.T if F.ndim == 2 else np.diag(F**2)
+
+    def block_derivative(self, i, j, Xi, Xj):
+        Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
+        _, gains, _, _, shift = self._pair(i, j)
+        D = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
+        for k, E in self._exponentials(i, j, Xi, Xj):
+            S = self._precision(i, j, k)
+            E *= gains[k]
+            D -= E * (((Xi - shift[k]) @ S).T[:, :, None] - (Xj @ S).T[:, None, :])
+        return D
+
+    def derivative_diag(self, i, Xi):
+        both, gains, *_ = self._pair(i, i)
+        variance = sum(gains[k] * np.diag(self._precision(i, i, k)) for k in range(len(both)))
+        return np.broadcast_to(variance, np.shape(Xi))
+
+    def block_gradient(self, i, j, Xi, Xj, W):
+        shift = self._pair(i, j)[-1]
+        full = self.covariance_type == "full"
+        mass, first = np.zeros(len(shift)), np.zeros(shift.shape)
+        second = np.zeros((*shift.shape, shift.shape[1]) if full else shift.shape)
+        for k, E in self._exponentials(i, j, Xi, Xj):
+            E *= W
+            mass[k], first[k], second[k] = _moments(E, Xi - shift[k], Xj, full)
+        return self._chain(i, j, mass, first, second)
+
+    def _chain(self, i, j, mass, first, second):
+        """Return the gradient from the moments of W * E over delta - mu: of order 0, 1 and 2."""
+        both, gains, c, F, _ = self._pair(i, j)
+        gradients = {name: np.zeros_like(self._value(name)) for name in ("amplitude", "length_scale", "shear", "shift")}
+        w = self._value("amplitude")[both]
+        np.add.at(gradients["amplitude"], (both, i), c * w[:, j] * mass)
+        np.add.at(gradients["amplitude"], (both, j), c * w[:, i] * mass)
+        if self.covariance_type == "full":
+            self._chain_full(gradients, i, j, mass, second)
+            slope = np.einsum("mkl,mpl,mp->mk", F, F, first)
+        else:
+            li, lj = self._value("length_scale")[both][:, [i, j]].swapaxes(0, 1)
+            total = li**2 + lj**2
+            # d/dlog l of the exponent -delta^2 / (li^2 + lj^2), and of sqrt(2 li lj / (li^2 + lj^2)).
+            bend = 2 * gains[:, None] * second / total**2
+            tilt = 0.5 * gains[:, None] * mass[:, None] * (lj**2 - li**2) / total
+            np.add.at(gradients["length_scale"], (both, i), bend * li**2 + tilt)
+            np.add.at(gradients["length_scale"], (both, j), bend * lj**2 - tilt)
+            slope = F**2 * first
+        np.add.at(gradients["shift"], (both, i), gains[:, None] * slope)
+        np.add.at(gradients["shift"], (both, j), -gains[:, None] * slope)
+        return self.pull_back(gradients)
+
+    def _chain_full(self, gradients, i, j, mass, second):
+        """Add the derivatives with respect to length scales and shears of full filters."""
+        both, gains, _, F, _ = self._pair(i, j)
+        roots, A, lengths = self._roots(), self.A, self._value("length_scale")
+        S = F @ np.swapaxes(F, -1, -2)
+        inverse_sum = np.linalg.inv(A[both, i] + A[both, j])
+        lower = np.tril_indices(A.shape[-1], -1)
+        for output in (i, j):
+            Ai = np.linalg.inv(A[both, output])
+            T = Ai @ S
+            # dSigma = Sigma A^-1 dA A^-1 Sigma;  d log c = 1/4 A^-1 - 1/2 (A_i + A_j)^-1.
+            G = -0.5 * T @ second @ np.swapaxes(T, -1, -2)
+            G += mass[:, None, None] * (0.25 * Ai - 0.5 * inverse_sum)
+            G *= gains[:, None, None]
+            R = roots[both, output]
+            dR = 4.0 * G @ R  # A = 2 R R^T
+            np.add.at(gradients["length_scale"], (both, output), -(dR * R).sum(axis=-1))
+            np.add.at(gradients["shear"], (both, output), (dR / lengths[both, output][:, :, None])[:, *lower])
+
+    def is_stationary(self):
+        """Return True: the covariance depends on the separation alone."""
+        return True
+
+
+def _moments(G, a, b, full):
+    """Return sum G, sum G delta and sum G delta delta^T (or its diagonal) over delta = a_i - b_j."""
+    rows, columns = G.sum(axis=1), G.sum(axis=0)
+    Gb = G @ b
+    first = rows @ a - columns @ b
+    if full:
+        cross = a.T @ Gb
+        return rows.sum(), first, (a.T * rows) @ a + (b.T * columns) @ b - cross - cross.T
+    return rows.sum(), first, rows @ (a * a) + columns @ (b * b) - 2 * np.einsum("ak,ak->k", a, Gb)
+
+
+def _full_pair(R):
+    """Return c, (m,), and F, (m, d, d), of latents whose roots for the two outputs are R, (m, 2, d, d)."""
+    A = 2.0 * R @ np.swapaxes(R, -1, -2)
+    Ai, Aj = A[:, 0], A[:, 1]
+    d = A.shape[-1]
+    logdet_i, logdet_j, logdet_sum = (np.linalg.slogdet(B)[1] for B in (Ai, Aj, Ai + Aj))
+    c = np.exp(0.5 * d * np.log(2.0) + 0.25 * (logdet_i + logdet_j) - 0.5 * logdet_sum)
+    # Sigma = A_i (A_i + A_j)^-1 A_j = (A_i^-1 + A_j^-1)^-1, symmetric although the product does not look it.
+    S = Ai @ np.linalg.solve(Ai + Aj, Aj)
+    return c, np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2)))
+
+
+def _feeds(n_latent, n_outputs, private):
+    """Return (M, P), one where a latent feeds an output."""
+    shared = np.ones((n_latent, n_outputs))
+    return np.concatenate([shared, np.eye(n_outputs)]) if private else shared
+
+
+def _number(index, chosen):
+    """Renumber the chosen entries 0, 1, 2, ... in order of their number; the others become -1."""
+    numbers = np.full(index.shape, -1)
+    chosen = np.broadcast_to(chosen, index.shape)
+    numbers[chosen] = np.unique(index[chosen], return_inverse=True)[1]
+    return numbers
+
+
+def _as_shape(name, value, shape):
+    value = np.asarray(value, dtype=float)
+    try:
+        return np.array(np.broadcast_to(value, shape))
+    except ValueError:
+        raise ValueError(f"Got {name} of shape {value.shape}, but expected {shape} or what broadcasts to it.") from None
+
+
+def _or(given, default):
+    return default if given is None else given

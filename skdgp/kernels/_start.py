@@ -1,0 +1,56 @@
+"""Starting values of the convolved Gaussian, taken from the data."""
+
+from __future__ import annotations
+
+import numpy as np
+from sklearn.utils import check_random_state
+
+
+def starting_values(n_latent, private_latents, X, Y, random_state):
+    """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
+
+    The shared latents start along the principal directions of the outputs' correlation, so that what moves
+    together shares a latent from the start; widths are spread over latents, since equal ones would have equal
+    gradients and never part.
+    """
+    rng = check_random_state(random_state)
+    P, d = Y.shape[1], X.shape[1]
+    y_scale = _scale(Y)
+    x_scale = _scale(X)
+    M = n_latent + (P if private_latents else 0)
+    amplitude = np.zeros((M, P))
+    share = 0.7 if private_latents and n_latent else 1.0
+    amplitude[:n_latent] = np.sqrt(share) * y_scale * _directions(Y, n_latent, rng)
+    if private_latents:
+        amplitude[n_latent:] = np.diag(np.sqrt(1.0 - share if n_latent else 1.0) * y_scale)
+    # A latent that explains more varies more slowly: wide first, narrow last.
+    spread = np.concatenate([np.geomspace(2.0, 0.8, n_latent), np.full(M - n_latent, 1.2)])
+    lengths = np.sqrt(d) * spread[:, None, None] * x_scale * np.exp(0.1 * rng.normal(size=(M, 1, d)))
+    return {
+        "amplitude": amplitude,
+        "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),
+        "amplitude_bounds": np.stack(np.broadcast_arrays(-30 * y_scale, 30 * y_scale * np.ones((M, 1))), axis=-1),
+        "length_scale_bounds": np.broadcast_to(np.stack([0.05 * x_scale, 1e3 * x_scale], axis=-1), (M, P, d, 2)).copy(),
+    }
+
+
+def _scale(Z):
+    """Return the standard deviation of each column, one where a column is constant or not observed."""
+    scale = np.array([np.std(z[np.isfinite(z)]) if np.isfinite(z).any() else 0.0 for z in Z.T])
+    return np.where(scale > 0, scale, 1.0)
+
+
+def _directions(Y, n_latent, rng):
+    """Return (n_latent, P) whose squares sum to one over the latents: principal directions, then random ones."""
+    P = Y.shape[1]
+    seen = np.isfinite(Y)
+    Z = np.where(seen, Y - np.nanmean(np.where(seen.any(axis=0), Y, 0.0), axis=0), 0.0) / _scale(Y)
+    counts = np.maximum(seen.T.astype(float) @ seen, 1.0)
+    values, vectors = np.linalg.eigh(Z.T @ Z / counts)
+    principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]
+    rows = principal[:n_latent]
+    if n_latent > P:
+        rows = np.concatenate([rows, 0.5 * rng.normal(size=(n_latent - P, P))])
+    # A small push off the axes: an amplitude of exactly zero has no gradient.
+    rows = rows + 0.05 * rng.normal(size=rows.shape)
+    return rows / np.sqrt((rows**2).sum(axis=0, keepdims=True)) if n_latent else rows

@@ -1,0 +1,135 @@
+"""A linear trend in every output, its weights integrated out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skdgp.kernels._base import Free, MultiOutputKernel
+
+
+class LinearTrend(MultiOutputKernel):
+    r"""Covariance of one linear function per output whose weights have a Gaussian prior.
+
+    .. math:: K_{ij}(s, s') = \delta_{ij} \Big( \tau_{i0}^2
+              + \sum_k \tau_{ik}^2 (s_k - c_k)(s'_k - c_k) \Big)
+
+    which is equation 2.41 of Rasmussen & Williams (2006) with a diagonal prior on the weights: mean, variance
+    and likelihood then carry the uncertainty of the trend, and nothing is fitted beforehand.
+
+    Parameters
+    ----------
+    intercept_scale : array (P,) or None
+        Prior standard deviation of the intercept, in the unit of the output. None: from the data.
+    slope_scale : array (P, d) or None
+        Prior standard deviation of the slopes, unit of the output per unit of the regressor. None: from the
+        data.
+    center : array (d,) or None
+        Where the intercept is. None: mean of the data.
+    intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
+        Bounds; None: from the data.
+
+    Examples
+    --------
+    >>> from skdgp.kernels import LinearTrend
+    >>> LinearTrend(intercept_scale=[1.0], slope_scale=[[2.0]], center=[0.0])([[0.0], [1.0]])
+    array([[1., 1.],
+           [1., 5.]])
+    """
+
+    def __init__(
+        self,
+        intercept_scale=None,
+        slope_scale=None,
+        center=None,
+        *,
+        intercept_scale_bounds=None,
+        slope_scale_bounds=None,
+    ):
+        self.intercept_scale = intercept_scale
+        self.slope_scale = slope_scale
+        self.center = center
+        self.intercept_scale_bounds = intercept_scale_bounds
+        self.slope_scale_bounds = slope_scale_bounds
+
+    @property
+    def n_outputs(self):
+        """Number of outputs P."""
+        return np.size(self.intercept_scale)
+
+    def initialize(self, X, Y, random_state):
+        P, d = Y.shape[1], X.shape[1]
+        y_scale = np.nanstd(Y, axis=0)
+        y_scale = np.where(y_scale > 0, y_scale, 1.0)
+        x_scale = X.std(axis=0)
+        x_scale = np.where(x_scale > 0, x_scale, 1.0)
+        intercept = y_scale[:, None] if self.intercept_scale is None else self.intercept_scale
+        slope = y_scale[:, None] / x_scale if self.slope_scale is None else self.slope_scale
+        center = X.mean(axis=0) if self.center is None else self.center
+        unit = y_scale[:, None] / x_scale
+        slope_bounds, intercept_bounds = self.slope_scale_bounds, self.intercept_scale_bounds
+        if slope_bounds is None:
+            slope_bounds = np.stack([1e-3 * unit, 1e2 * unit], axis=-1)
+        if intercept_bounds is None:
+            intercept_bounds = np.stack([1e-3 * y_scale, 1e2 * y_scale], axis=-1)
+        return LinearTrend(
+            np.broadcast_to(np.ravel(intercept), (P,)).astype(float),
+            np.broadcast_to(slope, (P, d)).astype(float),
+            np.broadcast_to(center, (d,)).astype(float),
+            intercept_scale_bounds=intercept_bounds,
+            slope_scale_bounds=slope_bounds,
+        )
+
+    def unexplained(self, X, Y):
+        basis = np.column_stack([np.ones(len(X)), X])
+        residual = np.array(Y, dtype=float)
+        for y in residual.T:
+            seen = np.isfinite(y)
+            if seen.sum() > 2 * basis.shape[1]:
+                y[seen] -= basis[seen] @ np.linalg.lstsq(basis[seen], y[seen], rcond=None)[0]
+        return residual
+
+    def _scales(self, i):
+        return np.ravel(self.intercept_scale)[i], np.atleast_2d(self.slope_scale)[i]
+
+    def _weighted(self, i, X):
+        return (np.asarray(X, dtype=float) - self.center) * self._scales(i)[1]
+
+    def block(self, i, j, Xi, Xj):
+        if i != j:
+            return np.zeros((len(Xi), len(Xj)))
+        return self._weighted(i, Xi) @ self._weighted(i, Xj).T + self._scales(i)[0] ** 2
+
+    def block_diag(self, i, Xi):
+        return (self._weighted(i, Xi) ** 2).sum(axis=1) + self._scales(i)[0] ** 2
+
+    def block_derivative(self, i, j, Xi, Xj):
+        d = np.shape(Xi)[1]
+        if i != j:
+            return np.zeros((d, len(Xi), len(Xj)))
+        slopes = (self._weighted(i, Xj) * self._scales(i)[1]).T
+        return np.broadcast_to(slopes[:, None, :], (d, len(Xi), len(Xj)))
+
+    def derivative_diag(self, i, Xi):
+        return np.broadcast_to(self._scales(i)[1] ** 2, np.shape(Xi))
+
+    def block_gradient(self, i, j, Xi, Xj, W):
+        intercept = np.zeros(np.shape(np.ravel(self.intercept_scale)))
+        slope = np.zeros(np.shape(np.atleast_2d(self.slope_scale)))
+        if i == j:
+            intercept[i] = 2 * W.sum() * self._scales(i)[0] ** 2
+            slope[i] = 2 * np.einsum("ak,ak->k", self._weighted(i, Xi), W @ self._weighted(i, Xj))
+        return self.pull_back({"intercept_scale": intercept, "slope_scale": slope})
+
+    def _free(self):
+        if self.slope_scale is None or self.intercept_scale is None:
+            raise ValueError("LinearTrend has no shape yet: give its scales, or let DependentGPRegressor.fit.")
+        intercept = np.arange(np.size(self.intercept_scale))
+        slope = np.arange(np.size(self.slope_scale)).reshape(np.shape(self.slope_scale))
+        return [
+            Free("intercept_scale", intercept, True, _or(self.intercept_scale_bounds, (1e-5, 1e5))),
+            Free("slope_scale", slope, True, _or(self.slope_scale_bounds, (1e-5, 1e5))),
+        ]
+
+
+def _or(given, default):
+    return default if given is None else given

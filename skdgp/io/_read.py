@@ -1,0 +1,260 @@
+"""One flight, or several, from files: read, check, name."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from skdgp._vocabulary import CHANNELS
+from skdgp.io._csv import read_csv
+from skdgp.io._errors import FlightReadError
+from skdgp.io._units import base_name, check_magnitudes
+
+UNKNOWN = "unknown_columns"
+
+
+def read_flight(path, *, flight=None) -> pd.DataFrame:
+    r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
+
+    A CSV header may state units, ``alpha [deg]``, or have a line of units under it: these are converted. Columns that
+    the vocabulary does not know are kept as they are and listed in ``table.attrs["unknown_columns"]``; one that looks
+    like a misspelt word is warned of.
+
+    Parameters
+    ----------
+    path : str or path
+        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``).
+    flight : str, optional
+        Flight identifier. By default the file's column ``flight``, or without one the name of the file.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``time``, ``flight``, then the others in the file's order; numbers as float64.
+
+    Raises
+    ------
+    FlightReadError
+        If the file is empty, damaged, not a table, of unknown suffix; has no ``time``; has text among numbers; time
+        does not increase within a flight; or the numbers give away other units than SI and radians.
+    FileNotFoundError
+        If there is no such file.
+    ImportError
+        If the extra for the file's format is not installed.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "sortie_7.csv"
+    >>> _ = path.write_text("time [ms],alpha [deg],q\n0,90,0.1\n20,45,0.2\n")
+    >>> read_flight(path).round(3)
+       time    flight  alpha    q
+    0  0.00  sortie_7  1.571  0.1
+    1  0.02  sortie_7  0.785  0.2
+    """
+    path = Path(path)
+    reader = _reader(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Got {path}, but there is no such file.")
+    table = reader(path)
+    try:
+        return _as_flight(table, path.stem if flight is None else flight, overrides=flight is not None)
+    except FlightReadError as error:
+        raise FlightReadError(f"{path}: {error}") from None
+
+
+def read_flights(paths) -> pd.DataFrame:
+    r"""Read several logs into one table, flight after flight.
+
+    Parameters
+    ----------
+    paths : iterable of paths, or mapping of flight identifier to path
+        A mapping names the flights itself.
+
+    Returns
+    -------
+    DataFrame
+        As :func:`read_flight`, with a new index. Columns that some files lack are NaN there, with a warning.
+
+    Raises
+    ------
+    FlightReadError
+        As :func:`read_flight`, or if two files hold a flight of the same name.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> for name in ("morning", "noon"):
+    ...     _ = (folder / f"{name}.csv").write_text("time,alpha\n0,0.1\n0.02,0.2\n")
+    >>> read_flights(sorted(folder.glob("*.csv"))).flight.unique().tolist()
+    ['morning', 'noon']
+    """
+    if isinstance(paths, (str, Path)) or not isinstance(paths, Iterable):
+        raise TypeError(f"Got {paths!r}, but expected several paths: use read_flight for one.")
+    named = list(paths.items()) if isinstance(paths, Mapping) else [(None, path) for path in paths]
+    if not named:
+        raise FlightReadError("Got no path, but expected at least one.")
+    tables = [read_flight(path, flight=flight) for flight, path in named]
+    _check_distinct(named, tables)
+    _warn_of_uneven_columns(named, tables)
+    unknown = list(dict.fromkeys(name for table in tables for name in table.attrs[UNKNOWN]))
+    for table in tables:
+        table.attrs = {}
+    joined = pd.concat(tables, ignore_index=True)
+    joined.attrs[UNKNOWN] = unknown
+    return joined
+
+
+def _read_parquet(path):
+    try:
+        import pyarrow
+    except ImportError as error:
+        raise ImportError(
+            "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]', or write a CSV."
+        ) from error
+    try:
+        return pd.read_parquet(path, engine="pyarrow")
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
+        raise FlightReadError(
+            f"Got {path}, which is not a whole parquet file ({str(error).splitlines()[0]}), but expected one: copy or "
+            "export it again."
+        ) from error
+
+
+READERS = {".csv": read_csv, ".parquet": _read_parquet, ".pq": _read_parquet}
+
+
+def _reader(path):
+    if path.suffix.lower() not in READERS:
+        raise FlightReadError(
+            f"Got {path} with suffix {path.suffix!r}, but expected one of {sorted(READERS)}: convert or rename it."
+        )
+    return READERS[path.suffix.lower()]
+
+
+def _as_flight(table, flight, *, overrides):
+    """Check a raw table and put it into the order and types of a flight table."""
+    if table.empty:
+        raise FlightReadError(
+            f"Got a table of {table.shape[0]} rows and {table.shape[1]} columns, but expected samples."
+        )
+    table = table.reset_index(drop=True).rename(columns=lambda name: str(name).strip())
+    _hint_at_names(table)
+    if "time" not in table:
+        raise FlightReadError(
+            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename or compute it."
+        )
+    if overrides or "flight" not in table:
+        table["flight"] = flight
+    table = table.assign(**_as_numbers(table))
+    table["flight"] = table["flight"].astype(str)
+    table = _without_repeats(table)
+    _check_time(table)
+    check_magnitudes(table)
+    order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
+    table = table[order]
+    table.attrs = {UNKNOWN: [name for name in order if base_name(name) not in CHANNELS]}
+    return table
+
+
+def _as_numbers(table):
+    """Columns of the vocabulary as floats; infinities as NaN, with a warning."""
+    names = [name for name in table.columns if base_name(name) in CHANNELS and name != "flight"]
+    numbers, infinite = {}, []
+    for name in names:
+        column = table[name]
+        if pd.api.types.is_datetime64_any_dtype(column):
+            column = (column - column.iloc[0]).dt.total_seconds()
+        values = _floats(column)
+        if np.isinf(values).any():
+            infinite.append(name)
+            values = np.where(np.isinf(values), np.nan, values)
+        numbers[name] = values
+    if infinite:
+        warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", UserWarning, stacklevel=5)
+    return numbers
+
+
+def _floats(column):
+    """Return a column as floats, or say where it is not numbers."""
+    if pd.api.types.is_numeric_dtype(column):
+        return column.to_numpy(dtype=float, na_value=np.nan)
+    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+    bad = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
+    if bad.size:
+        raise FlightReadError(
+            f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} rows are not numbers), "
+            f"but expected numbers [{CHANNELS[base_name(column.name)].unit}]: leave missing values empty."
+        )
+    return values
+
+
+def _without_repeats(table):
+    repeated = table.duplicated() & (table["time"].diff() == 0)
+    if not repeated.any():
+        return table
+    warnings.warn(
+        f"{int(repeated.sum())} rows repeat the row before them exactly (first: row {int(np.argmax(repeated))}) and "
+        "are dropped.",
+        UserWarning,
+        stacklevel=5,
+    )
+    return table[~repeated].reset_index(drop=True)
+
+
+def _check_time(table):
+    time, flight = table["time"].to_numpy(), table["flight"].to_numpy()
+    if np.isnan(time).any():
+        raise FlightReadError(f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row [s].")
+    back = np.flatnonzero((np.diff(time) <= 0) & (flight[1:] == flight[:-1]))
+    if back.size:
+        row = int(back[0]) + 1
+        raise FlightReadError(
+            f"Got time {time[row]:.10g} s at row {row} after {time[row - 1]:.10g} s ({back.size} such rows), but "
+            "expected time to increase strictly within a flight: sort by time, drop repeated rows, or tell the "
+            "flights apart by a column 'flight'."
+        )
+
+
+def _hint_at_names(table):
+    """Warn once of unknown columns that look like a word of the vocabulary which is not there."""
+    free = [name for name in CHANNELS if name not in table]
+    hints = {}
+    for name in table.columns:
+        if base_name(name) not in CHANNELS:
+            near = [word for word in free if word.lower() == name.lower()]
+            if len(name) > 4:
+                near += get_close_matches(name.lower(), free, n=1, cutoff=0.87)
+            if near:
+                hints[name] = near[0]
+    if hints:
+        said = ", ".join(f"{name!r} (did you mean {near!r}?)" for name, near in hints.items())
+        warnings.warn(f"Unknown columns are kept as they are: {said}.", UserWarning, stacklevel=4)
+
+
+def _check_distinct(named, tables):
+    owner = {}
+    for (_, path), table in zip(named, tables, strict=True):
+        for flight in table["flight"].unique():
+            if flight in owner:
+                raise FlightReadError(
+                    f"Got flight {flight!r} in both {owner[flight]} and {path}, but expected each once: give a "
+                    "mapping of flight identifier to path."
+                )
+            owner[flight] = path
+
+
+def _warn_of_uneven_columns(named, tables):
+    every = dict.fromkeys(name for table in tables for name in table.columns)
+    lacking = {
+        str(path): [name for name in every if name not in table] for (_, path), table in zip(named, tables, strict=True)
+    }
+    lacking = {path: names for path, names in lacking.items() if names}
+    if lacking:
+        warnings.warn(f"Files lack columns that others have; they are NaN there: {lacking}.", UserWarning, stacklevel=3)

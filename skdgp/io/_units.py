@@ -1,0 +1,116 @@
+"""Units: those written in a header are converted to SI, those that the numbers give away are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from skdgp._vocabulary import CHANNELS, TRUTH_SUFFIX
+from skdgp.io._errors import FlightReadError
+
+TO_SI = {
+    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
+    "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),
+    "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", np.pi / 180), "rpm": ("rad/s", np.pi / 30),
+    "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", np.pi / 180),
+    "m": ("m", 1.0), "ft": ("m", 0.3048),
+    "m/s": ("m/s", 1.0), "kt": ("m/s", 1852 / 3600), "km/h": ("m/s", 1 / 3.6), "ft/s": ("m/s", 0.3048),
+    "m/s^2": ("m/s^2", 1.0), "g": ("m/s^2", 9.80665),
+    "kg/m^3": ("kg/m^3", 1.0), "N": ("N", 1.0), "N m": ("N m", 1.0), "": ("", 1.0), "%": ("", 0.01),
+}  # fmt: skip
+SPELLINGS = {
+    "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "sec": "s", "µs": "us", "-": "",
+    "1": "", "kts": "kt", "knots": "kt", "m/s2": "m/s^2", "m/s²": "m/s^2", "rad/s2": "rad/s^2", "rad/s²": "rad/s^2",
+    "deg/s2": "deg/s^2", "°/s²": "deg/s^2", "kg/m3": "kg/m^3", "kg/m³": "kg/m^3", "nm": "N m", "n": "N",
+}  # fmt: skip
+
+# Beyond these the 99th percentile of a flight says that the column is not in radians.
+LIMITS = {
+    **dict.fromkeys(["alpha", "beta", "theta"], 1.7),
+    **dict.fromkeys(["elevator", "aileron", "rudder", "elevon_left", "elevon_right"], 1.6),
+    "phi": 6.4,
+    **dict.fromkeys(["p", "q", "r"], 20.0),
+}
+LONGEST_STEP = 5.0  # s
+
+
+def base_name(column: str) -> str:
+    """Return the vocabulary's word behind a column of simulated truth."""
+    return column.removesuffix(TRUTH_SUFFIX)
+
+
+def known_unit(text: str) -> str | None:
+    """Return a unit as this module spells it, or None."""
+    text = text.strip()
+    text = SPELLINGS.get(text.lower(), text)
+    return next((unit for unit in TO_SI if unit.lower() == text.lower()), None)
+
+
+def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
+    """Convert columns whose unit the file states.
+
+    Raises
+    ------
+    FlightReadError
+        If a unit is unknown, or not one of the column's quantity.
+    """
+    converted = {}
+    for name, text in units.items():
+        expected = CHANNELS[base_name(name)].unit
+        quantity, factor = TO_SI.get(known_unit(text), (None, 1.0))
+        if quantity != expected:
+            fitting = [unit for unit, (si, _) in TO_SI.items() if si == expected]
+            raise FlightReadError(f"Got unit {text!r} for column {name!r}, but expected one of {fitting}.")
+        if factor != 1.0:
+            converted[name] = table[name] * factor
+    return table.assign(**converted)
+
+
+def check_magnitudes(table: pd.DataFrame) -> None:
+    """Refuse columns whose numbers say that they are in degrees, per cent, g or milliseconds.
+
+    Raises
+    ------
+    FlightReadError
+        Naming the columns and the remedy.
+    """
+    large = {name: _typical_maximum(table, name) for name in LIMITS if name in table}
+    degrees = {name: round(value, 1) for name, value in large.items() if value > LIMITS[name]}
+    if "psi" in table and _jumps_by_degrees(table):
+        degrees["psi"] = round(_typical_maximum(table, "psi"), 1)
+    if degrees:
+        raise FlightReadError(
+            f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians per second: these "
+            "look like degrees. Convert them with numpy.deg2rad, or say the unit in the header, as in 'alpha [deg]'."
+        )
+    if "throttle" in table and _typical_maximum(table, "throttle") > 1.5:
+        raise FlightReadError(
+            f"Got throttle up to {_typical_maximum(table, 'throttle'):g}, but expected 0 to 1: divide it by its full "
+            "range (100 for per cent, or 'throttle [%]' in the header)."
+        )
+    if {"ax", "ay", "az"} <= set(table.columns):
+        felt = float(np.nanmedian(np.linalg.norm(table[["ax", "ay", "az"]].to_numpy(float), axis=1)))
+        if 0.5 < felt < 2.0:
+            raise FlightReadError(
+                f"Got a specific force ax, ay, az of {felt:.3g} (median magnitude), but expected near 9.8 m/s^2: this "
+                "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'."
+            )
+    step = np.median(np.diff(table["time"].to_numpy(float))) if len(table) > 1 else 0.0
+    if step > LONGEST_STEP:
+        raise FlightReadError(
+            f"Got a median time step of {step:g}, but expected seconds: this looks like milliseconds or microseconds. "
+            "Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'."
+        )
+
+
+def _typical_maximum(table, name) -> float:
+    values = np.abs(table[name].to_numpy(float))
+    values = values[np.isfinite(values)]
+    return float(np.percentile(values, 99)) if values.size else 0.0
+
+
+def _jumps_by_degrees(table) -> bool:
+    """Whether heading jumps by about 360: an unwrapped heading in radians may be large but does not jump."""
+    psi = table["psi"].to_numpy(float)
+    jumps = np.abs(np.diff(psi[np.isfinite(psi)]))
+    return bool(((jumps > 300) & (jumps < 361)).any())

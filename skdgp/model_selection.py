@@ -1,0 +1,74 @@
+"""Choosing what is learned from, and what it is judged on.
+
+Whole flights are held out with scikit-learn's own ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``:
+neighbouring samples of one flight are nearly the same, so a split inside a flight flatters the model.
+
+>>> import numpy as np, pandas as pd
+>>> from sklearn.linear_model import LinearRegression
+>>> from sklearn.model_selection import LeaveOneGroupOut, cross_validate
+>>> from skdgp.metrics import SCORERS
+>>> rng = np.random.default_rng(0)
+>>> flight = pd.DataFrame({"flight": np.repeat(["a", "b", "c"], 40), "alpha": rng.normal(size=120)})
+>>> Y = pd.DataFrame({"CZ": -5 * flight.alpha, "Cm": -0.5 * flight.alpha})
+>>> scores = cross_validate(
+...     LinearRegression(), flight[["alpha"]], Y, groups=flight.flight, cv=LeaveOneGroupOut(),
+...     scoring=SCORERS["neg_normalized_rmse"],
+... )
+>>> scores["test_score"].shape
+(3,)
+"""
+
+from __future__ import annotations
+
+from numbers import Integral
+
+import numpy as np
+import pandas as pd
+
+__all__ = ["thin_targets"]
+
+
+def thin_targets(Y, n_samples: int):
+    """Leave ``n_samples`` evenly spread rows of the targets observed; the others become NaN, not observed.
+
+    Smoothing and differentiation need the flight at its full rate, exact inference a few hundred samples. So the
+    training subset is chosen in the targets: transformers see every row, the regressor learns from those observed.
+
+    Parameters
+    ----------
+    Y : DataFrame, Series or array-like of shape (n,) or (n, P)
+        Targets; rows that are NaN in every output do not count.
+    n_samples : int
+        Rows to keep; all, where there are not so many.
+
+    Returns
+    -------
+    DataFrame, Series or ndarray
+        A copy of ``Y`` as floats, of the same type, shape, names and index.
+
+    Raises
+    ------
+    ValueError
+        If ``n_samples`` is not a positive integer.
+
+    Examples
+    --------
+    >>> thin_targets([1.0, 2.0, float("nan"), 4.0, 5.0], 2)
+    array([nan,  2., nan, nan,  5.])
+    """
+    if not isinstance(n_samples, Integral) or isinstance(n_samples, bool) or n_samples < 1:
+        raise ValueError(f"Got n_samples={n_samples!r}, but expected a positive number of rows to keep.")
+    values = np.array(Y, dtype=float)
+    if values.ndim not in (1, 2):
+        raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
+    seen = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
+    if seen.size > n_samples:
+        middles = (np.arange(n_samples) + 0.5) * seen.size / n_samples  # of equal stretches: no flight's very end
+        dropped = np.ones(len(values), dtype=bool)
+        dropped[seen[middles.astype(int)]] = False
+        values[dropped] = np.nan
+    if isinstance(Y, pd.DataFrame):
+        return pd.DataFrame(values, index=Y.index, columns=Y.columns)
+    if isinstance(Y, pd.Series):
+        return pd.Series(values, index=Y.index, name=Y.name)
+    return values

@@ -1,0 +1,103 @@
+"""Rates as the aerodynamics feel them: made non-dimensional by airspeed, span and chord."""
+
+from __future__ import annotations
+
+from numbers import Real
+
+import numpy as np
+from sklearn.utils._param_validation import Interval
+
+from skdgp._validation import check_columns
+from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
+
+RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
+ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
+SUFFIX = "_hat"
+
+
+class RateNondimensionalizer(TableTransformer):
+    r"""Add non-dimensional rates beside the measured ones.
+
+    With airspeed V, span b and mean chord c,
+
+    .. math::
+        \hat p = \frac{p b}{2V}, \quad \hat q = \frac{q c}{2V}, \quad \hat r = \frac{r b}{2V}, \quad
+        \hat{\dot\alpha} = \frac{\dot\alpha c}{2V}, \quad \hat{\dot\beta} = \frac{\dot\beta b}{2V}, \quad
+        \hat{\dot p} = \frac{\dot p b^2}{4V^2}, \quad \hat{\dot q} = \frac{\dot q c^2}{4V^2}, \quad
+        \hat{\dot r} = \frac{\dot r b^2}{4V^2},
+
+    the usual normalisation of stability derivatives. Each rate that the table holds gets a column named with
+    ``_hat`` at the end (``p_hat``, ``alpha_dot_hat``, ``p_dot_hat``); the named sets of :class:`RegressorSelector`
+    take these in place of the measured rates where they are there.
+
+    Parameters
+    ----------
+    span : float
+        Wing span b [m].
+    chord : float
+        Mean aerodynamic chord c [m].
+
+    Attributes
+    ----------
+    rates_ : list of str
+        The rates found in ``fit``; ``transform`` needs them, and ``airspeed``.
+    n_features_in_, feature_names_in_
+        Columns seen in ``fit``.
+
+    Raises
+    ------
+    ValueError
+        If ``airspeed`` is missing, zero or negative somewhere, or the table holds no rate.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> flight = pd.DataFrame({"airspeed": [40.0, 20.0], "p": [0.5, 0.5]})
+    >>> RateNondimensionalizer(span=2.8, chord=1.2).fit_transform(flight)
+       airspeed    p   p_hat
+    0      40.0  0.5  0.0175
+    1      20.0  0.5  0.0350
+    """
+
+    _parameter_constraints: dict = {
+        "span": [Interval(Real, 0, None, closed="neither")],
+        "chord": [Interval(Real, 0, None, closed="neither")],
+    }
+
+    def __init__(self, span, chord):
+        self.span = span
+        self.chord = chord
+
+    def _fit_table(self, table):
+        self.rates_ = [name for name in RATE_LENGTHS | ACCELERATION_LENGTHS if name in table]
+        if not self.rates_:
+            check_columns(table, ["p", "q", "r"])
+        self._hats(table)
+
+    def _transform_table(self, table):
+        return with_columns(table, self._hats(table))
+
+    def _columns_out(self, names):
+        added = [name + SUFFIX for name in self.rates_]
+        return names + [name for name in added if name not in names]
+
+    def _hats(self, table):
+        check_columns(table, ["airspeed", *self.rates_])
+        airspeed = numeric(table, ["airspeed"])[:, 0]
+        _check_flying(airspeed)
+        values = dict(zip(self.rates_, numeric(table, self.rates_).T, strict=True))
+        return {name + SUFFIX: self._scale(name, airspeed) * rate for name, rate in values.items()}
+
+    def _scale(self, name, airspeed):
+        if name in ACCELERATION_LENGTHS:
+            return (getattr(self, ACCELERATION_LENGTHS[name]) / (2 * airspeed)) ** 2
+        return getattr(self, RATE_LENGTHS[name]) / (2 * airspeed)
+
+
+def _check_flying(airspeed):
+    still = np.flatnonzero(airspeed <= 0)
+    if still.size:
+        raise ValueError(
+            f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at or below zero), but "
+            "expected positive airspeed: keep the rows in flight, such as flight[flight.airspeed > 10]."
+        )

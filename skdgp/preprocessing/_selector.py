@@ -1,0 +1,173 @@
+"""Which columns the coefficients are learned from."""
+
+from __future__ import annotations
+
+import warnings
+from difflib import get_close_matches
+
+import numpy as np
+import pandas as pd
+from sklearn.utils._param_validation import StrOptions
+
+from skdgp._validation import check_columns
+from skdgp._vocabulary import TRUTH_SUFFIX
+from skdgp.preprocessing._rates import SUFFIX
+from skdgp.preprocessing._table import TableTransformer, numeric
+
+SURFACES = ("elevator", "aileron", "rudder")
+OPTIONAL = ("throttle", *SURFACES)
+REGRESSOR_SETS = {
+    "classical": ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", *SURFACES, "throttle"),
+    "paper": (
+        *("ax", "ay", "az", "p", "q", "r", "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle"),
+        *SURFACES,
+    ),
+}
+MAKERS = {
+    "alpha_dot": "FlightSmoother()",
+    "beta_dot": "FlightSmoother()",
+    "p_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
+    "q_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
+    "r_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
+}
+
+
+class RegressorSelector(TableTransformer):
+    """Choose the regressors from a flight table, by the name of a set or one by one.
+
+    ============== ===========================================================================================
+    ``classical``  alpha, beta, p, q, r, alpha_dot, beta_dot, elevator, aileron, rudder, throttle
+    ``paper``      ax, ay, az, p, q, r, p_dot, q_dot, r_dot, alpha_dot, beta_dot, throttle, elevator, aileron,
+                   rudder (Hemakumara & Sukkarieh 2011, eq 22)
+    ============== ===========================================================================================
+
+    The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar S): a model on it
+    scores well and cannot be simulated, as a simulator has no accelerations to give. Hence ``"classical"``.
+
+    In the named sets a non-dimensional rate (``p_hat``) takes the place of the rate where the table has it, and
+    controls that the aircraft does not have (throttle, elevator, aileron, rudder; at least one surface must be there)
+    are left out and listed in ``absent_``. Everything else is needed.
+
+    Parameters
+    ----------
+    regressors : {"classical", "paper"} or list of str, default="classical"
+        Named set, or columns in order.
+    extra : sequence of str, default=()
+        Columns to add to a named set, such as ``["airspeed"]``.
+
+    Attributes
+    ----------
+    regressors_ : list of str
+        The columns chosen, in order; ``transform`` needs exactly these.
+    absent_ : list of str
+        Controls of the named set that the table does not have.
+    n_features_in_, feature_names_in_
+        Columns seen in ``fit``.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing (with the nearest name) or not numeric.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> flight = pd.DataFrame({"time": [0.0], "flight": ["a"], "alpha": [0.1], "q": [0.2], "elevator": [0.0]})
+    >>> RegressorSelector(["alpha", "elevator"]).fit_transform(flight)
+       alpha  elevator
+    0    0.1       0.0
+    """
+
+    _parameter_constraints: dict = {
+        "regressors": [StrOptions(set(REGRESSOR_SETS)), list, tuple, np.ndarray],
+        "extra": [list, tuple, np.ndarray],
+    }
+
+    def __init__(self, regressors="classical", *, extra=()):
+        self.regressors = regressors
+        self.extra = extra
+
+    def _recognises(self, X):
+        named = isinstance(self.regressors, str)
+        return super()._recognises(X) or (not named and isinstance(X, pd.DataFrame))
+
+    def _fit_table(self, table):
+        self.absent_ = []
+        if isinstance(self.regressors, str):
+            chosen = self._from_set(table, REGRESSOR_SETS[self.regressors])
+        else:
+            chosen = list(self.regressors)
+        chosen += [name for name in self.extra if name not in chosen]
+        twice = sorted({name for name in chosen if chosen.count(name) > 1})
+        if twice or not chosen:
+            raise ValueError(f"Got regressors {chosen}, but expected at least one, each once (twice: {twice}).")
+        check_columns(table, chosen)
+        numeric(table, chosen)
+        _warn_of_truth(chosen)
+        self.regressors_ = chosen
+
+    def _transform_table(self, table):
+        _check_made(table, self.regressors_)
+        check_columns(table, self.regressors_)
+        values = numeric(table, self.regressors_)
+        _warn_of_holes(values, self.regressors_)
+        return pd.DataFrame(values, columns=self.regressors_, index=table.index)
+
+    def _columns_out(self, names):
+        return self.regressors_
+
+    def _from_set(self, table, names):
+        _check_made(table, names)
+        here = [name + SUFFIX if name + SUFFIX in table else name for name in names]
+        self.absent_ = [name for name in OPTIONAL if name in here and _absent(name, table)]
+        if all(surface in self.absent_ for surface in SURFACES):
+            check_columns(table, SURFACES)
+        return [name for name in here if name not in self.absent_]
+
+
+def _absent(name, table):
+    """Whether the aircraft has no such control; a misspelt one is not absent."""
+    if name in table:
+        return False
+    words = [str(column) for column in table.columns if not str(column).endswith(TRUTH_SUFFIX)]
+    return not get_close_matches(name, words, n=1, cutoff=0.85)
+
+
+def _check_made(table, names):
+    """Point to the step that makes a missing column."""
+    if all(name in table or name + SUFFIX in table for name in names):
+        return
+    missing = {name: maker for name, maker in MAKERS.items() if name in names and name not in table}
+    if missing:
+        raise ValueError(
+            f"The flight lacks {sorted(missing)}, but these regressors need them: put {set(missing.values()).pop()} "
+            "before RegressorSelector in the pipeline, or name other regressors."
+        )
+    if {"elevon_left", "elevon_right"} <= set(table.columns) and "elevator" in names and "elevator" not in table:
+        raise ValueError(
+            "The flight has elevons but no elevator and aileron: put ElevonSplitter() before RegressorSelector in "
+            "the pipeline, or name elevon_left and elevon_right as regressors."
+        )
+
+
+def _warn_of_truth(chosen):
+    truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
+    if truth:
+        warnings.warn(
+            f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: use them to score, or "
+            "to measure what sensor noise costs.",
+            UserWarning,
+            stacklevel=4,
+        )
+
+
+def _warn_of_holes(values, names):
+    holes = (~np.isfinite(values)).sum(axis=0)
+    if holes.any():
+        found = {name: int(count) for name, count in zip(names, holes, strict=True) if count}
+        warnings.warn(
+            f"Regressors that are NaN or infinite, by rows: {found}. Regressors must be finite: drop those rows, or "
+            "put scikit-learn's SimpleImputer after RegressorSelector.",
+            UserWarning,
+            stacklevel=4,
+        )

@@ -1,0 +1,116 @@
+"""What every transformer of flight tables promises."""
+
+import inspect
+import pickle
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+import skdgp.preprocessing as preprocessing
+from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+
+TRANSFORMERS = [
+    FlightSmoother(),
+    FlightSmoother(cutoff=4.0, derivatives=["p", "q", "r"]),
+    ElevonSplitter(),
+    RateNondimensionalizer(span=2.8, chord=1.2),
+    RegressorSelector(),
+    RegressorSelector("paper"),
+    RegressorSelector(["alpha", "q"]),
+]
+
+
+def flight_table(n=400, flights=("one", "two"), seed=3):
+    """Flights with every regressor's raw material, plus strangers: text, truth and an unknown column."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for flight in flights:
+        t = 0.02 * np.arange(n)
+        waves = {
+            name: np.sin((1 + 0.1 * k) * t + k) + rng.normal(0, 0.02, n)
+            for k, name in enumerate(["alpha", "beta", "p", "q", "r", "p_dot", "q_dot", "r_dot", "ax", "ay", "az"])
+        }
+        left, right = 0.1 * np.sin(3 * t), 0.1 * np.cos(2 * t)
+        parts.append(
+            pd.DataFrame({"time": t, "flight": flight, "airspeed": 30 + np.sin(t), **waves})
+            .assign(elevon_left=left, elevon_right=right, elevator=(left + right) / 2, aileron=(left - right) / 2)
+            .assign(rudder=0.05 * np.sin(t), throttle=0.5, alpha_true=0.0, remark="a word", my_sensor=1)
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def ready_table():
+    return FlightSmoother().fit_transform(flight_table())
+
+
+def test_every_public_transformer_is_checked():
+    public = {obj for obj in vars(preprocessing).values() if inspect.isclass(obj)}
+    assert public == {type(transformer) for transformer in TRANSFORMERS}
+    assert len(public) == 4
+
+
+@pytest.mark.filterwarnings("ignore:.*without column names that it knows:UserWarning")
+@parametrize_with_checks(TRANSFORMERS)
+def test_scikit_learn_contract(estimator, check):
+    check(estimator)
+
+
+@pytest.mark.parametrize("transformer", TRANSFORMERS, ids=repr)
+class TestContract:
+    def test_names_out_are_the_columns_that_come_out(self, transformer):
+        table = ready_table()
+        out = clone(transformer).fit(table)
+        assert list(out.transform(table).columns) == list(out.get_feature_names_out())
+        assert list(out.feature_names_in_) == list(table.columns)
+
+    def test_strangers_pass_untouched_or_stay_behind(self, transformer):
+        table = ready_table()
+        out = clone(transformer).fit_transform(table)
+        for name in ("flight", "remark", "my_sensor", "alpha_true"):
+            assert isinstance(transformer, RegressorSelector) == (name not in out)
+            if name in out:
+                pd.testing.assert_series_equal(out[name], table[name])
+
+    def test_input_is_not_written_to(self, transformer):
+        table = ready_table()
+        before = table.copy(deep=True)
+        clone(transformer).fit_transform(table)
+        pd.testing.assert_frame_equal(table, before)
+
+    def test_index_is_kept(self, transformer):
+        table = ready_table().set_index(np.arange(800) + 5000)
+        assert clone(transformer).fit_transform(table).index.equals(table.index)
+
+    def test_other_columns_and_order_at_transform_do_not_matter(self, transformer):
+        table = ready_table()
+        fitted = clone(transformer).fit(table)
+        other = table[table.columns[::-1]].drop(columns=["alpha_true", "remark"]).assign(new=2.0)
+        expected, got = fitted.transform(table), fitted.transform(other)
+        shared = [name for name in expected.columns if name in got]
+        pd.testing.assert_frame_equal(got[shared], expected[shared])
+
+    def test_pickle_and_clone(self, transformer):
+        table = ready_table()
+        fitted = clone(transformer).fit(table)
+        again = pickle.loads(pickle.dumps(fitted))
+        pd.testing.assert_frame_equal(again.transform(table), fitted.transform(table))
+
+    def test_set_output_pandas_gives_frames_for_arrays(self, transformer):
+        X = np.random.default_rng(0).normal(size=(20, 3))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            out = clone(transformer).set_output(transform="pandas").fit_transform(X)
+        assert [str(w.message).split()[0] for w in caught] == [type(transformer).__name__]
+        assert list(out.columns) == ["x0", "x1", "x2"]
+        np.testing.assert_array_equal(out, X)
+
+    def test_array_after_a_table_is_read_by_position(self, transformer):
+        table = ready_table().select_dtypes("number")[:400]
+        fitted = clone(transformer).fit(table)
+        with pytest.warns(UserWarning, match="does not have valid feature names"):
+            out = fitted.transform(table.to_numpy())
+        np.testing.assert_allclose(out.to_numpy(), fitted.transform(table).to_numpy())

@@ -243,6 +243,10 @@ def _table(flight, rows, flown, bands, horizon) -> pd.DataFrame:
     if "flight" in flight:
         table["flight"] = flight["flight"]
     table = table.assign(horizon=horizon, window=columns["window"], elapsed=columns["elapsed"])
+    measured = flight[ANGLES].to_numpy(float)
+    angles = columns["states"][:, 6:9]
+    # The turn nearest to the log's, which may count heading from 0 to 2 pi: the two can be drawn together.
+    angles += 2 * np.pi * np.nan_to_num(np.round((measured - angles) / (2 * np.pi)))
     known = [k for k, name in enumerate(REPLAYED) if k >= 3 or name in flight]
     table[[REPLAYED[k] for k in known]] = columns["states"][:, known]
     if bands is not None:

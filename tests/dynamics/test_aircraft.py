@@ -1,0 +1,134 @@
+"""The aircraft's door: what comes back, and what is refused with which words."""
+
+import copy
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from skdgp.dynamics import Aircraft, Propeller, ThrustLine
+
+GOOD = {
+    "name": "delta",
+    "mass": 75.0,
+    "inertia": [[10.9, 0.0, 1.8], [0.0, 39.9, 0.0], [1.8, 0.0, 42.5]],
+    "wing_area": 3.6,
+    "span": 2.8,
+    "chord": 2.1,
+    "thrust_line": {"position": [-1.2, 0.0, -0.1], "direction": [2.0, 0.0, 0.0]},
+    "propeller": {"diameter": 0.7, "thrust_coefficients": [0.1, -0.05], "max_advance_ratio": 0.9},
+}
+
+
+def without(*keys, **changes):
+    return {key: value for key, value in {**GOOD, **changes}.items() if key not in keys}
+
+
+def test_json_round_trip(tmp_path):
+    aircraft = Aircraft.from_dict(GOOD)
+    aircraft.to_json(tmp_path / "a.json")
+    again = Aircraft.from_json(tmp_path / "a.json")
+    assert again == aircraft
+    assert hash(again) == hash(aircraft)
+    assert isinstance(again.thrust_line, ThrustLine)
+    assert isinstance(again.propeller, Propeller)
+    np.testing.assert_allclose(again.thrust_line.direction, [1, 0, 0])
+
+
+def test_toml_says_the_same_as_json(tmp_path):
+    lines = [f"{key} = {json.dumps(GOOD[key])}" for key in ("name", "mass", "inertia", "wing_area", "span", "chord")]
+    for table in ("thrust_line", "propeller"):
+        lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in GOOD[table].items())]
+    (tmp_path / "a.toml").write_text("\n".join(lines))
+    assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.from_dict(GOOD)
+
+
+def test_equality_is_of_every_value():
+    assert Aircraft.from_dict(GOOD) != Aircraft.from_dict(without("propeller"))
+    assert Aircraft.from_dict(GOOD) != Aircraft.from_dict(without(mass=74.0))
+    assert Aircraft.from_dict(GOOD) != "delta"
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda a: pickle.loads(pickle.dumps(a))])
+def test_copies_are_equal(copied):
+    aircraft = Aircraft.from_dict(GOOD)
+    assert copied(aircraft) == aircraft
+    np.testing.assert_allclose(copied(aircraft).inertia_inverse @ aircraft.inertia, np.eye(3), atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["mass", "wing_area", "span", "chord"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "heavy", None])
+def test_sizes_must_be_positive_numbers(name, value):
+    with pytest.raises(ValueError, match=f"Got {name}=.* expected a .*number > 0"):
+        Aircraft.from_dict(without(**{name: value}))
+
+
+@pytest.mark.parametrize(
+    ("inertia", "words"),
+    [
+        ([1.0, 2.0, 3.0], "3 x 3"),
+        ([[1, 0], [0, 1]], "3 x 3"),
+        ([[1, 0, 0], [0, np.nan, 0], [0, 0, 1]], "finite"),
+        ("round", "3 x 3"),
+        ([[1, 0, 0.2], [0, 2, 0], [0, 0, 2.5]], "not symmetric"),
+        ([[1, 0, 2.0], [0, 2, 0], [2.0, 0, 2.5]], "not positive definite"),
+        (np.diag([1.0, -2.0, 2.5]), "not positive definite"),
+    ],
+)
+def test_inertia_must_be_one(inertia, words):
+    with pytest.raises(ValueError, match=words):
+        Aircraft.from_dict(without(inertia=inertia))
+
+
+def test_moments_of_inertia_that_no_body_has_are_warned_of():
+    with pytest.warns(UserWarning, match="exceeds the sum of the others"):
+        Aircraft.from_dict(without(inertia=np.diag([1.0, 2.0, 3.5])))
+
+
+def test_a_flat_plate_is_a_body():
+    Aircraft.from_dict(without(inertia=np.diag([1.0, 2.0, 3.0])))
+
+
+def test_unknown_key_names_the_nearest():
+    with pytest.raises(ValueError, match=r"unknown key 'wingarea'.*did you mean 'wing_area'"):
+        Aircraft.from_dict({**without("wing_area"), "wingarea": 3.6})
+    with pytest.raises(ValueError, match=r"unknown key 'directions' in thrust_line.*'direction'"):
+        Aircraft.from_dict(without(thrust_line={"directions": [1, 0, 0]}))
+
+
+def test_missing_key_is_named():
+    with pytest.raises(ValueError, match=r"lacks \['chord'\]"):
+        Aircraft.from_dict(without("chord"))
+    with pytest.raises(ValueError, match=r"propeller lacks \['diameter'\]"):
+        Aircraft.from_dict(without(propeller={"thrust_coefficients": [0.1]}))
+
+
+def test_thrust_line_of_another_kind_is_refused():
+    with pytest.raises(TypeError, match="Got list for thrust_line, but expected ThrustLine"):
+        Aircraft.from_dict(without(thrust_line=[1, 0, 0]))
+
+
+@pytest.mark.parametrize(("read", "kind"), [(Aircraft.from_json, "JSON"), (Aircraft.from_toml, "TOML")])
+def test_files_that_are_not_aircraft(tmp_path, read, kind):
+    (tmp_path / "bad").write_text("{ mass: ")
+    with pytest.raises(ValueError, match=f"bad is not a {kind} file"):
+        read(tmp_path / "bad")
+
+
+def test_json_that_is_a_list(tmp_path):
+    (tmp_path / "list.json").write_text("[1, 2]")
+    with pytest.raises(ValueError, match="Got list"):
+        Aircraft.from_json(tmp_path / "list.json")
+
+
+def test_the_inertia_cannot_be_changed_behind_the_checks():
+    with pytest.raises(ValueError, match="read-only"):
+        Aircraft.from_dict(GOOD).inertia[0, 0] = -1.0
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("path", ["flights/viggen_uav.json", "flights/c172p.json", "ampyx_ap2/ampyx_ap2.json"])
+def test_shared_aircraft_are_read(shared_data, path):
+    stored = json.loads((shared_data / path).read_text())
+    assert Aircraft.from_json(shared_data / path).to_dict() == stored

@@ -1,0 +1,95 @@
+"""Frames against SciPy's rotations, against each other, and against what the words mean."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skdgp.dynamics import (
+    air_data,
+    air_velocity,
+    body_to_ned,
+    euler_to_matrix,
+    euler_to_quaternion,
+    gravity_in_body_axes,
+    ned_to_body,
+    quaternion_rate,
+    quaternion_to_euler,
+    quaternion_to_matrix,
+)
+
+RNG = np.random.default_rng(3)
+EULER = RNG.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
+
+
+def test_matrix_is_scipys_intrinsic_yaw_pitch_roll():
+    expected = Rotation.from_euler("ZYX", EULER[:, ::-1]).as_matrix()
+    np.testing.assert_allclose(euler_to_matrix(*EULER.T), expected, atol=1e-14)
+
+
+def test_euler_round_trip():
+    np.testing.assert_allclose(quaternion_to_euler(euler_to_quaternion(*EULER.T)), EULER, atol=1e-12)
+
+
+def test_straight_up_is_finite():
+    angles = quaternion_to_euler(euler_to_quaternion(0.3, np.pi / 2, 1.0))
+    assert np.isfinite(angles).all()
+    np.testing.assert_allclose(angles[1], np.pi / 2, atol=1e-7)
+
+
+@pytest.mark.parametrize("scale", [1.0, -1.0, 0.4, 7.0])
+def test_length_and_sign_of_a_quaternion_do_not_matter(scale):
+    quaternion, vector = euler_to_quaternion(*EULER.T), RNG.normal(size=(50, 3))
+    np.testing.assert_allclose(quaternion_to_matrix(scale * quaternion), quaternion_to_matrix(quaternion), atol=1e-14)
+    np.testing.assert_allclose(quaternion_to_euler(scale * quaternion), EULER, atol=1e-12)
+    np.testing.assert_allclose(body_to_ned(scale * quaternion, vector), body_to_ned(quaternion, vector), atol=1e-14)
+
+
+def test_turning_a_vector_is_the_matrix_product_and_its_inverse():
+    quaternion, vector = euler_to_quaternion(*EULER.T), RNG.normal(size=(50, 3))
+    turned = np.einsum("nij,nj->ni", quaternion_to_matrix(quaternion), vector)
+    np.testing.assert_allclose(body_to_ned(quaternion, vector), turned, atol=1e-14)
+    np.testing.assert_allclose(ned_to_body(quaternion, turned), vector, atol=1e-14)
+
+
+def test_one_vector_for_many_attitudes_broadcasts():
+    assert ned_to_body(euler_to_quaternion(*EULER.T), [0.0, 0.0, 1.0]).shape == (50, 3)
+
+
+def test_signs_mean_what_pilots_mean():
+    nose, right = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+    np.testing.assert_allclose(body_to_ned(euler_to_quaternion(0, 0, np.pi / 2), nose), [0, 1, 0], atol=1e-15)
+    assert body_to_ned(euler_to_quaternion(0, 0.2, 0.7), nose)[2] < 0, "pitch > 0 raises the nose"
+    assert body_to_ned(euler_to_quaternion(0.2, 0.1, 0.7), right)[2] > 0, "roll > 0 lowers the right wing"
+
+
+def test_quaternion_rate_is_the_derivative_of_a_turning_body():
+    rates, step = np.array([0.7, -0.4, 1.1]), 1e-5
+    attitude = Rotation.from_euler("ZYX", EULER[:, ::-1])
+
+    def at(t):
+        return (attitude * Rotation.from_rotvec(rates * t)).as_quat(scalar_first=True)
+
+    expected = (at(step) - at(-step)) / (2 * step)
+    np.testing.assert_allclose(quaternion_rate(at(0.0), rates), expected, atol=1e-8)
+
+
+def test_gravity_is_the_down_vector_in_body_axes():
+    down = ned_to_body(euler_to_quaternion(*EULER.T), [0.0, 0.0, 9.81])
+    np.testing.assert_allclose(gravity_in_body_axes(EULER[:, 0], EULER[:, 1], 9.81), down, atol=1e-13)
+
+
+def test_air_data_round_trip():
+    airspeed, alpha, beta = RNG.uniform([5, -0.5, -0.6], [60, 0.5, 0.6], (40, 3)).T
+    for got, expected in zip(air_data(air_velocity(airspeed, alpha, beta)), (airspeed, alpha, beta), strict=True):
+        np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def test_wind_from_the_right_is_positive_sideslip_and_from_below_positive_alpha():
+    _, alpha, beta = air_data([20.0, 1.0, 2.0])
+    assert alpha > 0
+    assert beta > 0
+    np.testing.assert_allclose(beta, np.arcsin(1.0 / np.sqrt(405.0)))
+
+
+def test_air_data_at_rest_is_defined():
+    np.testing.assert_array_equal(air_data([0.0, 0.0, 0.0]), [0.0, 0.0, 0.0])

@@ -1,0 +1,185 @@
+"""Inverse dynamics: what was flown comes back, and what cannot be right is refused."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+
+COEFFICIENTS = list(COEFFICIENTS)
+DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
+
+
+def relative(got, expected):
+    """Root mean square errors over the standard deviations of the truth, (6,)."""
+    error = np.asarray(got) - np.asarray(expected)
+    return np.sqrt(np.mean(error**2, axis=0)) / np.std(expected, axis=0)
+
+
+def test_simulated_flight_gives_its_coefficients_back(simulated, aircraft, true_coefficients):
+    got = aerodynamic_coefficients(simulated, aircraft, cutoff=None)
+    assert list(got.columns) == COEFFICIENTS
+    np.testing.assert_allclose(got, true_coefficients, atol=1e-12)
+
+
+def test_the_flight_is_not_degenerate(simulated):
+    spread = simulated[["alpha", "beta", "phi", "theta", "psi", "p", "q", "r"]].abs().median()
+    assert (spread > 0.01).all(), spread
+
+
+def test_rates_are_differentiated_where_accelerations_are_not_measured(simulated, aircraft, true_coefficients):
+    got = aerodynamic_coefficients(simulated.drop(columns=DERIVATIVES), aircraft, cutoff=None)
+    assert relative(got, true_coefficients).max() < 2e-3
+    two_of_three = simulated.drop(columns="q_dot").assign(p_dot=1e3)
+    pd.testing.assert_frame_equal(aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got)
+
+
+def test_smoothing_takes_sensor_noise_out_of_every_coefficient(simulated, aircraft, true_coefficients):
+    flight = simulated.drop(columns=DERIVATIVES)
+    rng = np.random.default_rng(1)
+    noisy = flight.copy()
+    for name, std in {"airspeed": 0.3, "ax": 0.05, "ay": 0.05, "az": 0.05, "p": 0.002, "q": 0.002, "r": 0.002}.items():
+        noisy[name] += rng.normal(0, std, len(noisy))
+    raw = relative(aerodynamic_coefficients(noisy, aircraft, cutoff=None), true_coefficients)
+    smoothed = relative(aerodynamic_coefficients(noisy, aircraft), true_coefficients)
+    butterworth = relative(aerodynamic_coefficients(noisy, aircraft, cutoff=4.0), true_coefficients)
+    assert (smoothed < 0.7 * raw).all(), (smoothed, raw)
+    assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
+
+
+def test_external_force_is_taken_away(simulated, aircraft, true_coefficients):
+    tether, twist = np.array([3.0, -8.0, 40.0]), np.array([0.4, 0.2, -0.1])
+    pulled = simulated.copy()
+    pulled[["ax", "ay", "az"]] += tether / aircraft.mass
+    pulled[DERIVATIVES] += np.linalg.solve(aircraft.inertia, twist)
+    for axis, value in zip(["x", "y", "z", "l", "m", "n"], [*tether, *twist], strict=True):
+        pulled[f"tether_{axis}"] = value
+    got = aerodynamic_coefficients(pulled, aircraft, cutoff=None, external_forces=["tether"])
+    np.testing.assert_allclose(got, true_coefficients, atol=1e-12)
+
+
+def test_flights_do_not_see_each_other(simulated, aircraft):
+    flight = simulated.drop(columns=DERIVATIVES)
+    both = pd.concat([flight.assign(flight="a"), flight.assign(flight="b", p=-flight["p"])], ignore_index=True)
+    alone = aerodynamic_coefficients(flight, aircraft)
+    together = aerodynamic_coefficients(both, aircraft)
+    np.testing.assert_allclose(together.iloc[: len(flight)], alone, atol=1e-12)
+
+
+def test_index_is_the_flights(simulated, aircraft):
+    flight = simulated.set_index(simulated.index + 1000)
+    assert aerodynamic_coefficients(flight, aircraft).index.equals(flight.index)
+
+
+@pytest.mark.parametrize("name", ["airspeed", "density", "ay", "q", "q_dot", "thrust_x"])
+@pytest.mark.parametrize("cutoff", [None, "auto", 5.0])
+def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cutoff):
+    flight = simulated.copy()
+    flight.loc[100:109, name] = np.nan
+    missing = aerodynamic_coefficients(flight, aircraft, cutoff=cutoff).isna().all(axis=1)
+    assert missing.iloc[100:110].all()
+    assert missing.sum() == 10
+
+
+def test_the_flight_given_is_not_changed(simulated, aircraft):
+    before = simulated.copy()
+    aerodynamic_coefficients(simulated, aircraft)
+    pd.testing.assert_frame_equal(simulated, before)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda f: f.drop(columns="density"), "lacks the columns 'density'"),
+        (lambda f: f.rename(columns={"airspeed": "air_speed"}), "'airspeed' .nearest: 'air_speed'"),
+        (lambda f: f.assign(airspeed=f["airspeed"].where(f.index != 7, 0.0)), "airspeed 0 m/s at row 7 and 1 rows"),
+        (lambda f: f.assign(time=f["time"].where(f.index != 7, 0.0)), "expected time to increase"),
+        (lambda f: f.assign(alpha=np.rad2deg(f["alpha"]) + 4), "Got alpha up to .*deg2rad"),
+        (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got phi up to .*deg2rad"),
+        (lambda f: f.assign(p=np.rad2deg(f["p"])), "roll rate p integrates to .* times the change of phi"),
+        (lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60), "Got .q. up to"),
+        (lambda f: f.assign(density=1.1e-3), "Got density from 0.0011"),
+        (lambda f: f.assign(density=1100.0), "Got density from 1100"),
+        (lambda f: f.assign(ax="fast"), "column 'ax' of type .* expected numbers"),
+        (lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]), "Nothing tells the thrust"),
+        (lambda f: f.iloc[:0], "no rows"),
+        (lambda f: f.assign(az=f["az"].where(f.index != 7, np.inf)), "infinite"),
+    ],
+)
+def test_flights_that_cannot_be(simulated, aircraft, change, words):
+    with pytest.raises(ValueError, match=words):
+        aerodynamic_coefficients(change(simulated), aircraft)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda f: f.assign(ax=f["ax"] / 9.8, ay=f["ay"] / 9.8, az=f["az"] / 9.8), "multiply by 9.80665"),
+        (lambda f: f.assign(az=-f["az"]), "change the signs of ay and az"),
+        (lambda f: f.assign(airspeed=1.944 * f["airspeed"]), "airspeed in knots"),
+        (lambda f: f.assign(altitude=6000.0), "far from the 0.660"),
+        (lambda f: f.assign(beta=2.0 - 0.6, alpha=1.2), "look like degrees"),
+        (lambda f: f.assign(airspeed=f["airspeed"].where(f.index > 9, 0.5)), "under a fifth of its median"),
+    ],
+)
+def test_flights_that_smell(simulated, aircraft, change, words):
+    with pytest.warns(UserWarning, match=words):
+        aerodynamic_coefficients(change(simulated), aircraft, cutoff=None)
+
+
+def test_a_table_that_is_not_one(aircraft):
+    with pytest.raises(TypeError, match="Got ndarray for flight"):
+        aerodynamic_coefficients(np.zeros((3, 3)), aircraft)
+
+
+def test_one_sample_has_coefficients_where_accelerations_are_measured(simulated, aircraft, true_coefficients):
+    got = aerodynamic_coefficients(simulated.iloc[[200]], aircraft, cutoff=None)
+    np.testing.assert_allclose(got.to_numpy(), true_coefficients[[200]], atol=1e-12)
+
+
+FLIGHTS = [
+    ("viggen_uav_train_lateral", "viggen_uav"),
+    ("viggen_uav_train_latlon", "viggen_uav"),
+    ("viggen_uav_test_twoalt", "viggen_uav"),
+    ("c172p_train_latlon", "c172p"),
+    ("c172p_test_calm", "c172p"),
+]
+
+
+def noise_free(flight):
+    """The truth columns under their plain names; the coefficients keep their suffix."""
+    truth = [c for c in flight if c.endswith("_true") and c.removesuffix("_true") not in COEFFICIENTS]
+    plain = flight.drop(columns=[c.removesuffix("_true") for c in truth if c.removesuffix("_true") in flight])
+    return plain.rename(columns={c: c.removesuffix("_true") for c in truth})
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("name", "kind"), FLIGHTS)
+def test_noise_free_columns_give_back_the_true_coefficients(shared_data, name, kind):
+    flight = noise_free(pd.read_parquet(shared_data / "flights" / f"{name}.parquet"))
+    aircraft = Aircraft.from_json(shared_data / "flights" / f"{kind}.json")
+    truth = flight[[f"{c}_true" for c in COEFFICIENTS]].to_numpy()
+    got = aerodynamic_coefficients(flight, aircraft, cutoff=None).to_numpy()
+    assert (np.abs(got - truth).max(axis=0) < 2e-3 * truth.std(axis=0)).all()
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("name", "kind"), FLIGHTS)
+def test_the_default_smoothing_serves_every_coefficient_of_noisy_flights(shared_data, name, kind):
+    flight = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")
+    aircraft = Aircraft.from_json(shared_data / "flights" / f"{kind}.json")
+    truth = flight[[f"{c}_true" for c in COEFFICIENTS]].to_numpy()
+    raw, auto = (relative(aerodynamic_coefficients(flight, aircraft, cutoff=c), truth) for c in (None, "auto"))
+    assert (auto <= raw).all(), (auto, raw)
+
+
+@pytest.mark.shared
+def test_tethered_flight_needs_to_be_told_of_its_rope(shared_data):
+    flight = pd.read_parquet(shared_data / "ampyx_ap2" / "ampyx_ap2.parquet")
+    aircraft = Aircraft.from_json(shared_data / "ampyx_ap2" / "ampyx_ap2.json")
+    with pytest.raises(ValueError, match="thrust=None"):
+        aerodynamic_coefficients(flight, aircraft)
+    got = aerodynamic_coefficients(flight, aircraft, thrust=None, external_forces=["tether"])
+    assert np.isfinite(got).all(axis=None)
+    assert -1.5 < got["CZ"].median() < -0.5, "lift of a wing at work, not of a rope"

@@ -1,0 +1,222 @@
+"""Replay: true coefficients follow the truth, bands are what an ensemble does, restarts are where they should be."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.dynamics import Aircraft, replay, replay_errors
+
+STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r"]
+EVERY = ["north", "east", "down", *STATES]
+
+
+@pytest.mark.parametrize(("horizon", "tolerance"), [(0.5, 2e-3), (2.0, 2e-2), (10.0, 0.15)])
+def test_true_coefficients_follow_the_flight(simulated, aircraft, true_coefficients, gravity, horizon, tolerance):
+    flown = replay(simulated, aircraft, true_coefficients, horizon=horizon, gravity=gravity)
+    np.testing.assert_allclose(flown[EVERY], simulated[EVERY], atol=tolerance)
+
+
+def test_the_error_is_of_the_loads_interpolation_only(simulated, aircraft, true_coefficients, gravity):
+    errors = []
+    for every in (8, 4, 2):
+        flight, coefficients = simulated.iloc[:593:every], true_coefficients[:593:every]
+        flown = replay(flight, aircraft, coefficients, horizon=np.inf, gravity=gravity)
+        errors.append(np.abs(flown[STATES] - flight[STATES]).iloc[-1])
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert np.median(orders) == pytest.approx(2.0, abs=0.2), "loads linear between samples: second order"
+
+
+def test_body_velocities_serve_as_well(simulated, aircraft, true_coefficients):
+    flown = replay(simulated, aircraft, true_coefficients)
+    from skdgp.dynamics import euler_to_quaternion, ned_to_body
+
+    quaternion = euler_to_quaternion(*simulated[["phi", "theta", "psi"]].to_numpy().T)
+    velocity = ned_to_body(quaternion, simulated[["v_north", "v_east", "v_down"]])
+    body = simulated.drop(columns=["v_north", "v_east", "v_down"])
+    body[["u", "v", "w"]] = velocity
+    np.testing.assert_allclose(replay(body, aircraft, true_coefficients)[STATES], flown[STATES], atol=1e-9)
+
+
+def test_wrong_gravity_falls_as_gravity_does(simulated, aircraft, true_coefficients, gravity):
+    flown = replay(simulated, aircraft, true_coefficients, horizon=1.0, gravity=gravity + 0.1)
+    np.testing.assert_allclose(flown["v_down"] - simulated["v_down"], 0.1 * flown["elapsed"], atol=2e-3)
+
+
+def test_restarts_stand_every_horizon_and_rows_show_the_end(simulated, aircraft, true_coefficients):
+    wrong = true_coefficients + np.array([0.01, 0, 0, 0, 0, 0])
+    flown = replay(simulated, aircraft, wrong, horizon=1.0)
+    assert flown["window"].tolist() == [0] + [k // 100 for k in range(599)]
+    np.testing.assert_allclose(flown["elapsed"].iloc[[0, 1, 100, 101, 599]], [0, 0.01, 1.0, 0.01, 0.99], atol=1e-9)
+    error = np.abs(flown["v_north"] - simulated["v_north"])
+    assert error.iloc[100] > 50 * error.iloc[101]
+
+
+def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true_coefficients):
+    flight = pd.concat([simulated.iloc[:300].assign(flight="a"), simulated.iloc[:300].assign(flight="b")])
+    flight = flight.reset_index(drop=True).drop(index=range(100, 150)).reset_index(drop=True)
+    coefficients = np.vstack([np.delete(true_coefficients[:300], range(100, 150), axis=0), true_coefficients[:300]])
+    coefficients[400:410] = np.nan
+    flown = replay(flight, aircraft, coefficients, horizon=10.0)
+    assert flown["window"].unique().tolist() == [0, 1, 2, -1, 3]
+    assert flown[STATES].isna().all(axis=1).sum() == 10
+    good = flown["window"] >= 0
+    np.testing.assert_allclose(flown.loc[good, STATES], flight.loc[good, STATES], atol=0.05)
+
+
+def test_several_horizons_stack(simulated, aircraft, true_coefficients):
+    both = replay(simulated, aircraft, true_coefficients, horizon=[1.0, 3.0])
+    assert both["horizon"].unique().tolist() == [1.0, 3.0]
+    one = replay(simulated, aircraft, true_coefficients, horizon=3.0)
+    pd.testing.assert_frame_equal(both[both["horizon"] == 3.0], one)
+
+
+def test_heading_keeps_the_turn_of_the_log(simulated, aircraft, true_coefficients):
+    flight = simulated.assign(psi=simulated["psi"] + 2 * np.pi * (simulated["psi"] > 2.0) - 2 * np.pi)
+    flown = replay(flight, aircraft, true_coefficients)
+    np.testing.assert_allclose(flown["psi"], flight["psi"], atol=0.01)
+
+
+def ornstein_uhlenbeck(rng, time, correlation_time, shape):
+    keep = np.exp(-np.diff(time) / correlation_time)
+    z = rng.normal(size=(len(time), *shape))
+    for k, c in enumerate(keep):
+        z[k + 1] = c * z[k] + np.sqrt(1 - c**2) * z[k + 1]
+    return z
+
+
+@pytest.mark.parametrize("correlation_time", [0.3, np.inf])
+def test_bands_are_the_spread_of_an_ensemble(simulated, aircraft, true_coefficients, gravity, correlation_time):
+    rng = np.random.default_rng(7)
+    flight, coefficients = simulated.iloc[:201:4], true_coefficients[:201:4]
+    mixing = 0.002 * rng.normal(size=(6, 6)) * np.array([1, 1, 1, 0.05, 0.2, 0.05])[:, None]
+    growing = np.linspace(0.5, 1.5, len(flight))
+    covariance = (mixing @ mixing.T) * growing[:, None, None] ** 2
+    initial = {"v_east": 0.05, "phi": 0.004, "theta": 0.003, "psi": 0.004, "q": 0.002}
+    n_members = 400
+    options = {"horizon": 10.0, "gravity": gravity}
+    bands = replay(
+        flight,
+        aircraft,
+        coefficients,
+        std=covariance,
+        initial_std=initial,
+        correlation_time=correlation_time,
+        **options,
+    )
+    z = ornstein_uhlenbeck(rng, flight["time"].to_numpy(), correlation_time, (n_members, 6))
+    errors = np.einsum("ij,nkj->kni", mixing, z) * growing[:, None]
+    members = pd.concat([flight.assign(flight=k) for k in range(n_members)], ignore_index=True)
+    first = np.arange(n_members) * len(flight)
+    for name, std in initial.items():
+        members.loc[first, name] += rng.normal(0, std, n_members)
+    flown = replay(members, aircraft, (coefficients + errors).reshape(-1, 6), **options)
+    for name in EVERY:
+        spread = flown[name].to_numpy().reshape(n_members, -1).std(axis=0)
+        expected = bands[f"{name}_std"].to_numpy()
+        np.testing.assert_allclose(spread[10::10], expected[10::10], rtol=0.16, err_msg=name)
+
+
+def test_bands_start_at_the_measured_state_and_scale_with_the_coefficients(simulated, aircraft, true_coefficients):
+    std = np.full_like(true_coefficients, 1e-3)
+    names = [f"{name}_std" for name in EVERY]
+    one = replay(simulated, aircraft, true_coefficients, std=std, horizon=2.0)
+    two = replay(simulated, aircraft, true_coefficients, std=2 * std, horizon=2.0)
+    np.testing.assert_array_equal(one[names].iloc[0], 0)
+    np.testing.assert_allclose(two[names], 2 * one[names], rtol=1e-9)
+    variances = std[:, :, None] ** 2 * np.eye(6)
+    again = replay(simulated, aircraft, true_coefficients, std=variances, horizon=2.0)
+    np.testing.assert_allclose(again[names], one[names], rtol=1e-9)
+
+
+def test_known_initial_errors_stand_in_the_first_row(simulated, aircraft, true_coefficients):
+    initial = {"v_down": 0.1, "phi": 0.01, "theta": 0.02, "psi": 0.03, "r": 0.005, "east": 2.0}
+    flown = replay(simulated, aircraft, true_coefficients, std=0 * true_coefficients, initial_std=initial)
+    for name in EVERY:
+        assert flown[f"{name}_std"].iloc[0] == pytest.approx(initial.get(name, 0.0), abs=1e-12)
+
+
+def test_errors_are_medians_over_the_samples_flown():
+    flight = pd.DataFrame({"v_east_true": [0.0, 0.0, 0.0, 0.0, 0.0], "psi_true": [0.0, 6.2, 6.2, 6.2, 6.2]})
+    flown = pd.DataFrame(
+        {
+            "horizon": 1.0,
+            "window": [0, 0, 0, 1, 1],
+            "elapsed": [0.0, 0.5, 1.0, 0.5, 1.0],
+            "v_east": [9.0, 0.1, -0.5, 0.3, 0.7],
+            "psi": [0.0, 0.0, 0.0, 0.0, 0.0],
+            "v_east_std": [0.0, 0.1, 0.1, 0.1, 0.4],
+        }
+    )
+    errors = replay_errors(flown, flight, suffix="_true").set_index("state")
+    assert errors.loc["v_east", "median"] == pytest.approx(0.4)
+    assert errors.loc["v_east", "at_end"] == pytest.approx(0.6)
+    assert errors.loc["v_east", "coverage"] == pytest.approx(0.5)
+    assert errors.loc["psi", "median"] == pytest.approx(2 * np.pi - 6.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"coefficients": np.zeros((3, 6))}, r"shape \(3, 6\), but expected \(600, 6\)"),
+        ({"coefficients": pd.DataFrame({"CX": np.zeros(600)})}, "table of coefficients lacks"),
+        ({"std": np.zeros((600, 5))}, r"Got std of shape \(600, 5\)"),
+        ({"std": -np.ones((600, 6))}, "negative values in std"),
+        ({"std": np.tile(-np.eye(6), (600, 1, 1))}, "negative eigenvalues"),
+        ({"horizon": 0.0}, "horizon=0.0"),
+        ({"correlation_time": -1.0}, "correlation_time=-1.0"),
+        ({"std": np.ones((600, 6)), "initial_std": {"v_west": 1.0}}, "initial_std of .'v_west'."),
+    ],
+)
+def test_requests_that_cannot_be(simulated, aircraft, true_coefficients, options, words):
+    with pytest.raises(ValueError, match=words):
+        replay(simulated, aircraft, **{"coefficients": true_coefficients, **options})
+
+
+@pytest.mark.parametrize("name", ["phi", "v_east", "airspeed"])
+def test_missing_columns_are_named(simulated, aircraft, true_coefficients, name):
+    with pytest.raises(ValueError, match=f"lacks the columns '{name}'"):
+        replay(simulated.drop(columns=name), aircraft, true_coefficients)
+
+
+def test_errors_need_a_common_state(simulated, aircraft, true_coefficients):
+    flown = replay(simulated, aircraft, true_coefficients)
+    with pytest.raises(ValueError, match="suffix '_real'"):
+        replay_errors(flown, simulated, suffix="_real")
+    with pytest.raises(ValueError, match="600 rows for a flight of 10"):
+        replay_errors(flown, simulated.iloc[:10])
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("name", "kind"), [("viggen_uav_train_latlon", "viggen_uav"), ("c172p_train_latlon", "c172p")])
+def test_noise_free_replay_stays_with_the_truth_for_two_seconds(shared_data, name, kind):
+    flight = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")
+    aircraft = Aircraft.from_json(shared_data / "flights" / f"{kind}.json")
+    coefficients = flight[[f"{c}_true" for c in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")]].to_numpy()
+    driven = flight.assign(**{c: flight[f"{c}_true"] for c in ["airspeed", *STATES]})
+    flown = replay(driven, aircraft, coefficients, gravity=float(flight["gravity_true"].mean()))
+    errors = replay_errors(flown, flight, suffix="_true").set_index("state")
+    # Turbulence between the 40 Hz samples is not in the log; nothing else may be missing.
+    limits = np.repeat([0.06, np.deg2rad(0.5), np.deg2rad(0.5)], 3)
+    assert (errors.loc[STATES, "at_end"] < limits).all(), errors
+    assert errors.loc["v_east", "median"] < 0.02
+
+
+@pytest.mark.shared
+def test_bands_cover_what_known_coefficient_errors_do(shared_data):
+    flight = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_lateral.parquet")
+    aircraft = Aircraft.from_json(shared_data / "flights" / "viggen_uav.json")
+    truth = flight[[f"{c}_true" for c in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")]].to_numpy()
+    std = 0.1 * truth.std(axis=0)
+    z = ornstein_uhlenbeck(np.random.default_rng(2), flight["time"].to_numpy(), 0.5, (6,))
+    driven = flight.assign(**{c: flight[f"{c}_true"] for c in ["airspeed", *STATES]})
+    flown = replay(
+        driven,
+        aircraft,
+        truth + std * z,
+        std=np.broadcast_to(std, truth.shape),
+        horizon=(2.0, 10.0),
+        gravity=float(flight["gravity_true"].mean()),
+    )
+    coverage = replay_errors(flown, flight, suffix="_true").set_index(["horizon", "state"])["coverage"]
+    assert coverage.loc[2.0].between(0.90, 0.99).all(), coverage
+    assert coverage.loc[10.0].between(0.80, 1.0).all(), coverage

@@ -1,0 +1,89 @@
+"""The rigid body against Newton and Euler in vector form, conservation laws and closed solutions."""
+
+import numpy as np
+import pytest
+
+from skdgp.dynamics import (
+    STATE_NAMES,
+    body_to_ned,
+    euler_to_quaternion,
+    quaternion_rate,
+    quaternion_to_matrix,
+    rigid_body_derivative,
+    rk4,
+)
+
+RNG = np.random.default_rng(5)
+
+
+def random_states(n):
+    return np.hstack([RNG.normal(size=(n, 6)) * 20, RNG.normal(size=(n, 4)), RNG.normal(size=(n, 3))])
+
+
+def test_derivative_is_newton_and_euler(aircraft):
+    states, force, moment = random_states(20), RNG.normal(size=(20, 3)) * 50, RNG.normal(size=(20, 3)) * 9
+    got = rigid_body_derivative(states, force, moment, aircraft, 9.7)
+    for state, f, m, derivative in zip(states, force, moment, got, strict=True):
+        rotation, velocity, rates = quaternion_to_matrix(state[6:10]), state[3:6], state[10:]
+        np.testing.assert_allclose(derivative[:3], rotation @ velocity, atol=1e-12)
+        newton = f / aircraft.mass + rotation.T @ [0, 0, 9.7] - np.cross(rates, velocity)
+        np.testing.assert_allclose(derivative[3:6], newton, atol=1e-12)
+        np.testing.assert_allclose(derivative[6:10], quaternion_rate(state[6:10], rates), atol=1e-12)
+        euler = np.linalg.solve(aircraft.inertia, m - np.cross(rates, aircraft.inertia @ rates))
+        np.testing.assert_allclose(derivative[10:], euler, atol=1e-12)
+
+
+def test_leading_axes_broadcast(aircraft):
+    states = random_states(6).reshape(2, 3, 13)
+    one = rigid_body_derivative(states[1, 2], np.ones(3), np.ones(3), aircraft)
+    assert one.shape == (len(STATE_NAMES),)
+    many = rigid_body_derivative(states, np.ones(3), np.ones((3, 3)), aircraft)
+    np.testing.assert_allclose(many[1, 2], one, atol=1e-12)
+
+
+def test_torque_free_tumbling_keeps_energy_and_angular_momentum(aircraft):
+    start = np.concatenate([np.zeros(6), euler_to_quaternion(0.4, -0.3, 2.0), [2.0, 0.3, -1.1]])
+    states = rk4(
+        lambda t, s: rigid_body_derivative(s, np.zeros(3), np.zeros(3), aircraft, 0.0),
+        start,
+        np.linspace(0, 10, 2001),
+    )
+    rates = states[:, 10:]
+    energy = 0.5 * np.einsum("ni,ij,nj->n", rates, aircraft.inertia, rates)
+    momentum = body_to_ned(states[:, 6:10], rates @ aircraft.inertia)
+    assert np.ptp(rates, axis=0).min() > 0.3, "the body must tumble for this to prove anything"
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-8)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=2e-7)
+
+
+def test_a_thrown_tumbling_body_flies_a_parabola(aircraft):
+    velocity = np.array([8.0, -3.0, -12.0])
+    quaternion = euler_to_quaternion(0.4, 0.3, 2.0)
+    body = quaternion_to_matrix(quaternion).T @ velocity
+    start = np.concatenate([[1.0, 2.0, 3.0], body, quaternion, [1.0, 0.4, -2.0]])
+    times = np.linspace(0, 2, 401)
+    states = rk4(lambda t, s: rigid_body_derivative(s, np.zeros(3), np.zeros(3), aircraft), start, times)
+    expected = start[:3] + np.outer(times, velocity) + np.outer(0.5 * 9.80665 * times**2, [0, 0, 1])
+    np.testing.assert_allclose(states[:, :3], expected, atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(states[:, 6:10], axis=1), 1.0, atol=1e-8)
+
+
+def test_power_of_the_loads_is_the_change_of_energy(aircraft):
+    start = np.concatenate([np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, 0.3, 2.0), [0.5, 0.4, -0.2]])
+    force, moment = np.array([9.0, -4.0, -60.0]), np.array([0.3, -0.2, 0.1])
+
+    def rate(t, state):  # the fourteenth state is the work done
+        derivative = rigid_body_derivative(state[:13], force, moment, aircraft)
+        return np.append(derivative, force @ state[3:6] + moment @ state[10:13])
+
+    states = rk4(rate, np.append(start, 0.0), np.linspace(0, 2, 801))
+    kinetic = 0.5 * aircraft.mass * (states[:, 3:6] ** 2).sum(axis=1)
+    turning = 0.5 * np.einsum("ni,ij,nj->n", states[:, 10:13], aircraft.inertia, states[:, 10:13])
+    potential = -aircraft.mass * 9.80665 * states[:, 2]
+    np.testing.assert_allclose(kinetic + turning + potential - states[:, 13], kinetic[0] + turning[0], rtol=1e-8)
+
+
+@pytest.mark.parametrize("theta", [0.0, np.pi / 2, 2.0])
+def test_nothing_is_singular_at_any_attitude(aircraft, theta):
+    state = np.concatenate([np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, theta, 0.3), [0.5, 0.4, -0.2]])
+    assert np.isfinite(rigid_body_derivative(state, np.ones(3), np.ones(3), aircraft)).all()

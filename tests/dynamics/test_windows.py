@@ -1,0 +1,33 @@
+"""Restart windows cover every step of every run once, in order, and never longer than the horizon."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from skdgp.dynamics._windows import restart_windows, runs_of
+
+
+@pytest.mark.parametrize("horizon", [0.05, 0.3, 1.0, 100.0, np.inf])
+def test_windows_cover_every_step_once(horizon):
+    time = np.cumsum(np.random.default_rng(0).uniform(0.08, 0.12, 60))
+    rows = restart_windows(time, [slice(3, 20), slice(20, 21), slice(25, 60)], horizon)
+    steps = sorted((a, b) for window in rows for a, b in pairwise(window.tolist()) if a != b)
+    assert steps == [(k, k + 1) for k in [*range(3, 19), *range(25, 59)]]
+    if horizon >= 0.12:
+        assert (time[rows[:, -1]] - time[rows[:, 0]]).max() <= horizon + 1e-9
+
+
+def test_stored_clocks_that_were_rounded_give_full_windows():
+    time = (np.arange(401) * 0.025).astype(np.float32).astype(float)
+    rows = restart_windows(time, [slice(0, 401)], 2.0)
+    assert rows.shape == (5, 81)
+
+
+def test_no_runs_no_windows():
+    assert restart_windows(np.arange(5.0), [], 1.0).shape[0] == 0
+
+
+def test_runs_break_at_bad_rows_and_segments():
+    good = np.array([1, 1, 0, 1, 1, 1, 0, 0, 1], dtype=bool)
+    assert runs_of(good, [slice(0, 5), slice(5, 9)]) == [slice(0, 2), slice(3, 5), slice(5, 6), slice(8, 9)]

@@ -1,0 +1,118 @@
+"""Dryden gusts: the air's own motion along a flight, as white noise through the filters of MIL-F-8785C."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
+
+__all__ = ["Gusts", "dryden_gusts", "dryden_system", "low_altitude_turbulence"]
+
+FEET = 0.3048
+
+
+class Gusts(NamedTuple):
+    """Motion of the air around the aircraft, body axes, each (n_times, n_flights, 3)."""
+
+    velocity: np.ndarray
+    """u, v, w of the air [m/s]."""
+    acceleration: np.ndarray
+    """Rate of change of the velocity [m/s^2]."""
+    rates: np.ndarray
+    """p, q, r of the air as if it turned like a rigid body [rad/s]."""
+
+
+def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return scale lengths (3,) [m] and intensities (3,) [m/s] of u, v, w below 1000 ft (MIL-F-8785C, 3.7.3.4).
+
+    With h in feet: L_w = h, L_u = L_v = h / (.177 + .000823 h)^1.2, sigma_w = .1 W, sigma_u = sigma_v =
+    sigma_w / (.177 + .000823 h)^.4, W the wind speed 20 ft above the ground.
+
+    Examples
+    --------
+    >>> length, intensity = low_altitude_turbulence(height=150.0, wind_at_6m=8.0)
+    >>> length.round(), intensity.round(2)
+    (array([305., 305., 150.]), array([1.01, 1.01, 0.8 ]))
+    """
+    shear = 0.177 + 0.000823 * height / FEET
+    length = height * np.array([shear**-1.2, shear**-1.2, 1.0])
+    return length, 0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0])
+
+
+def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.ndarray, ...]:
+    r"""Return A (9, 9), B (9, 4), C (9, 9) of the gusts' linear system driven by unit white noise.
+
+    x' = A x + B n, and C x = (u, v, w, u', v', w', p, q, r) of the air. With T = L / V (MIL-F-8785C, 3.7.2.2,
+    Dryden form; b the span):
+
+    .. math::
+        H_u = \sigma_u \frac{\sqrt{2 T_u}}{1 + T_u s}, \quad
+        H_{v,w} = \sigma \sqrt{T} \frac{1 + \sqrt3 T s}{(1 + T s)^2}, \quad
+        H_p = \sigma_w \sqrt{\frac{0.8 \pi}{V L_w}} \left(\frac{\pi L_w}{4 b}\right)^{1/6}
+              \frac{1}{1 + \frac{4 b}{\pi V} s}, \quad
+        H_q = \frac{-s / V}{1 + \frac{4 b}{\pi V} s} H_w, \quad H_r = \frac{s / V}{1 + \frac{3 b}{\pi V} s} H_v.
+
+    The lags of H_q and H_r are the wing's averaging over its span. Here u, v and w pass them too, so that q and r
+    are exactly the gradients of the gusts that the aircraft feels, -w'/V and v'/V, and all have finite slopes.
+    """
+    (Tu, Tv, Tw), (su, sv, sw) = np.asarray(length) / airspeed, np.asarray(intensity)
+    lag, lag_r = 4 * span / (np.pi * airspeed), 3 * span / (np.pi * airspeed)
+    first = np.array([[-1 / Tu, 0.0], [su * np.sqrt(2 * Tu) / lag, -1 / lag]])
+    A = block_diag(first, _second_order(Tv, sv, lag_r), _second_order(Tw, sw, lag), -1 / lag)
+    B = np.zeros((9, 4))
+    B[0, 0], B[3, 1], B[6, 2] = 1 / Tu, 1 / Tv**2, 1 / Tw**2
+    B[8, 3] = sw / lag * np.sqrt(0.8 * np.pi / (airspeed * length[2])) * (Tw / lag) ** (1 / 6)
+    velocity = np.eye(9)[[1, 4, 7]]
+    slope = velocity @ A
+    rates = np.array([np.eye(9)[8], -slope[2] / airspeed, slope[1] / airspeed])
+    return A, B, np.vstack([velocity, slope, rates])
+
+
+def dryden_gusts(n_times: int, step: float, airspeed: float, length, intensity, span: float, rng) -> Gusts:
+    """Return stationary gusts every ``step`` seconds for several flights at once.
+
+    Parameters
+    ----------
+    n_times : int
+    step : float
+        [s]. The linear systems are discretised exactly (matrix exponentials), so it may be any.
+    airspeed : float
+        Speed [m/s] at which the frozen field is crossed.
+    length, intensity : array-like of shape (n_flights, 3)
+        Scale lengths [m] and standard deviations [m/s] of u, v, w.
+    span : float
+        [m].
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Gusts
+    """
+    systems = [dryden_system(airspeed, L, s, span) for L, s in zip(length, intensity, strict=True)]
+    A, B, C = (np.array(matrices) for matrices in zip(*systems, strict=True))
+    covariance = np.array([solve_continuous_lyapunov(a, -b @ b.T) for a, b in zip(A, B, strict=True)])
+    transition = expm(A * step)
+    # In steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral.
+    noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
+    x = np.einsum("fij,fj->fi", _root(covariance), rng.standard_normal((len(A), 9)))
+    shocks = np.einsum("fij,kfj->kfi", _root(noise), rng.standard_normal((n_times, len(A), 9)))
+    states = np.empty_like(shocks)
+    for k, shock in enumerate(shocks):
+        states[k] = x
+        x = (transition @ x[..., None])[..., 0] + shock
+    outputs = np.einsum("fij,kfj->kfi", C, states)
+    return Gusts(*(np.ascontiguousarray(part) for part in np.split(outputs, 3, axis=-1)))
+
+
+def _second_order(T, sigma, lag) -> np.ndarray:
+    """Return A of the states x, x' and felt gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
+    gain = sigma * np.sqrt(T) / lag
+    return np.array([[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]])
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """Return the symmetric square roots of covariances (..., n, n) that may be near singular."""
+    scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / (scale[..., :, None] * scale[..., None, :]))
+    return scale[..., :, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ vectors.swapaxes(-1, -2))

@@ -55,6 +55,8 @@ class Artists(NamedTuple):
 def draw_comparison(ax, data: Comparison, *, level: float, n_bins: int) -> Artists:
     """Draw one panel and return its artists."""
     starts = stretch_starts(data.time, data.window)
+    # Where many samples share a pixel, thin lines show more.
+    width = 1.0 if len(data.time) <= 4 * n_bins else 0.6
 
     def line(values, **style):
         if values is None:
@@ -63,10 +65,10 @@ def draw_comparison(ax, data: Comparison, *, level: float, n_bins: int) -> Artis
         dots = list(lonely(v))
         return ax.plot(t, v, marker="." if dots else None, markersize=3, markevery=dots, **style)[0]
 
-    measured = line(data.measured, color=ROLES["measured"], linewidth=0.8, alpha=0.75, label="measured")
+    measured = line(data.measured, color=ROLES["measured"], linewidth=0.8 * width, alpha=0.75, label="measured")
     band = _draw_band(ax, data, starts, level, n_bins)
-    truth = line(data.truth, color=ROLES["truth"], linewidth=1.0, label="truth")
-    mean = line(data.mean, color=ROLES["mean"], linewidth=1.0, label="estimated")
+    truth = line(data.truth, color=ROLES["truth"], linewidth=width, label="truth")
+    mean = line(data.mean, color=ROLES["mean"], linewidth=width, label="estimated")
     _limit(ax, data)
     return Artists(measured, mean, band, truth)
 
@@ -77,7 +79,29 @@ def _draw_band(ax, data: Comparison, starts, level: float, n_bins: int):
     half = norm.ppf(0.5 + level / 2) * data.std
     t, lower, upper = band_points(data.time, data.mean - half, data.mean + half, n_bins=n_bins, starts=starts)
     # The edge keeps a band of one sample, which has no width, visible.
-    return ax.fill_between(t, lower, upper, color=ROLES["band"], alpha=0.35, linewidth=0.4, label=f"{level:.0%} band")
+    style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0.4, "label": f"{level:.0%} band"}
+    band = ax.add_artist(_outline(t, lower, upper, **style))
+    if t.size:
+        # The corners suffice; add_patch would look along the whole outline.
+        ax.update_datalim([(np.nanmin(t), np.nanmin(lower)), (np.nanmax(t), np.nanmax(upper))])
+    return band
+
+
+def _outline(t, lower, upper, **style):
+    """Return one patch that runs around every stroke of a band: a picture of few elements, however many strokes."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    strokes = np.split(np.arange(len(t)), np.flatnonzero(np.isnan(t)))
+    around, codes = [np.empty((0, 2))], [np.empty(0, dtype=Path.code_type)]
+    for stroke in strokes:
+        k = stroke[~np.isnan(t[stroke])]
+        if k.size:
+            there, back = np.column_stack([t[k], upper[k]]), np.column_stack([t[k], lower[k]])[::-1]
+            around += [there, back, there[:1]]
+            codes.append(np.full(2 * k.size + 1, Path.LINETO, dtype=Path.code_type))
+            codes[-1][0], codes[-1][-1] = Path.MOVETO, Path.CLOSEPOLY
+    return PathPatch(Path(np.concatenate(around), np.concatenate(codes)), **style)
 
 
 def _limit(ax, data: Comparison) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -25,6 +26,7 @@ from skdgp.plotting._style import (
 
 INPUTS = ("throttle", "elevator", "aileron", "rudder")
 ELEVONS = ("elevon_left", "elevon_right")
+COLOR_STEPS = 32
 
 
 class FlightDisplay:
@@ -256,18 +258,32 @@ def _draw_plain(ax, paths, color_by):
 
 
 def _draw_coloured(ax, paths, color_by):
+    from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
     values = np.concatenate([path[color_by].to_numpy() for path in paths.values()])
+    low, high = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
+    cmap = colormaps["viridis"].resampled(COLOR_STEPS)
     lines = []
     for name, path in paths.items():
-        points = path[["east", "north"]].to_numpy()
-        segments = np.stack([points[:-1], points[1:]], axis=1)
-        lines.append(ax.add_collection(LineCollection(segments, cmap="viridis", linewidths=1.6, label=name)))
-        lines[-1].set_array(0.5 * (path[color_by].to_numpy()[:-1] + path[color_by].to_numpy()[1:]))
-        lines[-1].set_clim(np.nanmin(values), np.nanmax(values))
+        pieces, shades = _pieces(path, path[color_by].to_numpy(), low, high)
+        line = LineCollection(pieces, array=shades, cmap=cmap, linewidths=1.6, capstyle="round", label=name)
+        line.set_clim(low, high)
+        lines.append(ax.add_collection(line))
     ax.autoscale_view()
     return lines, lines[0]
+
+
+def _pieces(path, values, low, high):
+    """Return the path in pieces of one shade each, neighbours sharing a point, and the shades' values."""
+    step = (high - low) / COLOR_STEPS or 1.0
+    middle = 0.5 * (values[:-1] + values[1:])
+    shade = np.clip(np.floor((middle - low) / step), 0, COLOR_STEPS - 1)
+    change = np.flatnonzero(np.diff(shade)) + 1
+    points = path[["east", "north"]].to_numpy()
+    edges = [0, *change, max(len(points) - 1, 0)]
+    pieces = [points[a : b + 1] for a, b in pairwise(edges)]
+    return pieces, low + (shade[edges[:-1]] + 0.5) * step if shade.size else np.full(len(pieces), low)
 
 
 def _draw_start(ax, path, name, k, color):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skdgp._validation import check_columns
 from skdgp.plotting._arrays import check_columns_of, check_std, check_time, choose, names_of
 from skdgp.plotting._comparison import Comparison, check_level, draw_comparison
 from skdgp.plotting._style import PALETTE, axis_label, check_matplotlib, display_unit, legend_above, panels, tidy
@@ -21,7 +22,7 @@ class StateDisplay:
     A replay is restarted from the measured state every few seconds; lines break there, and small marks on the
     upper edge show where. States are given in SI units and drawn in degrees.
 
-    Use :meth:`from_predictions`. All parameters are kept as attributes.
+    Use :meth:`from_replay` or :meth:`from_predictions`. All parameters are kept as attributes.
 
     Parameters
     ----------
@@ -151,6 +152,65 @@ class StateDisplay:
             state_names=names_of(measured, values.shape[1], state_names, LATERAL_STATES),
         )
         return display.plot(ax, **plot_options)
+
+    @classmethod
+    def from_replay(cls, trajectory, flight, *, states=LATERAL_STATES, horizon=None, ax=None, **plot_options):
+        """Draw what :func:`skdgp.dynamics.replay` returned beside the flight it replays.
+
+        Parameters
+        ----------
+        trajectory : DataFrame
+            Columns ``time``, ``horizon``, ``window``, the states and, for bands, ``<state>_std``; one row per
+            row of the flight and horizon. Rows not flown are NaN.
+        flight : DataFrame
+            The measured states, in the same row order.
+        states : names, default=("v_east", "p", "r")
+            Which states to draw.
+        horizon : float, optional
+            Which horizon, where the trajectory holds several; default the longest.
+        ax, **plot_options
+            See :meth:`plot`.
+
+        Returns
+        -------
+        StateDisplay
+            The display, drawn.
+
+        Raises
+        ------
+        ValueError
+            If columns are missing, the horizon is not there, or the rows do not match.
+        """
+        states = list(states)
+        replayed = replay_rows(trajectory, horizon)
+        check_columns(replayed, ["time", "window", *states], what="trajectory")
+        check_columns(flight, states)
+        if len(replayed) != len(flight):
+            raise ValueError(
+                f"Got a trajectory of {len(replayed)} rows for a flight of {len(flight)}: give the flight that "
+                "was replayed, with all its rows."
+            )
+        bands = [f"{name}_std" for name in states]
+        return cls.from_predictions(
+            replayed["time"],
+            flight[states],
+            replayed[states],
+            replayed[bands] if set(bands) <= set(replayed.columns) else None,
+            window=replayed["window"],
+            ax=ax,
+            **plot_options,
+        )
+
+
+def replay_rows(trajectory, horizon: float | None):
+    """Return the rows of one horizon of a replay; the longest, for None."""
+    check_columns(trajectory, ["horizon"], what="trajectory")
+    there = np.unique(trajectory["horizon"])
+    horizon = there[-1] if horizon is None else horizon
+    rows = trajectory[np.isclose(trajectory["horizon"], horizon)]
+    if len(rows) == 0:
+        raise ValueError(f"Got horizon={horizon!r} s, but the trajectory holds {there.tolist()} s.")
+    return rows
 
 
 def _mark_restarts(ax, data: Comparison):

@@ -1,0 +1,213 @@
+"""What a report is made of: plain data, filled by whoever fitted and predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+
+import numpy as np
+import pandas as pd
+
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.metrics import (
+    interval_coverage,
+    median_relative_error,
+    negative_log_predictive_density,
+    normalized_rmse,
+)
+
+METRICS = (
+    "median_relative_error",
+    "normalized_rmse",
+    "negative_log_predictive_density",
+    "interval_coverage",
+)
+"""Names of the scores, those of the functions in skdgp.metrics."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightRecord:
+    """A flight as it was flown.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    table : DataFrame
+        The flight table, SI units: at least ``time``; inputs and positions or velocities where they are known.
+    """
+
+    name: str
+    table: pd.DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightResult:
+    """A test flight with what the model says about it.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    time : (n,)
+        Time of the samples [s].
+    measured, mean : (n, 6)
+        Measured and estimated coefficients, in the order CX CY CZ Cl Cm Cn; measured NaN = not observed.
+    std : (n, 6)
+        Standard deviations of the noise-free coefficients.
+    measured_std : (n, 6), optional
+        Standard deviations of new measurements (``include_noise=True``); default ``std``.
+    truth : (n, 6), optional
+        Noise-free coefficients of a simulation.
+    table : DataFrame, optional
+        The flight table, for the inputs and the path.
+    replay : DataFrame, optional
+        What `skdgp.dynamics.replay` returned for ``table``, of one or several horizons.
+    replay_errors : DataFrame, optional
+        What `skdgp.dynamics.replay_errors` returned: columns state, horizon, median, at_end, coverage.
+    metrics : mapping, optional
+        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers a
+        sequence, or a mapping by coefficient. Default: computed here with skdgp.metrics.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not belong together.
+    """
+
+    name: str
+    time: np.ndarray
+    measured: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+    measured_std: np.ndarray | None = None
+    truth: np.ndarray | None = None
+    table: pd.DataFrame | None = None
+    replay: pd.DataFrame | None = None
+    replay_errors: pd.DataFrame | None = None
+    metrics: Mapping[str, Mapping[str, object]] | None = None
+
+    def __post_init__(self):
+        n_samples = len(np.asarray(self.time))
+        for name in ("measured", "mean", "std", "measured_std", "truth"):
+            values = getattr(self, name)
+            if values is not None and np.shape(values) != (n_samples, len(COEFFICIENTS)):
+                raise ValueError(
+                    f"Got {name} of shape {np.shape(values)} for flight {self.name!r}, but expected "
+                    f"{(n_samples, len(COEFFICIENTS))}: one row per time, columns {' '.join(COEFFICIENTS)}."
+                )
+        if self.replay is not None and self.table is None:
+            raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
+
+    @property
+    def noisy_std(self) -> np.ndarray:
+        """Standard deviations to compare measured values with."""
+        return np.asarray(self.std if self.measured_std is None else self.measured_std, dtype=float)
+
+    def scores(self) -> dict[str, pd.DataFrame]:
+        """Return the scores against "measured" and, where it is known, "truth": coefficients by metrics."""
+        given = self.metrics
+        if given is None:
+            given = {"measured": score(self.measured, self.mean, self.noisy_std)}
+            if self.truth is not None:
+                given["truth"] = score(self.truth, self.mean, self.std)
+        tables = {against: pd.DataFrame(dict(of), index=list(COEFFICIENTS)) for against, of in given.items()}
+        return {against: table.reindex(columns=list(METRICS)) for against, table in tables.items()}
+
+
+def score(y_true, y_pred, y_std) -> dict[str, np.ndarray]:
+    """Return the four scores of skdgp.metrics, one number per output."""
+    y_true, y_pred, y_std = (np.asarray(values, dtype=float) for values in (y_true, y_pred, y_std))
+    functions = (
+        median_relative_error,
+        normalized_rmse,
+        negative_log_predictive_density,
+        interval_coverage,
+    )
+    arguments = ((y_true, y_pred),) * 2 + ((y_true, y_pred, y_std),) * 2
+    return {
+        name: function(*args, multioutput="raw_values")
+        for name, function, args in zip(METRICS, functions, arguments, strict=True)
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSummary:
+    """What was fitted, and how it went. None and empty: not known, and not shown.
+
+    Parameters
+    ----------
+    n_samples, n_available : int
+        Samples the regressor learned from, and those the flights hold.
+    regressors : names
+        Regressors of the model.
+    n_latent, n_private : int
+        Shared latent processes, and private ones.
+    kernel, trend, inference : str
+        As chosen.
+    log_marginal_likelihood : float
+        Attained.
+    n_iter : int
+        Iterations of the optimiser.
+    fit_seconds : float
+        Time of the fit [s].
+    noise_std : (6,)
+        Standard deviation of the measurement noise that was learned, per coefficient.
+    correlation : (6, 6) or Bunch
+        Coupling between the outputs: what ``output_correlation()`` returned, or its matrix.
+    versions : mapping of str to str
+        Software and its version.
+    extra : mapping of str to str
+        Further lines for the table of what was done.
+    """
+
+    n_samples: int | None = None
+    n_available: int | None = None
+    regressors: Sequence[str] = ()
+    n_latent: int | None = None
+    n_private: int | None = None
+    kernel: str | None = None
+    trend: str | None = None
+    inference: str | None = None
+    log_marginal_likelihood: float | None = None
+    n_iter: int | None = None
+    fit_seconds: float | None = None
+    noise_std: Sequence[float] | None = None
+    correlation: object = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportContent:
+    """Everything a report shows.
+
+    Parameters
+    ----------
+    title : str
+        Heading of the report.
+    train : sequence of FlightRecord
+        Flights learned from.
+    test : sequence of FlightResult
+        Flights tested on.
+    model : ModelSummary
+        What was fitted.
+    aircraft : mapping of str to str, or str
+        Name, or facts such as mass, span and chord, ready to read.
+    messages : sequence of str
+        Warnings that arose.
+    command : str, optional
+        How the report was made.
+    created : datetime, optional
+        When; default: now.
+    """
+
+    title: str
+    train: Sequence[FlightRecord] = ()
+    test: Sequence[FlightResult] = ()
+    model: ModelSummary = field(default_factory=ModelSummary)
+    aircraft: Mapping[str, str] | str = ""
+    messages: Sequence[str] = ()
+    command: str | None = None
+    created: datetime | None = None

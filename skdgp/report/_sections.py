@@ -1,0 +1,261 @@
+"""The report's sections, each from the content to a piece of HTML."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from skdgp._vocabulary import LATERAL, LONGITUDINAL
+from skdgp.plotting._style import CYCLE, PALETTE
+from skdgp.report import _pictures as pictures
+from skdgp.report._content import FlightResult, ModelSummary, ReportContent
+from skdgp.report._tables import (
+    THIN,
+    coverage,
+    error_table,
+    facts,
+    number,
+    percent,
+    replay_table,
+    text,
+)
+
+_FLIGHT_COLORS = [name for color in CYCLE for name, value in PALETTE.items() if value == color]
+
+
+def summary(content: ReportContent) -> str:
+    """Return the headline numbers of every test flight."""
+    if not content.test:
+        return (
+            '<section><h2>Result</h2><p class="note">No test flight was given: nothing here shows how the model '
+            "does away from the flights it learned from.</p></section>"
+        )
+    flights = "".join(_headline(result) for result in content.test)
+    return f"<section><h2>Result</h2>{flights}</section>"
+
+
+def _headline(result: FlightResult) -> str:
+    scores = result.scores()
+    measured, truth = scores["measured"], scores.get("truth")
+    tiles = [
+        _tile(measured, truth, "median_relative_error", LATERAL, "%", "median relative error, lateral", percent),
+        _tile(
+            measured, truth, "median_relative_error", LONGITUDINAL, "%", "median relative error, longitudinal", percent
+        ),
+        _tile(measured, truth, "normalized_rmse", None, "", "normalised RMSE, mean of six", lambda v: number(v, ".3f")),
+        _tile(measured, truth, "interval_coverage", None, "%", "of values inside the 95 % band", coverage),
+    ]
+    return f'<h3>{text(result.name)}</h3><div class="head">{"".join(tiles)}</div>'
+
+
+def _tile(measured, truth, metric, members, unit, words, form) -> str:
+    def value(scores):
+        return form(scores[metric].loc[list(members or scores.index)].mean())
+
+    unit = f"<small>{unit}</small>" if unit else ""
+    against = "" if truth is None else f"<span>against truth {value(truth)}{unit and THIN + '%'}</span>"
+    return f"<div><b>{value(measured)}{unit}</b><span>{words}</span>{against}</div>"
+
+
+def messages(content: ReportContent) -> str:
+    """Return the warnings that arose, or that none did."""
+    if not content.messages:
+        return '<section><h2>Warnings</h2><p class="note">No warning arose.</p></section>'
+    lines = "".join(f"<li>{text(message)}</li>" for message in dict.fromkeys(content.messages))
+    return f'<section><h2>Warnings</h2><ul class="alerts">{lines}</ul></section>'
+
+
+def what_was_done(content: ReportContent) -> str:
+    """Return samples, regressors, model, time and versions."""
+    model, aircraft = content.model, content.aircraft
+    pairs = [] if isinstance(aircraft, str) else list(aircraft.items())
+    pairs += [
+        ("Learned from", ", ".join(record.name for record in content.train)),
+        ("Tested on", ", ".join(result.name for result in content.test)),
+        ("Samples", _samples(model)),
+        ("Regressors", ", ".join(map(str, model.regressors))),
+        ("Latent processes", _latents(model)),
+        ("Kernel", model.kernel),
+        ("Trend", model.trend),
+        ("Inference", model.inference),
+        ("Log likelihood", _grouped(model.log_marginal_likelihood, ".1f")),
+        ("Iterations", _grouped(model.n_iter)),
+        ("Time of the fit", None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s"),
+        *model.extra.items(),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in model.versions.items())),
+        ("Command", content.command),
+    ]
+    return f"<section><h2>What was done</h2>{facts(pairs)}</section>"
+
+
+def _samples(model: ModelSummary) -> str | None:
+    if model.n_samples is None:
+        return None
+    of = "" if model.n_available is None else f" of {_grouped(model.n_available)}"
+    return f"{_grouped(model.n_samples)}{of}"
+
+
+def _latents(model: ModelSummary) -> str:
+    parts = [f"{n} {kind}" for n, kind in ((model.n_latent, "shared"), (model.n_private, "private")) if n]
+    return ", ".join(parts)
+
+
+def _grouped(value, form: str = "d") -> str | None:
+    if value is None:
+        return None
+    return number(value, "," + form).replace(",", THIN)
+
+
+def flight(result: FlightResult, noise_std, n_bins: int, draw: bool) -> str:
+    """Return everything about one test flight."""
+    scores = result.scores()
+    tables = error_table(scores["measured"], noise_std, against="measured coefficients")
+    if "truth" in scores:
+        tables += error_table(scores["truth"], None, against="truth")
+    parts = [
+        f'<section class="flight"><h2>Test flight {text(result.name)}</h2>',
+        f'<div class="pair">{tables}</div>',
+        '<p class="note">▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide.</p>',
+    ]
+    if draw:
+        parts.append(_coefficients(result, n_bins))
+    if result.replay is not None or result.replay_errors is not None:
+        parts.append(_replays(result, n_bins, draw))
+    if draw:
+        parts.append(_calibration(result))
+    return "".join([*parts, "</section>"])
+
+
+def _coefficients(result: FlightResult, n_bins: int) -> str:
+    key = [("measured", "measured", ""), ("mean", "estimated", ""), ("band", "95 % band of a measurement", "area")]
+    key += [] if result.truth is None else [("truth", "truth", "")]
+    span = pictures.busiest_span(result.time, result.mean)
+    columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, n_bins)}
+    columns["Whole flight"] = pictures.coefficient_panels(result, None, n_bins)
+    caption = "Measured and estimated coefficients."
+    caption += "" if span is None else " First where the estimates move most, then the whole flight."
+    return f"<h3>Coefficients</h3>{_columns(columns, key, caption)}"
+
+
+def _replays(result: FlightResult, n_bins: int, draw: bool) -> str:
+    parts = ["<h3>Replayed states</h3>"]
+    if result.replay_errors is not None:
+        parts.append(replay_table(result.replay_errors))
+    if draw and result.replay is not None:
+        parts += [_states(result, horizon, n_bins) for horizon in np.unique(result.replay["horizon"])]
+    return "".join(parts)
+
+
+def _states(result: FlightResult, horizon: float, n_bins: int) -> str:
+    rows = pictures.replay_rows(result.replay, horizon)
+    names = [name for name in pictures.LATERAL_STATES if name in rows and name in result.table]
+    if not names:
+        return ""
+    key = [("measured", "measured", ""), ("mean", "replayed", "")]
+    key += [("band", "95 % band", "area")] if f"{names[0]}_std" in rows else []
+    span = pictures.busiest_span(rows["time"], result.table[names])
+    columns = {} if span is None else {_seconds(span): pictures.state_panels(result, horizon, span, n_bins)}
+    columns["Whole flight"] = pictures.state_panels(result, horizon, None, n_bins)
+    caption = (
+        f"States integrated from the estimated coefficients, restarted from the measured state every "
+        f"{number(horizon, 'g')}{THIN}s; lines break there, and marks at the upper edge show where."
+    )
+    return _columns(columns, key, caption)
+
+
+def _calibration(result: FlightResult) -> str:
+    panel = pictures.calibration_panel(result.measured, result.mean, result.noisy_std, "measured")
+    columns = {"Measured values, band with noise": [panel]}
+    if result.truth is not None:
+        panel = pictures.calibration_panel(result.truth, result.mean, result.std, "true")
+        columns["Truth, band without noise"] = [panel]
+    caption = "Calibration: how often intervals hold. On the dotted line they hold as often as they say."
+    return f"<h3>Calibration</h3>{_columns(columns, (), caption)}"
+
+
+def coupling(content: ReportContent) -> str:
+    """Return the heat map of the coupling between the outputs."""
+    caption = (
+        "Correlation between the outputs that the model learned, by the prior covariance at its strongest shift. "
+        "Strong coupling lets one coefficient inform another."
+    )
+    panel = pictures.coupling_panel(content.model.correlation)
+    return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
+
+
+def flown(content: ReportContent, n_bins: int) -> str:
+    """Return the inputs and the path of every flight that came with its table."""
+    flights = flown_tables(content)
+    parts = ["<section><h2>What was flown</h2>"]
+    for k, name in enumerate(flights):
+        key = [(_color(k), name, "")]
+        panels = pictures.input_panels(flights, name, n_bins)
+        parts.append(_figure(panels, f"Inputs of {text(name)}.", key))
+    tracked = {name: table for name, table in flights.items() if _has_path(table)}
+    if tracked:
+        key = [(_color(k), name, "") for k, name in enumerate(tracked)]
+        caption = "Path over the ground, north up; a marker shows where each flight begins."
+        if any("north" not in table.columns for table in tracked.values()):
+            caption += " Without recorded positions: integrated from the velocities, from the origin."
+        parts.append(_figure(pictures.path_panels(tracked), caption, key))
+    return "".join([*parts, "</section>"])
+
+
+def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
+    """Return the flight tables by name: those learned from, then those tested on."""
+    tables = {f"{record.name} (train)": record.table for record in content.train}
+    tested = {f"{result.name} (test)": result.table for result in content.test if result.table is not None}
+    return tables | tested
+
+
+def how_to_read() -> str:
+    """Return what the numbers mean."""
+    return (
+        '<section><h2>How to read the numbers</h2><div class="note">'
+        "<p><b>Median relative error</b>: the median of |measured − estimated| / |measured|. It hides tails, and grows "
+        "without bound where a coefficient passes through zero. <b>NRMSE</b>: root mean squared error over the "
+        "standard deviation of the values; 1 is no better than their mean.</p>"
+        "<p><b>NLPD</b>: negative log predictive density, in nats per value; small when estimates are close and "
+        "say so. <b>95 % coverage</b>: share of the values inside the band of 1.96 standard deviations; 95 when "
+        "the band is honest. <b>Noise σ</b>: standard deviation of the measurement noise the model learned.</p>"
+        "<p>Coefficients are in body axes: <i>x</i> forward, <i>y</i> right, <i>z</i> down. Lateral: "
+        "<i>C</i><sub>Y</sub> <i>C</i><sub>l</sub> <i>C</i><sub>n</sub>. Longitudinal: <i>C</i><sub>X</sub> "
+        "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div></section>"
+    )
+
+
+def _has_path(table: pd.DataFrame) -> bool:
+    return {"north", "east"} <= set(table.columns) or {"v_north", "v_east"} <= set(table.columns)
+
+
+def _color(k: int) -> str:
+    return _FLIGHT_COLORS[k % len(_FLIGHT_COLORS)]
+
+
+def _seconds(span) -> str:
+    return f"{number(span[0], '.0f')} to {number(span[1], '.0f')}{THIN}s"
+
+
+def _key(entries) -> str:
+    lines = "".join(
+        f'<li style="color: var(--{color})"><i class="{kind}"></i><span>{text(name)}</span></li>'
+        for color, name, kind in entries
+    )
+    return f'<ul class="key">{lines}</ul>' if lines else ""
+
+
+def _figure(panels, caption: str, key=()) -> str:
+    classes = "panels" if len(panels) > 1 else "single"
+    return (
+        f'<figure>{_key(key)}<div class="{classes}">{"".join(panels)}</div><figcaption>{caption}</figcaption></figure>'
+    )
+
+
+def _columns(columns: dict[str, list[str]], key, caption: str) -> str:
+    """Return a figure of headed columns; on a phone one follows the other."""
+    rows = max(map(len, columns.values()))
+    cells = "".join(f"<p>{head}</p>{''.join(panels)}" for head, panels in columns.items())
+    return (
+        f'<figure>{_key(key)}<div class="panels columns" style="--rows: {rows}">{cells}</div>'
+        f"<figcaption>{caption}</figcaption></figure>"
+    )

@@ -1,0 +1,124 @@
+"""A matplotlib picture as SVG that belongs to the page: its fonts, its colours, light or dark, few bytes."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Callable
+from html import escape
+from io import StringIO
+
+from skdgp.plotting._style import PALETTE, ROLES
+
+INK = "#20242a"
+WIDTH = 4.6
+"""Width of a panel [in]: half a desktop page, or a phone with letters still readable."""
+
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "skdgp",
+    "font.size": 8,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
+}
+
+# Colours of the pictures and the page's variables for them, which change with light and dark.
+_VARIABLES = {
+    INK: "ink",
+    "#b0b0b0": "quiet",
+    **{color: name for name, color in PALETTE.items()},
+    **{color: role for role, color in ROLES.items()},
+}
+_VARIABLES = {color.lower(): f"var(--{name})" for color, name in _VARIABLES.items()}
+
+
+def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
+    """Return the SVG of a low panel against time; only the ``bottom`` one of a column names the axis."""
+    below = 0.4 if bottom else 0.23
+    height = 1.1 + 0.08 + below
+    edges = (0.145, 0.985, below / height, 1 - 0.08 / height)
+
+    def drawn(ax):
+        draw(ax)
+        ax.yaxis.set_label_coords(-0.14, 0.5)
+        if not bottom:
+            ax.set_xlabel("")
+
+    return picture(drawn, label=label, size=(WIDTH, height), margins=edges)
+
+
+def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: tuple) -> str:
+    """Return the SVG of what ``draw(ax)`` draws into one Axes.
+
+    Parameters
+    ----------
+    draw : callable
+        Gets an Axes.
+    label : str
+        What a reader who does not see the picture is told.
+    size : (width, height)
+        Inches.
+    margins : (left, right, bottom, top)
+        Edges of the Axes as parts of the picture: equal ones keep panels aligned.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        figure = Figure(figsize=size)
+        canvas = FigureCanvasSVG(figure)
+        figure.subplots_adjust(**dict(zip(("left", "right", "bottom", "top"), margins, strict=True)))
+        draw(figure.subplots())
+        text = StringIO()
+        canvas.print_svg(text, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    return adapt(text.getvalue(), label)
+
+
+def adapt(svg: str, label: str) -> str:
+    """Return an SVG document as an element of a page: no prolog, variables for colours, unique names."""
+    width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg).groups()
+    body = svg[svg.index(">", svg.index("<svg")) + 1 : svg.rindex("</svg>")]
+    body = re.sub(r"<!--.*?-->|<style.*?</style>", "", body, flags=re.DOTALL)
+    body = re.sub(r" font-family: [^;\"]*;?", "", body)
+    body = re.sub(r' transform="rotate\(-0 [^"]*"', "", body).replace("xlink:href", "href")
+    body = re.sub(r"(stroke|fill): (#[0-9a-f]{6})", _themed, body)
+    body = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, body)
+    body = re.sub(r"\s*\n\s*", "", _renamed(body))
+    name = escape(label, quote=True)
+    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}">{body}</svg>'
+
+
+def _themed(match: re.Match) -> str:
+    kind, color = match.groups()
+    if (kind, color) == ("stroke", "#ffffff"):
+        return "stroke: var(--paper)"
+    return f"{kind}: {_VARIABLES.get(color, color)}"
+
+
+def _shortened(match: re.Match) -> str:
+    """Round coordinates to what a screen resolves, and leave out letters that SVG implies."""
+    name, value = match.groups()
+    digits = 1 if len(value) > 1000 else 2
+    value = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.{digits}f}".rstrip("0").rstrip("."), value)
+    if name == "d":
+        value = " ".join(value.split())
+        if "C" not in value and "Q" not in value:
+            value = value.replace(" L ", " ")
+    return f'{name}="{value}"'
+
+
+def _renamed(body: str) -> str:
+    """Drop the names nobody refers to, and keep the others apart from those of the page's other pictures."""
+    used = set(re.findall(r"(?:url\(|href=\")#([^\")]+)", body))
+    prefix = f"s{zlib.crc32(body.encode()):08x}-"
+    body = re.sub(r' id="([^"]*)"', lambda name: f' id="{prefix}{name[1]}"' if name[1] in used else "", body)
+    return re.sub(r"(url\(|href=\")#", rf"\1#{prefix}", body)

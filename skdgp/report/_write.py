@@ -1,0 +1,108 @@
+"""From content to a file."""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from pathlib import Path
+
+from skdgp._files import write_atomically
+from skdgp.plotting._style import check_matplotlib
+from skdgp.report import _sections as sections
+from skdgp.report._content import ReportContent
+from skdgp.report._page import PAGE, STYLE
+from skdgp.report._pictures import time_slices
+from skdgp.report._tables import text
+
+
+def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
+    """Write a report as one HTML file that needs nothing else: no network, no script, no other file.
+
+    The file appears whole or not at all. Without matplotlib the report has no pictures and says so.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to write, such as ``report.html``; its folder must exist.
+    content : ReportContent
+        What to show.
+
+    Returns
+    -------
+    Path
+        ``path``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder does not exist.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from skdgp.report import ReportContent, write_report
+    >>> path = write_report(Path(tempfile.mkdtemp()) / "report.html", ReportContent(title="Brumby, first flights"))
+    >>> path.read_text(encoding="utf-8").splitlines()[0]
+    '<!DOCTYPE html>'
+    """
+    page = render_report(content)
+    return write_atomically(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+
+
+def render_report(content: ReportContent) -> str:
+    """Return the report as HTML.
+
+    Parameters
+    ----------
+    content : ReportContent
+        What to show.
+
+    Returns
+    -------
+    str
+        A whole document.
+    """
+    title = text(content.title)
+    return PAGE.substitute(
+        title=title, style=STYLE, meta=_meta(content), body=_body(content), colophon=_colophon(content)
+    )
+
+
+def _body(content: ReportContent) -> str:
+    draw = _can_draw()
+    n_bins = time_slices(len(content.test))
+    parts = [sections.summary(content), sections.messages(content), sections.what_was_done(content)]
+    if not draw:
+        parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
+    parts += [sections.flight(result, content.model.noise_std, n_bins, draw) for result in content.test]
+    if draw and content.model.correlation is not None:
+        parts.append(sections.coupling(content))
+    if draw and sections.flown_tables(content):
+        parts.append(sections.flown(content, n_bins))
+    return "\n".join([*parts, sections.how_to_read()])
+
+
+def _can_draw() -> bool:
+    try:
+        check_matplotlib("write_report")
+    except ImportError:
+        return False
+    return True
+
+
+def _created(content: ReportContent) -> datetime:
+    return datetime.now().astimezone() if content.created is None else content.created
+
+
+def _meta(content: ReportContent) -> str:
+    aircraft = content.aircraft if isinstance(content.aircraft, str) else content.aircraft.get("Aircraft", "")
+    flights = f"{len(content.train)} training, {len(content.test)} test"
+    parts = [aircraft, f"flights: {flights}", f"{_created(content):%d %B %Y, %H:%M}"]
+    return " · ".join(text(part) for part in parts if part)
+
+
+def _colophon(content: ReportContent) -> str:
+    version = content.model.versions.get("skdgp")
+    made = f"skdgp {version}" if version else "skdgp"
+    return f"Made by {text(made)}. SI units; degrees in pictures and in the table of states."

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warnings
 from itertools import pairwise
+from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,8 @@ JITTER = 0.02
 WINDOW_SECONDS = 6.4
 SHORTEST_WINDOW = 32
 ORDER = 2
+EVIDENCE = 2.0
+"""Gain in log likelihood from which white noise is believed in."""
 
 
 def flight_segments(time, flight=None) -> list[slice]:
@@ -261,19 +264,20 @@ def _grid(time):
 
 
 def _butterworth(columns, rate, cutoff):
-    if cutoff >= rate / 2:
+    if cutoff > rate / 2 * (1 - 1e-6):
         raise ValueError(
             f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than half the "
             f"sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
         )
     sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
-    reach = min(len(columns) - 1, int(np.ceil(3 * rate / cutoff)))
+    reach = min(len(columns) - 1, int(np.ceil(5 * rate / cutoff)))
     return signal.sosfiltfilt(sections, columns, axis=0, padlen=reach)
 
 
 class _Spectrum(NamedTuple):
     frequency: np.ndarray  # (m,) [Hz]
     power: np.ndarray  # (m, k)
+    averages: float  # independent periodograms in it
 
 
 def _spectrum(columns, time, runs) -> _Spectrum | None:
@@ -286,30 +290,28 @@ def _spectrum(columns, time, runs) -> _Spectrum | None:
     power, weight = 0.0, 0
     for run in runs:
         if run.stop - run.start >= window:
-            grid, jittered = _grid(time[run])
-            on_grid = interpolate.CubicSpline(time[run], columns[run])(grid) if jittered else columns[run]
-            frequency, part = signal.welch(
-                on_grid, (len(grid) - 1) / (grid[-1] - grid[0]), nperseg=window, detrend="linear", axis=0
-            )
-            power, weight = power + part * len(grid), weight + len(grid)
-    return _Spectrum(frequency, power / weight)
+            # By count, not resampled: interpolation between jittered samples would colour white noise.
+            for part in (columns[run], columns[run][::-1]):  # windows from either end: no sample is left over
+                frequency, found = signal.welch(part, 1 / step, nperseg=window, detrend="linear", axis=0)
+                power, weight = power + found * len(part), weight + len(part)
+    return _Spectrum(frequency, power / weight, 0.75 * weight / window)  # Hann windows that overlap by half
 
 
 def _wiener_gain(spectrum):
     """Gains H(f), (m, k), and noise floors N, (k,)."""
-    floor = np.array([_noise_floor(spectrum.frequency, power) for power in spectrum.power.T])
+    floor = np.array([_noise_floor(spectrum.frequency, power, spectrum.averages) for power in spectrum.power.T])
     steady = np.exp(ndimage.gaussian_filter1d(np.log(spectrum.power + 1e-300), 1.0, axis=0, mode="nearest"))
     gain = np.where(floor > 0, np.clip(1 - floor / steady, 0, 1), 1.0)
     gain[0] = 1.0  # the mean of a channel is signal
     return np.minimum.accumulate(gain, axis=0), floor
 
 
-def _noise_floor(frequency, power):
+def _noise_floor(frequency, power, averages):
     """Return the flat part of the upper half of a spectrum, the falling part taken away.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
-    sin(pi f / 2F)^-2k. Non-negative least squares on these shapes and a constant, weighted as Whittle's
-    likelihood asks.
+    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative shares; the constant stands only if
+    Whittle's log likelihood without it is lower by more than ``EVIDENCE``.
     """
     top = slice(len(power) // 2, -1)
     observed = power[top]
@@ -318,11 +320,18 @@ def _noise_floor(frequency, power):
     fall = np.sin(0.5 * np.pi * frequency[top] / frequency[-1]) ** -2
     shapes = np.column_stack([fall**k for k in (0, 1, 2, 4, 8)])
     shapes /= shapes.max(axis=0)
+    share, misfit = _fit_shares(shapes, observed)
+    _, misfit_without = _fit_shares(shapes[:, 1:], observed)
+    return share[0] if averages * (misfit_without - misfit) > EVIDENCE else 0.0
+
+
+def _fit_shares(shapes, observed):
+    """Non-negative shares of the shapes, and minus Whittle's log likelihood of one periodogram."""
     fitted = observed
     for _ in range(4):
         share, _ = optimize.nnls(shapes / fitted[:, None], observed / fitted)
         fitted = shapes @ share
-    return share[0]
+    return share, np.sum(np.log(fitted) + observed / fitted)
 
 
 def _impulse_response(gain):
@@ -358,9 +367,9 @@ def _same_length(columns, time):
 
 
 def _check_cutoff(cutoff):
-    if cutoff is None or cutoff == "auto":
+    if cutoff is None or (isinstance(cutoff, str) and cutoff == "auto"):
         return
-    if isinstance(cutoff, str) or not np.isscalar(cutoff) or not (np.isfinite(cutoff) and cutoff > 0):
+    if not isinstance(cutoff, Real) or isinstance(cutoff, bool) or not (np.isfinite(cutoff) and cutoff > 0):
         raise ValueError(
             f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no smoothing)."
         )

@@ -76,7 +76,8 @@ def replay(
         Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``, ``window`` (count of
         restarts), ``elapsed`` [s] since the restart, the states (north, east, down where known) v_north, v_east,
         v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ...
-        A row where one window ends and the next starts shows the end. Rows not flown are NaN, their window -1.
+        A row where one window ends and the next starts shows the end. Rows not flown are NaN, their window -1: those
+        without loads, and those before the first row whose whole state was measured.
 
     Raises
     ------
@@ -110,9 +111,9 @@ def replay(
         )
     segments = check_flight(flight, ["time", "airspeed", "density", *ANGLES, "p", "q", "r"])
     path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces)
-    tables = []
+    runs, tables = runs_of(path.is_driven(), segments), []
     for h in horizons.tolist():
-        rows = restart_windows(path.time, runs_of(path.is_known(), segments), h)
+        rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state).all(axis=1))
         flown = _integrate(path, rows, aircraft, float(gravity))
         bands = _bands(path, rows, flown, aircraft, correlation_time, initial_std or {})
         tables.append(_table(flight, rows, flown, bands, h))
@@ -163,7 +164,8 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
             row["at_end"] = _nanmedian(error[ends])
             if f"{state}_std" in part:
                 seen = flown & np.isfinite(error)
-                row["coverage"] = float(np.mean(error[seen] <= 1.96 * part[f"{state}_std"].to_numpy()[seen]))
+                inside = error[seen] <= 1.96 * part[f"{state}_std"].to_numpy()[seen]
+                row["coverage"] = float(inside.mean()) if inside.size else np.nan
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -192,7 +194,7 @@ class _Path(NamedTuple):
             load_factor = per_coefficient[:, :, None] * covariance_factor(std, len(flight))
         return cls(flight["time"].to_numpy(float), force, moment, measured_state(flight), load_factor)
 
-    def is_known(self) -> np.ndarray:
+    def is_driven(self) -> np.ndarray:
         """Return where the loads, and with them the uncertainty, are known, (n,)."""
         driven = np.isfinite(self.force).all(axis=1) & np.isfinite(self.moment).all(axis=1)
         return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))

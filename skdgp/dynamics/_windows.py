@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -18,11 +18,14 @@ def runs_of(good: np.ndarray, segments: Iterable[slice]) -> list[slice]:
     return runs
 
 
-def restart_windows(time: np.ndarray, runs: Iterable[slice], horizon: float) -> np.ndarray:
+def restart_windows(
+    time: np.ndarray, runs: Iterable[slice], horizon: float, known: np.ndarray | None = None
+) -> np.ndarray:
     """Return the rows of each window, (n_windows, n_steps + 1), shorter windows padded with their last row.
 
-    A window starts at a row of a run and ends at the last row no more than ``horizon`` [s] later, where the
-    next one starts: neighbours share that row.
+    A window starts at a row of a run whose state is ``known`` (n,), by default any, and ends at the last such row no
+    more than ``horizon`` [s] later, where the next one starts: neighbours share that row. Where no known row lies
+    within the horizon, the window ends with the horizon and the next one starts at the next known row.
 
     Examples
     --------
@@ -32,16 +35,25 @@ def restart_windows(time: np.ndarray, runs: Iterable[slice], horizon: float) -> 
            [2, 3, 4],
            [4, 5, 5]])
     """
-    windows = []
-    for run in runs:
-        clock, start = time[run], 0
-        # A millionth of the horizon forgives the rounding of stored times.
-        while start < len(clock) - 1:
-            last = int(np.searchsorted(clock, clock[start] + horizon * (1 + 1e-6) + 1e-9, side="right")) - 1
-            last = max(last, start + 1)
-            windows.append(np.arange(run.start + start, run.start + last + 1))
-            start = last
+    known = np.ones(len(time), dtype=bool) if known is None else known
+    windows = [window for run in runs for window in _windows_of_run(time, run, horizon, np.flatnonzero(known))]
     if not windows:
         return np.empty((0, 1), dtype=int)
     length = max(map(len, windows))
     return np.stack([np.pad(rows, (0, length - len(rows)), mode="edge") for rows in windows])
+
+
+def _windows_of_run(time: np.ndarray, run: slice, horizon: float, known: np.ndarray) -> Iterator[np.ndarray]:
+    starts = known[(known >= run.start) & (known < run.stop - 1)]
+    at = 0
+    while at < len(starts):
+        start = starts[at]
+        # A millionth of the horizon forgives the rounding of stored times.
+        end = time[start] + horizon * (1 + 1e-6) + 1e-9
+        last = max(run.start + int(np.searchsorted(time[run], end, side="right")) - 1, start + 1)
+        following = int(np.searchsorted(starts, last, side="right")) - 1
+        if following > at and last < run.stop - 1:
+            last, at = starts[following], following
+        else:
+            at = int(np.searchsorted(starts, last))
+        yield np.arange(start, last + 1)

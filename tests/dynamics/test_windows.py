@@ -31,3 +31,18 @@ def test_no_runs_no_windows():
 def test_runs_break_at_bad_rows_and_segments():
     good = np.array([1, 1, 0, 1, 1, 1, 0, 0, 1], dtype=bool)
     assert runs_of(good, [slice(0, 5), slice(5, 9)]) == [slice(0, 2), slice(3, 5), slice(5, 6), slice(8, 9)]
+
+
+def test_windows_start_where_the_state_is_known_and_cover_what_they_can():
+    time, known = np.arange(20) * 0.1, np.zeros(20, dtype=bool)
+    known[[2, 7, 11, 13]] = True
+    rows = restart_windows(time, [slice(0, 20)], 0.6, known)
+    assert [sorted(set(window.tolist())) for window in rows] == [
+        list(range(2, 8)),
+        list(range(7, 14)),
+        list(range(13, 20)),
+    ]
+    sparse = np.zeros(20, dtype=bool)
+    sparse[[0, 15]] = True
+    rows = restart_windows(time, [slice(0, 20)], 0.6, sparse)
+    assert [sorted(set(window.tolist())) for window in rows] == [list(range(7)), list(range(15, 20))]

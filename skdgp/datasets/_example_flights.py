@@ -83,8 +83,8 @@ def load_example_flights(*, random_state=0, turbulence=1.0, sensor_noise=1.0) ->
     >>> data = load_example_flights()
     >>> data.train.groupby("flight", observed=True)["airspeed_true"].mean().round()
     flight
-    lateral    36.0
-    latlon     36.0
+    lateral    35.0
+    latlon     35.0
     Name: airspeed_true, dtype: float64
     >>> data.aircraft
     Aircraft('brumby', 45 kg, S 2.59 m^2, b 2.8 m, c 1.09 m)

@@ -33,7 +33,7 @@ def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarra
     --------
     >>> length, intensity = low_altitude_turbulence(height=150.0, wind_at_6m=8.0)
     >>> length.round(), intensity.round(2)
-    (array([305., 305., 150.]), array([1.01, 1.01, 0.8 ]))
+    (array([287., 287., 150.]), array([0.99, 0.99, 0.8 ]))
     """
     shear = 0.177 + 0.000823 * height / FEET
     length = height * np.array([shear**-1.2, shear**-1.2, 1.0])

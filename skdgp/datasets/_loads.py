@@ -48,8 +48,8 @@ def loads(state, controls, wind, gust: Gusts, slopes) -> Loads:
 
     density = air_density(-state[..., 2])
     pressure = (0.5 * BRUMBY.wing_area * density * airspeed**2)[..., None]
-    thrust = BRUMBY.propeller.thrust(controls[..., 3], velocity[..., 0], density)[..., None]
-    torque = BRUMBY.propeller.torque(controls[..., 3], velocity[..., 0], density)[..., None]
+    thrust = BRUMBY.propeller.thrust(controls[..., 3], airspeed, density)[..., None]
+    torque = BRUMBY.propeller.torque(controls[..., 3], airspeed, density)[..., None]
     thrust_force, thrust_moment = thrust * UNIT_FORCE, thrust * ARM + torque * UNIT_FORCE
     force = pressure * coefficients[..., :3] + thrust_force
     moment = pressure * coefficients[..., 3:] * BRUMBY.moment_lengths + thrust_moment

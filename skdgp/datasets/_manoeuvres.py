@@ -44,7 +44,7 @@ def multisine(time: ArrayLike, start: float, stop: float, harmonics: ArrayLike, 
     >>> import numpy as np
     >>> time = np.linspace(0.0, 20.0, 2000, endpoint=False)
     >>> aileron, rudder = (multisine(time, 0.0, 20.0, np.arange(k, 40, 2), rms=0.05) for k in (2, 3))
-    >>> float(aileron.std().round(3)), abs(aileron @ rudder) < 1e-9
+    >>> float(aileron.std().round(3)), bool(abs(aileron @ rudder) < 1e-9)
     (0.05, True)
     """
     harmonics = np.asarray(harmonics, dtype=float)

@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+
+from skdgp._vocabulary import COEFFICIENTS, LATERAL
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
+
+TYPICAL = np.array([0.12, -0.06, 0.02, 0.004, -0.015, 0.002, 0.004, -0.05, 0.04, 0.10])
+SCALES = np.array([0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1])
+
+
+@pytest.fixture
+def envelope():
+    """States scattered over what is flown, none of them degenerate."""
+    rng = np.random.default_rng(3)
+    points = SCALES * rng.uniform(-1.5, 1.5, (200, len(REGRESSORS)))
+    points[:, 0] = rng.uniform(0.0, 0.22, 200)
+    return points
+
+
+def derivative(regressors, of, by):
+    return brumby_derivatives(regressors)[..., COEFFICIENTS.index(of), REGRESSORS.index(by)]
+
+
+def test_derivatives_are_those_of_central_differences(envelope):
+    steps = 1e-5 * np.eye(len(REGRESSORS))
+    points = envelope[:, None, :]
+    differences = (brumby_coefficients(points + steps) - brumby_coefficients(points - steps)) / 2e-5
+    np.testing.assert_allclose(brumby_derivatives(envelope), differences.swapaxes(-1, -2), atol=2e-8)
+
+
+def test_mirrored_flight_has_mirrored_coefficients(envelope):
+    """Left and right of the aircraft are equal: CX CZ Cm stay, CY Cl Cn change sign."""
+    sides = [name in ("beta", "p", "r", "beta_dot", "aileron", "rudder") for name in REGRESSORS]
+    mirrored = brumby_coefficients(np.where(sides, -envelope, envelope))
+    signs = [-1.0 if name in LATERAL else 1.0 for name in COEFFICIENTS]
+    np.testing.assert_allclose(mirrored, brumby_coefficients(envelope) * signs, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("of", "by", "sign"),
+    [
+        ("CZ", "alpha", -1), ("Cm", "alpha", -1), ("Cm", "q", -1), ("Cm", "alpha_dot", -1), ("Cm", "elevator", -1),
+        ("CZ", "elevator", -1), ("CY", "beta", -1), ("Cl", "beta", -1), ("Cn", "beta", 1), ("Cl", "p", -1),
+        ("Cl", "r", 1), ("Cn", "r", -1), ("Cl", "aileron", 1), ("Cn", "rudder", -1), ("CY", "rudder", 1),
+    ],
+)  # fmt: skip
+def test_aircraft_is_stable_damped_and_answers_its_controls(envelope, of, by, sign):
+    assert (sign * derivative(envelope, of, by) > 0).all()
+
+
+def at(**values):
+    regressors = np.zeros(len(REGRESSORS))
+    for name, value in values.items():
+        regressors[REGRESSORS.index(name)] = value
+    return regressors
+
+
+def test_lift_slope_rises_with_the_vortex_and_collapses_where_it_breaks_down():
+    slope = [-derivative(at(alpha=alpha), "CZ", "alpha") for alpha in (0.02, 0.15, 0.40)]
+    assert slope[1] > 1.1 * slope[0]
+    assert slope[2] < 0.5 * slope[0]
+
+
+def test_controls_lose_effect_with_deflection_and_elevator_takes_from_aileron():
+    small, large = (-derivative(at(elevator=e), "CZ", "elevator") for e in (0.02, 0.25))
+    assert large < 0.6 * small
+    alone, shared = (derivative(at(elevator=e, aileron=0.02), "Cl", "aileron") for e in (0.0, -0.25))
+    assert shared < 0.6 * alone
+
+
+@pytest.mark.parametrize(("of", "by"), [("Cl", "beta"), ("Cl", "p"), ("Cl", "r"), ("Cn", "p"), ("CY", "beta")])
+def test_lateral_derivatives_change_with_alpha(of, by):
+    low, high = (derivative(at(alpha=alpha), of, by) for alpha in (0.05, 0.18))
+    assert abs(high - low) > 0.04 * abs(low)
+
+
+def test_leading_axes_are_kept():
+    stacked = np.tile(TYPICAL, (4, 3, 1))
+    assert brumby_coefficients(stacked).shape == (4, 3, 6)
+    assert brumby_derivatives(stacked).shape == (4, 3, 6, 10)
+    np.testing.assert_array_equal(brumby_coefficients(stacked)[2, 1], brumby_coefficients(TYPICAL))
+
+
+def test_aircraft_can_be_trimmed_at_its_cruise():
+    """At 36 m/s some alpha and elevator in the envelope carry the weight without moment, within the power there is."""
+    pressure = 0.5 * 1.2 * 36.0**2 * BRUMBY.wing_area
+    regressors, thrust = at(alpha=0.085, elevator=-0.04), 80.0
+    for _ in range(20):
+        force, moment = BRUMBY.thrust_line.loads(thrust)
+        alpha = regressors[0]
+        weight = BRUMBY.mass * 9.80665 * np.array([-np.sin(alpha), 0.0, np.cos(alpha)])
+        excess = pressure * brumby_coefficients(regressors)[:3] + force + weight
+        pitching = pressure * BRUMBY.chord * brumby_coefficients(regressors)[4] + moment[1]
+        thrust -= excess[0]
+        regressors[0] -= excess[2] / (pressure * derivative(regressors, "CZ", "alpha"))
+        regressors[7] -= pitching / (pressure * BRUMBY.chord * derivative(regressors, "Cm", "elevator"))
+    assert abs(excess[[0, 2]]).max() < 1e-6
+    assert abs(pitching) < 1e-6
+    assert 0.03 < regressors[0] < 0.15
+    assert -0.12 < regressors[7] < 0.05
+    assert thrust < 0.7 * BRUMBY.propeller.thrust(800.0, 36.0, 1.2)

@@ -1,0 +1,295 @@
+"""The example flights obey the equations of flight, stay in the sky, and are worth learning from."""
+
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import simpson
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from sklearn.linear_model import LinearRegression
+from sklearn.preprocessing import StandardScaler
+
+from skdgp._vocabulary import CHANNELS, COEFFICIENTS
+from skdgp.datasets import _example_flights, load_example_flights
+from skdgp.datasets._sensors import SENSOR_NOISE
+from skdgp.dynamics import aerodynamic_coefficients, air_data, euler_to_matrix
+
+FLIGHTS = ("lateral", "latlon", "two_altitudes")
+GRAVITY = np.array([0.0, 0.0, 9.80665])
+
+fly = _example_flights._flights.__wrapped__
+"""Fly without the cache, which the tests would empty of the full flights."""
+
+
+def true(flight, *names):
+    return flight[[name + "_true" for name in names]].to_numpy()
+
+
+def rotation(flight):
+    """Body to NED."""
+    return euler_to_matrix(*true(flight, "phi", "theta", "psi").T)
+
+
+def inverse_turn(flight, vectors):
+    return np.einsum("nji,nj->ni", rotation(flight), vectors)
+
+
+def noise_free(flight):
+    """What perfect sensors, and rate-derivative sensors, would have logged."""
+    kept = [name for name in flight if name + "_true" not in flight]
+    return flight[kept].rename(columns=lambda name: name.removesuffix("_true")).drop(columns=list(COEFFICIENTS))
+
+
+@pytest.fixture(params=FLIGHTS)
+def flight(request, flights):
+    return flights[request.param]
+
+
+class TestEquationsOfFlight:
+    def test_newton(self, flight, data):
+        pressure = 0.5 * flight.density.to_numpy() * flight.airspeed_true.to_numpy() ** 2 * data.aircraft.wing_area
+        aerodynamic = pressure[:, None] * true(flight, "CX", "CY", "CZ")
+        thrust = flight[["thrust_x", "thrust_y", "thrust_z"]].to_numpy()
+        specific_force = true(flight, "ax", "ay", "az")
+        np.testing.assert_allclose(data.aircraft.mass * specific_force, aerodynamic + thrust, atol=1e-9)
+
+    def test_euler(self, flight, data):
+        inertia = data.aircraft.inertia
+        pressure = 0.5 * flight.density.to_numpy() * flight.airspeed_true.to_numpy() ** 2 * data.aircraft.wing_area
+        moment = pressure[:, None] * true(flight, "Cl", "Cm", "Cn") * data.aircraft.moment_lengths
+        moment += flight[["thrust_l", "thrust_m", "thrust_n"]].to_numpy()
+        rates = true(flight, "p", "q", "r")
+        turning = true(flight, "p_dot", "q_dot", "r_dot") @ inertia.T + np.cross(rates, rates @ inertia.T)
+        np.testing.assert_allclose(turning, moment, atol=1e-9)
+
+    def test_thrust_acts_on_its_line(self, flight, data):
+        line = data.aircraft.thrust_line
+        force = flight[["thrust_x", "thrust_y", "thrust_z"]].to_numpy()
+        torque = flight[["thrust_l", "thrust_m", "thrust_n"]].to_numpy() - np.cross(line.position, force)
+        assert abs(np.cross(force, line.direction)).max() < 1e-9
+        assert abs(np.cross(torque, line.direction)).max() < 1e-9
+        propeller = data.aircraft.propeller
+        condition = (flight.propeller_speed, flight.airspeed_true, flight.density)
+        np.testing.assert_allclose(force @ line.direction, propeller.thrust(*condition), atol=1e-9)
+        np.testing.assert_allclose(torque @ line.direction, propeller.torque(*condition), atol=1e-9)
+
+    def test_wind_triangle(self, flight):
+        wind = true(flight, "wind_north", "wind_east", "wind_down")
+        relative = inverse_turn(flight, true(flight, "v_north", "v_east", "v_down") - wind)
+        np.testing.assert_allclose(
+            np.stack(air_data(relative), -1), true(flight, "airspeed", "alpha", "beta"), atol=1e-11
+        )
+
+    def test_ground_velocity_in_both_frames(self, flight):
+        turned = np.einsum("nij,nj->ni", rotation(flight), true(flight, "u", "v", "w"))
+        np.testing.assert_allclose(turned, true(flight, "v_north", "v_east", "v_down"), atol=1e-11)
+
+    def test_path_is_the_integral_of_velocity_and_velocity_of_acceleration(self, flight):
+        velocity = true(flight, "v_north", "v_east", "v_down")
+        position = np.c_[true(flight, "north", "east"), -flight.altitude]
+        acceleration = np.einsum("nij,nj->ni", rotation(flight), true(flight, "ax", "ay", "az")) + GRAVITY
+        for rate, value, tolerance in ((velocity, position, 1e-4), (acceleration, velocity, 1e-2)):
+            gained = simpson(np.stack([rate[:-2], rate[1:-1], rate[2:]]), dx=0.025, axis=0)
+            error = value[2:] - value[:-2] - gained
+            assert (error.std(axis=0) < tolerance * gained.std(axis=0)).all()
+
+    def test_rates_are_integrals_of_their_derivatives(self, flight):
+        """Up to what gusts and commands do between the rows, which no rule of integration knows."""
+        names = ("p", "q", "r", "alpha", "beta")
+        value, rate = true(flight, *names), true(flight, *(name + "_dot" for name in names))
+        gained = simpson(np.stack([rate[:-2], rate[1:-1], rate[2:]]), dx=0.025, axis=0)
+        assert ((value[2:] - value[:-2] - gained).std(axis=0) < 0.1 * gained.std(axis=0)).all()
+
+    def test_inverse_dynamics_gives_the_coefficients_back(self, flight, data):
+        found = aerodynamic_coefficients(noise_free(flight), data.aircraft, cutoff=None)
+        truth = true(flight, *COEFFICIENTS)
+        assert (abs(found.to_numpy() - truth).max(axis=0) < 2e-3 * truth.std(axis=0)).all()
+
+    def test_propeller_stands_in_for_the_thrust_columns(self, flight, data):
+        told = aerodynamic_coefficients(noise_free(flight), data.aircraft, cutoff=None)
+        without = noise_free(flight).loc[:, lambda table: ~table.columns.str.startswith("thrust")]
+        found = aerodynamic_coefficients(without, data.aircraft, cutoff=None, thrust="propeller")
+        np.testing.assert_allclose(found, told, atol=1e-12)
+
+    def test_elevons_mix(self, flight):
+        np.testing.assert_allclose(flight.elevator, (flight.elevon_left + flight.elevon_right) / 2, atol=1e-15)
+        np.testing.assert_allclose(flight.aileron, (flight.elevon_left - flight.elevon_right) / 2, atol=1e-15)
+
+
+def regressors(flight, data):
+    """The true model's regressors from truth columns; its rates are inertial, as gyros have them."""
+    half_time = 0.5 / flight.airspeed_true.to_numpy()
+    b, c = data.aircraft.span, data.aircraft.chord
+    scale = dict.fromkeys(("p", "r", "beta_dot"), b) | dict.fromkeys(("q", "alpha_dot"), c)
+    columns = []
+    for name in data.regressor_names:
+        values = flight[name + "_true" if name + "_true" in flight else name].to_numpy()
+        columns.append(values * half_time * scale[name] if name in scale else values)
+    return np.stack(columns, axis=-1)
+
+
+def test_true_model_gives_the_true_coefficients_in_calm_air(data):
+    for table in fly(1, 0.0, 0.0, 15.0):
+        np.testing.assert_allclose(
+            data.aerodynamics(regressors(table, data)), true(table, *COEFFICIENTS), rtol=1e-9, atol=1e-13
+        )
+
+
+def test_gusts_hide_from_gyros_but_not_from_vanes(data):
+    """In turbulence the aerodynamics feel rates that no sensor sees: an error of some per cent, none in CX."""
+    truth = true(data.test, *COEFFICIENTS)
+    error = (data.aerodynamics(regressors(data.test, data)) - truth).std(axis=0) / truth.std(axis=0)
+    assert error[0] < 1e-9
+    assert ((error[1:] > 1e-3) & (error[1:] < 0.4)).all()
+
+
+class TestFlights:
+    def test_envelope(self, flight):
+        degrees = np.degrees(true(flight, "alpha", "beta", "phi", "theta"))
+        assert flight.airspeed_true.between(28, 42).all()
+        assert ((degrees[:, 0] > -2) & (degrees[:, 0] < 14)).all()
+        assert abs(degrees[:, 1]).max() < 13
+        assert abs(degrees[:, 2]).max() < 75
+        assert abs(degrees[:, 3]).max() < 25
+        load_factor = -flight.az_true / 9.80665
+        assert load_factor.between(0.0, 3.0).all()
+        assert flight.altitude.between(150, 350).all()
+        assert flight.throttle.between(0.0, 1.0).all()
+        assert (flight.throttle.isin([0.0, 1.0])).mean() < 0.02
+        assert (abs(flight[["elevon_left", "elevon_right"]]) < 0.40).all(axis=None)
+
+    def test_lateral_flight_keeps_one_altitude_and_speed(self, flights):
+        lateral = flights["lateral"]
+        assert np.ptp(lateral.altitude) < 10
+        assert lateral.airspeed_true.std() < 0.6
+
+    def test_longitudinal_controls_move_in_the_latlon_flight(self, flights):
+        lateral, latlon = flights["lateral"], flights["latlon"]
+        assert latlon.throttle.std() > 3 * lateral.throttle.std()
+        assert latlon.Cm_true.std() > 2 * lateral.Cm_true.std()
+        assert latlon.airspeed_true.std() > 2.0
+
+    def test_banks_both_ways(self, flight):
+        assert flight.phi_true.quantile(0.1) < -0.3
+        assert flight.phi_true.quantile(0.9) > 0.3
+
+    def test_test_flight_has_two_altitudes(self, data):
+        high = data.test.altitude.quantile([0.2, 0.8])
+        assert np.diff(high)[0] > 50
+
+    def test_coefficients_depend_on_each_other(self, data):
+        correlation = data.train[[name + "_true" for name in COEFFICIENTS]].corr().to_numpy()
+        CX, CY, CZ, _, Cm, Cn = range(6)
+        assert correlation[CX, CZ] < -0.8
+        assert correlation[CY, Cn] < -0.8
+        assert 0.3 < correlation[CZ, Cm] < 0.9
+
+
+def root_mean_square_error(prediction, truth):
+    return np.sqrt(np.mean((prediction - truth) ** 2, axis=0)) / truth.std(axis=0)
+
+
+def test_learnable_and_still_hard(data):
+    """Least squares explains the training flights but for a residue that a Gaussian process finds and it cannot."""
+    X, X_test = regressors(data.train, data), regressors(data.test, data)
+    Y, Y_test = true(data.train, *COEFFICIENTS), true(data.test, *COEFFICIENTS)
+    line = LinearRegression().fit(X, Y)
+    assert (root_mean_square_error(line.predict(X), Y) ** 2 < 0.1).all()
+    residue = Y - line.predict(X)
+    chosen = np.linspace(0, len(X) - 1, 400).astype(int)
+    scaler = StandardScaler().fit(X)
+    curve = GaussianProcessRegressor(RBF(5.0) + WhiteKernel(0.1), optimizer=None, normalize_y=True)
+    curve.fit(scaler.transform(X[chosen]), residue[chosen])
+    straight = root_mean_square_error(line.predict(X_test), Y_test)
+    bent = root_mean_square_error(line.predict(X_test) + curve.predict(scaler.transform(X_test)), Y_test)
+    assert (bent < straight).all()
+    assert bent.mean() < 0.75 * straight.mean()
+
+
+def test_measured_coefficients_are_worth_fitting(data):
+    found = aerodynamic_coefficients(data.train, data.aircraft)
+    error = root_mean_square_error(found.to_numpy(), true(data.train, *COEFFICIENTS))
+    assert (error < 0.15).all()
+
+
+class TestTables:
+    def test_shape_clock_and_names(self, data):
+        assert data.train.shape == (14400, 69)
+        assert data.test.shape == (7200, 69)
+        assert list(data.train) == list(data.test)
+        for _, table in data.train.groupby("flight", observed=True):
+            np.testing.assert_allclose(table.time, np.arange(7200) * 0.025, atol=1e-9)
+        assert data.train.index.is_unique
+        assert not data.train.isna().any(axis=None)
+        assert not data.test.isna().any(axis=None)
+
+    def test_every_column_is_in_the_vocabulary(self, data):
+        assert {name.removesuffix("_true") for name in data.train} - set(CHANNELS) == {"gravity"}
+
+    @pytest.mark.shared
+    def test_columns_are_those_of_the_shared_flights(self, data, shared_data):
+        shared = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
+        assert set(data.train) == {*shared, "north", "east"}
+        assert data.train.flight.dtype.name == shared.flight.dtype.name
+
+    def test_noise_levels_are_as_stated(self, flight):
+        for name, level in SENSOR_NOISE.items():
+            assert (flight[name] - flight[name + "_true"]).std() == pytest.approx(level, rel=0.05)
+
+
+class TestLoader:
+    def test_same_seed_same_bits(self, data):
+        """A shorter run starts with the same gusts and noise, so it is the long one's beginning, bit for bit."""
+        train, test = fly(0, 1.0, 1.0, 8.0)
+        pd.testing.assert_frame_equal(test, data.test[: len(test)], check_exact=True)
+        pd.testing.assert_frame_equal(
+            train[: len(test)], data.train[: len(test)], check_exact=True, check_categorical=False
+        )
+
+    def test_other_seed_other_gusts(self, data):
+        _, other = fly(7, 1.0, 1.0, 8.0)
+        gust = data.test.wind_down_true[: len(other)]
+        assert abs(np.corrcoef(gust, other.wind_down_true)[0, 1]) < 0.9
+        assert (gust != other.wind_down_true).all()
+
+    def test_calm_air_has_a_steady_wind_and_turbulence_scales(self):
+        _, calm = fly(0, 0.0, 1.0, 5.0)
+        assert np.ptp(true(calm, "wind_north", "wind_east", "wind_down"), axis=0).max() < 1e-12
+        _, rough = fly(0, 2.0, 1.0, 5.0)
+        _, usual = fly(0, 1.0, 1.0, 5.0)
+        assert rough.wind_down_true.std() > 1.5 * usual.wind_down_true.std()
+
+    def test_caller_may_change_what_it_got(self, data):
+        mine = load_example_flights()
+        mine.train["alpha"] = 0.0
+        del mine.test["beta"]
+        pd.testing.assert_frame_equal(load_example_flights().train, data.train)
+        assert "beta" in load_example_flights().test
+
+    def test_random_state_follows_scikit_learn(self, monkeypatch, data):
+        seeds = []
+
+        def record(seed, *_):
+            seeds.append(seed)
+            return data.train, data.test
+
+        monkeypatch.setattr(_example_flights, "_flights", record)
+        load_example_flights(random_state=np.int64(3))
+        load_example_flights(random_state=np.random.RandomState(3))
+        load_example_flights(random_state=np.random.RandomState(3))
+        load_example_flights(random_state=None)
+        assert seeds[0] == 3
+        assert seeds[1] == seeds[2] != seeds[3]
+
+    @pytest.mark.parametrize("wrong", [{"turbulence": -1.0}, {"sensor_noise": "none"}, {"random_state": "seed"}])
+    def test_wrong_arguments_are_named(self, wrong):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            load_example_flights(**wrong)
+
+    def test_bunch_travels(self, data):
+        back = pickle.loads(pickle.dumps(data))
+        assert back.aircraft == data.aircraft
+        pd.testing.assert_frame_equal(back.test, data.test)
+        assert "_true" in data.DESCR

@@ -131,7 +131,7 @@ def _clock(table):
 
 def _unwrapped(table, names):
     """Columns as floats (n, k), roll and heading without their jumps of 2 pi."""
-    values = numeric(table, names)
+    values = numeric(table, names).copy()
     for j, name in enumerate(names):
         if name in WRAPPED:
             known = np.isfinite(values[:, j])

@@ -1,0 +1,248 @@
+"""Reading flights: what goes in comes out in SI, and what cannot be read is said clearly."""
+
+import builtins
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.io import FlightReadError, read_flight, read_flights
+from skdgp.preprocessing import FlightSmoother
+
+
+def table(n=50, **columns):
+    t = 0.02 * np.arange(n)
+    data = {
+        "time": t,
+        "alpha": 0.05 * np.sin(t),
+        "q": 0.1 * np.cos(t),
+        "elevator": -0.02 * np.cos(t),
+        "airspeed": 30 + t,
+    }
+    return pd.DataFrame({**data, **columns})
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a table or text under a name; return the path."""
+
+    def to(name, content):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        if isinstance(content, str):
+            path.write_text(content, encoding="utf-8")
+        elif path.suffix == ".csv":
+            content.to_csv(path, index=False)
+        else:
+            content.to_parquet(path)
+        return path
+
+    return to
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".pq"])
+def test_round_trip(write, suffix):
+    expected = table().assign(my_sensor=3.0, note="calm")
+    flight = read_flight(write(f"sortie{suffix}", expected))
+    assert list(flight.columns[:2]) == ["time", "flight"]
+    assert (flight.flight == "sortie").all()
+    pd.testing.assert_frame_equal(flight[expected.columns], expected, check_dtype=False, rtol=1e-15)
+    assert flight.attrs == {"unknown_columns": ["my_sensor", "note"]}
+    assert set(flight[["time", "alpha", "q"]].dtypes) == {np.dtype(float)}
+
+
+def test_flight_column_and_argument(write):
+    path = write("two.csv", pd.concat([table(flight="a"), table(flight="b")]))
+    assert read_flight(path).flight.unique().tolist() == ["a", "b"]
+    assert read_flight(write("one.csv", table(flight=7))).flight.unique().tolist() == ["7"]
+    assert read_flight(write("one.csv", table()), flight="named").flight.unique().tolist() == ["named"]
+
+
+@pytest.mark.parametrize("factor", [np.pi / 180])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time [ms],alpha [deg],q (deg/s),airspeed [kt],wind speed [kt]\n0,90,180,10,1\n20,45,90,20,2\n",
+        "time,alpha,q,airspeed,wind speed [kt]\nms,deg,°/s,kts,\n0,90,180,10,1\n20,45,90,20,2\n",
+        "time [ms];alpha [deg];q [deg/s];airspeed [kt];wind speed [kt]\n0;90,0;180;10;1\n20;45,0;90;20;2\n",
+        "\ufefftime [ms]\talpha [deg]\tq [deg/s]\tairspeed [kt]\twind speed [kt]\n"
+        "0\t90\t180\t10\t1\n20\t45\t90\t20\t2\n",
+        '"time [ms]", "alpha [°]", "q [deg/s]", "airspeed [knots]", "wind speed [kt]"\n'
+        "0, 90, 180, 10, 1\n20,45,90,20,2\n",
+    ],
+    ids=["header", "row", "decimal-comma", "tabs-and-mark", "quotes"],
+)
+def test_stated_units_are_converted(write, text, factor):
+    flight = read_flight(write("log.csv", text))
+    np.testing.assert_allclose(flight.time, [0, 0.02])
+    np.testing.assert_allclose(flight.alpha, [90 * factor, 45 * factor])
+    np.testing.assert_allclose(flight.q, [180 * factor, 90 * factor])
+    np.testing.assert_allclose(flight.airspeed, [10 * 1852 / 3600, 20 * 1852 / 3600])
+    assert flight.iloc[:, -1].tolist() == [1, 2]  # unknown columns stay as they are
+
+
+@pytest.mark.parametrize("unit", ["furlong", "deg"])
+def test_unit_that_does_not_fit(write, unit):
+    with pytest.raises(FlightReadError, match=f"Got unit '{unit}' for column 'airspeed', but expected one of"):
+        read_flight(write("log.csv", f"time,airspeed [{unit}]\n0,1\n1,2\n"))
+
+
+class TestUnitsThatNumbersGiveAway:
+    @pytest.mark.parametrize("name", ["alpha", "beta", "theta", "phi", "elevator", "aileron", "rudder", "elevon_left"])
+    def test_degrees(self, write, name):
+        values = 12 * np.sin(np.arange(50))
+        with pytest.raises(FlightReadError, match=f"'{name}'.*look like degrees. Convert them with numpy.deg2rad"):
+            read_flight(write("log.csv", table(**{name: values})))
+        read_flight(write("log.csv", table(**{name: np.deg2rad(values)})))
+
+    def test_rates(self, write):
+        with pytest.raises(FlightReadError, match=r"'p'.*degrees"):
+            read_flight(write("log.csv", table(p=60 * np.sin(np.arange(50)))))
+
+    def test_heading(self, write):
+        degrees = np.linspace(300, 420, 50) % 360
+        with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):
+            read_flight(write("log.csv", table(psi=degrees)))
+        unwrapped = read_flight(write("log.csv", table(psi=np.linspace(0, 40, 50))))  # six orbits in radians
+        assert unwrapped.psi.iloc[-1] == 40
+
+    def test_one_bad_sample_is_not_a_unit(self, write):
+        alpha = np.full(500, 0.05)
+        alpha[100] = 3.0
+        assert len(read_flight(write("log.csv", pd.DataFrame({"time": np.arange(500) * 0.02, "alpha": alpha})))) == 500
+
+    def test_per_cent_g_and_milliseconds(self, write):
+        with pytest.raises(FlightReadError, match="expected 0 to 1: divide it"):
+            read_flight(write("log.csv", table(throttle=55.0)))
+        with pytest.raises(FlightReadError, match="looks like g"):
+            read_flight(write("log.csv", table(ax=0.02, ay=0.0, az=-1.01)))
+        with pytest.raises(FlightReadError, match="looks like milliseconds"):
+            read_flight(write("log.csv", table(time=20.0 * np.arange(50))))
+        assert read_flight(write("log.csv", table(ax=0.2, ay=0.0, az=-9.9))).az.mean() == pytest.approx(-9.9)
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("name", "content", "message"),
+        [
+            ("empty.csv", "", "is empty"),
+            ("head.csv", "time,alpha\n", "0 rows"),
+            ("log.txt", "time,alpha\n0,0\n", "suffix '.txt', but expected one of"),
+            ("log.csv", "time,alpha,alpha\n0,0,0\n", r"columns \['alpha'\] repeated"),
+            ("log.csv", "time,alpha\n0,0,0,0\n1,1,1,1\n", "is not a CSV table"),
+            ("log.csv", "alpha,q\n0,0\n", "no column 'time'"),
+            ("log.csv", "time,alpha\n0,0.1\n1,high\n", "'high' in column 'alpha' at row 1"),
+            ("log.csv", "time,alpha\n0,0.1\n,0.2\n", "no time at row 1"),
+            ("log.csv", "time,alpha\n0,0.1\n2,0.2\n1,0.3\n3,0.4\n", "time 1 s at row 2 after 2 s"),
+            ("log.csv", "time,alpha\n0,0.1\n1,0.2\n1,0.3\n", "drop repeated rows"),
+            ("fake.parquet", "time,alpha\n0,0.1\n", "not a whole parquet file"),
+            ("none.parquet", "", "not a whole parquet file"),
+        ],
+    )
+    def test_says_what_is_wrong(self, write, name, content, message):
+        path = write(name, content)
+        with pytest.raises(FlightReadError, match=message) as error:
+            read_flight(path)
+        assert str(path) in str(error.value)
+        assert isinstance(error.value, ValueError)
+
+    def test_truncated_parquet(self, write):
+        path = write("log.parquet", table(2000))
+        path.write_bytes(path.read_bytes()[:-200])
+        with pytest.raises(FlightReadError, match="copy or export it again"):
+            read_flight(path)
+
+    def test_binary_called_csv(self, tmp_path):
+        path = tmp_path / "log.csv"
+        path.write_bytes(np.random.default_rng(0).bytes(5000))
+        with pytest.raises(FlightReadError, match="not text"):
+            read_flight(path)
+
+    def test_no_such_file(self, tmp_path):
+        with pytest.raises(FileNotFoundError, match="no such file"):
+            read_flight(tmp_path / "gone.csv")
+
+    def test_parquet_without_its_extra(self, write, monkeypatch):
+        path = write("log.parquet", table())
+        real = builtins.__import__
+
+        def without_pyarrow(name, *args, **kwargs):
+            if name.startswith("pyarrow"):
+                raise ImportError(name)
+            return real(name, *args, **kwargs)
+
+        monkeypatch.setattr(builtins, "__import__", without_pyarrow)
+        with pytest.raises(ImportError, match=r"pip install 'skdgp\[parquet\]'"):
+            read_flight(path)
+
+
+class TestRemarks:
+    def test_misspelt_names(self, write):
+        path = write("log.csv", table(Beta=0.0, trottle=0.2, my_sensor=1.0))
+        with pytest.warns(
+            UserWarning, match=r"'Beta' \(did you mean 'beta'\?\), 'trottle' \(did you mean 'throttle'\?\)"
+        ):
+            assert read_flight(path).attrs["unknown_columns"] == ["Beta", "trottle", "my_sensor"]
+
+    def test_sixty_extra_columns_say_nothing(self, write):
+        extra = {f"servo_output_{k}": 0.0 for k in range(60)}
+        assert len(read_flight(write("log.csv", table(**extra))).attrs["unknown_columns"]) == 60
+
+    def test_exact_repeats_are_dropped(self, write):
+        rows = table()
+        path = write("log.csv", pd.concat([rows[:10], rows[9:10], rows[10:]]))
+        with pytest.warns(UserWarning, match="1 rows repeat the row before them exactly"):
+            assert len(read_flight(path)) == 50
+
+    def test_infinities_are_missing(self, write):
+        rows = table()
+        rows.loc[3, "q"] = np.inf
+        with pytest.warns(UserWarning, match=r"\['q'\] are read as missing"):
+            assert np.isnan(read_flight(write("log.parquet", rows)).q[3])
+
+    def test_missing_values_stay_missing(self, write):
+        rows = table()
+        rows.loc[[3, 4], "q"] = np.nan
+        assert read_flight(write("log.csv", rows)).q.isna().sum() == 2
+
+    def test_dates_become_seconds(self, write):
+        rows = table(time=pd.Timestamp("2024-05-01") + pd.to_timedelta(0.02 * np.arange(50), unit="s"))
+        np.testing.assert_allclose(read_flight(write("log.parquet", rows)).time, 0.02 * np.arange(50))
+
+
+class TestSeveral:
+    def test_one_after_another(self, write):
+        paths = [write("a.csv", table()), write("b.parquet", table(30))]
+        flights = read_flights(paths)
+        assert flights.index.tolist() == list(range(80))
+        assert flights.flight.value_counts().to_dict() == {"a": 50, "b": 30}
+        assert FlightSmoother(cutoff=2.0).fit_transform(flights).alpha_dot.notna().all()
+
+    def test_same_name_twice(self, write):
+        paths = [write("x/log.csv", table()), write("y/log.csv", table())]
+        with pytest.raises(FlightReadError, match="flight 'log' in both"):
+            read_flights(paths)
+        named = read_flights({"morning": paths[0], "noon": paths[1]})
+        assert named.flight.unique().tolist() == ["morning", "noon"]
+
+    def test_uneven_columns(self, write):
+        paths = [write("a.csv", table(rudder=0.0)), write("b.csv", table())]
+        with pytest.warns(UserWarning, match=r"b.csv': \['rudder'\]"):
+            assert read_flights(paths).rudder.isna().sum() == 50
+
+    def test_needs_several(self, write):
+        with pytest.raises(TypeError, match="use read_flight for one"):
+            read_flights(str(write("a.csv", table())))
+        with pytest.raises(FlightReadError, match="expected at least one"):
+            read_flights([])
+
+
+@pytest.mark.shared
+def test_every_shared_flight(shared_data):
+    paths = sorted([*(shared_data / "flights").glob("*.parquet"), *(shared_data / "ampyx_ap2").glob("*.parquet")])
+    assert len(paths) == 6
+    for path in paths:
+        flight = read_flight(path)
+        raw = pd.read_parquet(path)
+        assert set(flight.columns) == set(raw.columns)
+        np.testing.assert_array_equal(flight.alpha, raw.alpha.astype(float))

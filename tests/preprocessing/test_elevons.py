@@ -1,0 +1,79 @@
+"""Parity of surfaces: mixing, its inverse, and what happens when a table has both or neither."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.preprocessing import ElevonSplitter
+
+RNG = np.random.default_rng(0)
+ELEVONS = pd.DataFrame(RNG.uniform(-0.3, 0.3, (20, 2)), columns=["elevon_left", "elevon_right"])
+
+
+def test_parity_by_hand():
+    out = ElevonSplitter().fit_transform(ELEVONS)
+    np.testing.assert_allclose(out.elevator, (ELEVONS.elevon_left + ELEVONS.elevon_right) / 2)
+    np.testing.assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
+
+
+def test_mirror_image_changes_the_sign_of_the_odd_control_only():
+    mirrored = ELEVONS.rename(columns={"elevon_left": "elevon_right", "elevon_right": "elevon_left"})
+    out, image = ElevonSplitter().fit_transform(ELEVONS), ElevonSplitter().fit_transform(mirrored)
+    np.testing.assert_allclose(image.elevator, out.elevator)
+    np.testing.assert_allclose(image.aileron, -out.aileron)
+
+
+def test_inverse_gives_the_surfaces_back():
+    splitter = ElevonSplitter().fit(ELEVONS)
+    controls = splitter.transform(ELEVONS)[["elevator", "aileron"]]
+    np.testing.assert_allclose(splitter.inverse_transform(controls)[ELEVONS.columns], ELEVONS, atol=1e-15)
+
+
+def test_more_surfaces_than_controls():
+    surfaces = ("a_left", "a_right", "tail_left", "tail_right")
+    mixing = [[0.5, -0.5, 0, 0], [0, 0, 0.5, 0.5], [0, 0, 0.5, -0.5]]
+    splitter = ElevonSplitter(surfaces=surfaces, controls=("aileron", "elevator", "rudder"), mixing=mixing)
+    table = pd.DataFrame(RNG.normal(size=(8, 4)), columns=surfaces).assign(airspeed=30.0)
+    out = splitter.fit_transform(table)
+    np.testing.assert_allclose(
+        out[["aileron", "elevator", "rudder"]], table[list(surfaces)].to_numpy() @ np.transpose(mixing)
+    )
+    # Of all surfaces with these controls, the inverse gives the least deflected ones.
+    back = splitter.inverse_transform(out)
+    again = splitter.transform(back)
+    np.testing.assert_allclose(again[["aileron", "elevator", "rudder"]], out[["aileron", "elevator", "rudder"]])
+    assert (np.linalg.norm(back[list(surfaces)], axis=1) <= np.linalg.norm(table[list(surfaces)], axis=1)).all()
+
+
+def test_conventional_aircraft_passes_through():
+    table = pd.DataFrame({"elevator": [0.1], "aileron": [0.2], "alpha": [0.05]})
+    pd.testing.assert_frame_equal(ElevonSplitter().fit_transform(table), table)
+    fitted = ElevonSplitter().fit(ELEVONS)
+    pd.testing.assert_frame_equal(fitted.transform(table), table)
+
+
+def test_logged_controls_yield_to_the_surfaces():
+    both = ELEVONS.assign(elevator=ELEVONS.mean(axis=1), aileron=7.0)
+    with pytest.warns(UserWarning, match="Logged controls differ from the surfaces"):
+        out = ElevonSplitter().fit_transform(both)
+    np.testing.assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
+    assert list(out.columns) == list(both.columns)
+
+
+def test_neither_surfaces_nor_controls():
+    with pytest.raises(ValueError, match=r"'elevon_left' \(nearest: 'elevon_l'\)"):
+        ElevonSplitter().fit(pd.DataFrame({"elevon_l": [0.1], "elevon_r": [0.1], "alpha": [0.0]}))
+    with pytest.raises(ValueError, match="elevon_right"):
+        ElevonSplitter().fit(ELEVONS[["elevon_left"]])
+
+
+def test_mixing_of_the_wrong_shape():
+    with pytest.raises(ValueError, match=r"expected \(n_controls, n_surfaces\) = \(2, 2\)"):
+        ElevonSplitter(mixing=[[1.0, 1.0, 0.0]]).fit(ELEVONS)
+    with pytest.raises(ValueError, match="expected mixing"):
+        ElevonSplitter(surfaces=("a", "b", "c")).fit(ELEVONS)
+
+
+def test_text_among_the_surfaces():
+    with pytest.raises(ValueError, match="expected numbers"):
+        ElevonSplitter().fit(ELEVONS.assign(elevon_left="up"))

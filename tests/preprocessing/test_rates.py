@@ -1,0 +1,87 @@
+"""Non-dimensional rates: the textbook's factors, and similarity."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.preprocessing import RateNondimensionalizer
+
+FLIGHT = pd.DataFrame(
+    {
+        "airspeed": [30.0, 45.0],
+        "p": [0.3, -1.1],
+        "q": [0.2, 0.4],
+        "r": [-0.1, 0.25],
+        "alpha_dot": [0.05, -0.3],
+        "beta_dot": [0.15, 0.02],
+        "p_dot": [2.0, -5.0],
+        "q_dot": [1.5, 0.7],
+        "r_dot": [-0.4, 0.9],
+        "time": [0.0, 0.02],
+    }
+)
+B, C = 2.8, 1.2
+# Typed from the equations: value * factor(V).
+HAND = {
+    "p_hat": lambda t: t.p * B / (2 * t.airspeed),
+    "q_hat": lambda t: t.q * C / (2 * t.airspeed),
+    "r_hat": lambda t: t.r * B / (2 * t.airspeed),
+    "alpha_dot_hat": lambda t: t.alpha_dot * C / (2 * t.airspeed),
+    "beta_dot_hat": lambda t: t.beta_dot * B / (2 * t.airspeed),
+    "p_dot_hat": lambda t: t.p_dot * B**2 / (4 * t.airspeed**2),
+    "q_dot_hat": lambda t: t.q_dot * C**2 / (4 * t.airspeed**2),
+    "r_dot_hat": lambda t: t.r_dot * B**2 / (4 * t.airspeed**2),
+}
+
+
+def test_every_factor():
+    out = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT)
+    assert set(out.columns) - set(FLIGHT.columns) == set(HAND)
+    for name, equation in HAND.items():
+        np.testing.assert_allclose(out[name], equation(FLIGHT), rtol=1e-14)
+
+
+def test_geometrically_similar_aircraft_share_the_numbers():
+    # Lengths times k, speeds times s: rates scale with s / k, accelerations with (s / k)^2.
+    k, s = 3.0, 0.7
+    scaled = FLIGHT.assign(airspeed=FLIGHT.airspeed * s)
+    for name in HAND:
+        raw = name.removesuffix("_hat")
+        power = 2 if raw in ("p_dot", "q_dot", "r_dot") else 1
+        scaled[raw] = FLIGHT[raw] * (s / k) ** power
+    small = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT)
+    large = RateNondimensionalizer(span=k * B, chord=k * C).fit_transform(scaled)
+    np.testing.assert_allclose(large[list(HAND)], small[list(HAND)], rtol=1e-12)
+
+
+def test_only_the_rates_that_are_there():
+    out = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT[["airspeed", "q"]])
+    assert list(out.columns) == ["airspeed", "q", "q_hat"]
+
+
+def test_missing_airspeed_is_missing_rate():
+    flight = FLIGHT.assign(airspeed=[np.nan, 40.0])
+    assert RateNondimensionalizer(span=B, chord=C).fit_transform(flight).p_hat.isna().tolist() == [True, False]
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0])
+def test_standing_still(speed):
+    flight = FLIGHT.assign(airspeed=[40.0, speed])
+    with pytest.raises(ValueError, match=r"at row 1 \(1 rows at or below zero\), but expected positive airspeed"):
+        RateNondimensionalizer(span=B, chord=C).fit(flight)
+    fitted = RateNondimensionalizer(span=B, chord=C).fit(FLIGHT)
+    with pytest.raises(ValueError, match="positive airspeed"):
+        fitted.transform(flight)
+
+
+def test_misspelt_airspeed_and_no_rates():
+    with pytest.raises(ValueError, match=r"'airspeed' \(nearest: 'air_speed'\)"):
+        RateNondimensionalizer(span=B, chord=C).fit(FLIGHT.rename(columns={"airspeed": "air_speed"}))
+    with pytest.raises(ValueError, match="lacks the columns 'p'"):
+        RateNondimensionalizer(span=B, chord=C).fit(FLIGHT[["airspeed", "time"]])
+
+
+@pytest.mark.parametrize("lengths", [{"span": 0.0, "chord": 1.0}, {"span": 2.0, "chord": "long"}])
+def test_lengths_must_be_lengths(lengths):
+    with pytest.raises(ValueError, match="parameter of RateNondimensionalizer must be"):
+        RateNondimensionalizer(**lengths).fit(FLIGHT)

@@ -1,0 +1,135 @@
+"""Which regressors are chosen, which may be absent, and what is said when one is not there."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.preprocessing import RateNondimensionalizer, RegressorSelector
+
+CLASSICAL = ["alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder", "throttle"]
+PAPER = [
+    "ax",
+    "ay",
+    "az",
+    "p",
+    "q",
+    "r",
+    "p_dot",
+    "q_dot",
+    "r_dot",
+    "alpha_dot",
+    "beta_dot",
+    "throttle",
+    "elevator",
+    "aileron",
+    "rudder",
+]
+NUMBERS = [*dict.fromkeys(CLASSICAL + PAPER), "alpha_true"]
+EVERY = pd.DataFrame(np.random.default_rng(0).normal(size=(6, len(NUMBERS))), columns=NUMBERS).assign(
+    airspeed=30.0, flight="one"
+)
+
+
+@pytest.mark.parametrize(("name", "columns"), [("classical", CLASSICAL), ("paper", PAPER)])
+def test_named_sets(name, columns):
+    selector = RegressorSelector(name).fit(EVERY)
+    assert selector.regressors_ == columns
+    assert selector.absent_ == []
+    pd.testing.assert_frame_equal(selector.transform(EVERY), EVERY[columns])
+
+
+def test_default_is_classical():
+    assert RegressorSelector().fit(EVERY).regressors_ == CLASSICAL
+
+
+def test_extra_columns_come_last_once():
+    assert RegressorSelector(extra=["airspeed", "alpha"]).fit(EVERY).regressors_ == [*CLASSICAL, "airspeed"]
+
+
+def test_nondimensional_rates_take_the_place_of_rates():
+    table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(EVERY)
+    chosen = RegressorSelector().fit(table).regressors_
+    assert chosen == [
+        "alpha",
+        "beta",
+        "p_hat",
+        "q_hat",
+        "r_hat",
+        "alpha_dot_hat",
+        "beta_dot_hat",
+        "elevator",
+        "aileron",
+        "rudder",
+        "throttle",
+    ]
+
+
+@pytest.mark.parametrize("absent", [["throttle"], ["rudder"], ["throttle", "aileron", "rudder"]])
+def test_controls_that_the_aircraft_does_not_have(absent):
+    selector = RegressorSelector().fit(EVERY.drop(columns=absent))
+    assert sorted(selector.absent_) == sorted(absent)
+    assert selector.regressors_ == [name for name in CLASSICAL if name not in absent]
+
+
+def test_a_misspelt_control_is_not_an_absent_one():
+    with pytest.raises(ValueError, match=r"'throttle' \(nearest: 'Throttle'\)"):
+        RegressorSelector().fit(EVERY.rename(columns={"throttle": "Throttle"}))
+
+
+def test_an_aircraft_without_any_surface():
+    with pytest.raises(ValueError, match="lacks the columns 'elevator'"):
+        RegressorSelector().fit(EVERY.drop(columns=["elevator", "aileron", "rudder"]))
+
+
+def test_missing_state_is_an_error_with_the_nearest_name():
+    with pytest.raises(ValueError, match=r"'alpha' \(nearest: 'alphas'\)"):
+        RegressorSelector().fit(EVERY.drop(columns="alpha_true").rename(columns={"alpha": "alphas"}))
+
+
+def test_missing_rate_of_change_points_to_its_maker():
+    with pytest.raises(ValueError, match=r"\['alpha_dot', 'beta_dot'\].*put FlightSmoother\(\) before"):
+        RegressorSelector().fit(EVERY.drop(columns=["alpha_dot", "beta_dot"]))
+    with pytest.raises(ValueError, match=r"\['p_dot'\].*derivatives="):
+        RegressorSelector("paper").fit(EVERY.drop(columns=["p_dot"]))
+
+
+def test_unsplit_elevons_point_to_the_splitter():
+    table = EVERY.drop(columns=["elevator", "aileron"]).assign(elevon_left=0.0, elevon_right=0.1)
+    with pytest.raises(ValueError, match=r"put ElevonSplitter\(\) before"):
+        RegressorSelector().fit(table)
+
+
+def test_truth_only_by_name_and_with_a_warning():
+    assert not any(name.endswith("_true") for name in RegressorSelector().fit(EVERY).regressors_)
+    with pytest.warns(UserWarning, match=r"\['alpha_true'\] are noise-free truth"):
+        RegressorSelector(["alpha_true", "q"]).fit(EVERY)
+    with pytest.raises(ValueError, match="lacks the columns 'alpha'"):
+        RegressorSelector().fit(EVERY.drop(columns="alpha"))  # alpha_true does not stand in
+
+
+def test_holes_are_named_and_left_to_the_regressor():
+    table = EVERY.copy()
+    table.loc[[1, 2], "q"] = np.nan
+    table.loc[3, "beta"] = np.inf
+    with pytest.warns(UserWarning, match=r"by rows: \{'beta': 1, 'q': 2\}"):
+        out = RegressorSelector().fit(table).transform(table)
+    assert np.isnan(out.q).sum() == 2
+
+
+def test_lists_are_taken_at_their_word():
+    with pytest.raises(ValueError, match="lacks the columns 'rudder_left'"):
+        RegressorSelector(["alpha", "rudder_left"]).fit(EVERY)
+    with pytest.raises(ValueError, match=r"twice: \['alpha'\]"):
+        RegressorSelector(["alpha", "q", "alpha"]).fit(EVERY)
+    with pytest.raises(ValueError, match="expected numbers"):
+        RegressorSelector(["alpha", "flight"]).fit(EVERY)
+    with pytest.raises(ValueError, match="parameter of RegressorSelector must be"):
+        RegressorSelector("modern").fit(EVERY)
+
+
+def test_transform_needs_what_fit_chose():
+    selector = RegressorSelector().fit(EVERY)
+    with pytest.raises(ValueError, match="lacks the columns 'rudder'"):
+        selector.transform(EVERY.drop(columns="rudder"))
+    with pytest.raises(ValueError, match="with no rows"):
+        selector.transform(EVERY[:0])

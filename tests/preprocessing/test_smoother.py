@@ -1,0 +1,127 @@
+"""The flight smoother on tables: which columns, which rates, and the whole way to regressors."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from skdgp._signal import differentiate, smooth
+from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+
+
+def flights(n=1200, names=("one", "two")):
+    rng = np.random.default_rng(5)
+    parts = []
+    for k, name in enumerate(names):
+        t = 0.025 * np.arange(n)
+        truth = {"alpha": 0.1 * np.sin(t + k), "beta": 0.05 * np.cos(1.3 * t), "q": 0.2 * np.cos(t), "p": 0 * t}
+        table = {key: value + rng.normal(0, 0.005, n) for key, value in truth.items()}
+        psi = np.angle(np.exp(1j * (3.0 + 0.3 * t))) + rng.normal(0, 0.01, n)
+        rest = {
+            "r": 0.1 * np.sin(t),
+            "airspeed": 30 + rng.normal(0, 0.3, n),
+            "psi": psi,
+            "elevator": 0.1 * np.sin(2 * t),
+        }
+        parts.append(pd.DataFrame({"time": t, "flight": name, **table, **rest}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def test_is_the_signal_module_per_flight():
+    table = flights()
+    out = FlightSmoother(derivatives=["alpha", "p"]).fit_transform(table)
+    clock = {"time": table.time, "flight": table.flight}
+    np.testing.assert_allclose(out.alpha, smooth(table.alpha, **clock), atol=1e-15)
+    np.testing.assert_allclose(out.p_dot, differentiate(table.p, **clock), atol=1e-12)
+    assert "beta_dot" not in out
+
+
+def test_automatic_columns_are_the_measured_ones():
+    smoother = FlightSmoother().fit(flights())
+    assert smoother.columns_ == ["airspeed", "alpha", "beta", "p", "q", "r"]
+    assert smoother.derivatives_ == ["alpha", "beta"]
+
+
+def test_measured_rates_are_kept():
+    table = flights().assign(alpha_dot=9.0)
+    out = FlightSmoother().fit_transform(table)
+    np.testing.assert_allclose(out.alpha_dot, 9.0)
+
+
+def test_cutoff_for_each_column():
+    table = flights()
+    out = FlightSmoother(cutoff={"alpha": 2.0, "q": None}).fit_transform(table)
+    clock = {"time": table.time, "flight": table.flight}
+    np.testing.assert_allclose(out.alpha, smooth(table.alpha, cutoff=2.0, **clock))
+    np.testing.assert_allclose(out.alpha_dot, differentiate(table.alpha, cutoff=2.0, **clock))
+    np.testing.assert_array_equal(out.q, table.q)
+    np.testing.assert_allclose(out.beta, smooth(table.beta, **clock))
+
+
+def test_noise_is_published():
+    smoother = FlightSmoother().fit(flights(n=4800))
+    assert smoother.noise_std_["alpha"] == pytest.approx(0.005, rel=0.1)
+    assert smoother.noise_std_["airspeed"] == pytest.approx(0.3, rel=0.1)
+    assert smoother.noise_std_["r"] == pytest.approx(0, abs=1e-5)
+    assert 0 < smoother.error_std_["alpha"] < 0.5 * smoother.noise_std_["alpha"]
+
+
+def test_heading_passes_through_pi():
+    table = flights()
+    out = FlightSmoother(columns=["psi"], derivatives=["psi"]).fit_transform(table)
+    assert np.abs(np.angle(np.exp(1j * (out.psi - 3.0 - 0.3 * table.time)))).max() < 0.02
+    assert np.abs(out.psi_dot - 0.3).max() < 0.15
+    assert np.abs(out.psi - table.psi).max() < 0.1
+
+
+def test_misspelt_columns():
+    table = flights()
+    with pytest.raises(ValueError, match=r"'time' \(nearest: 'times'\)"):
+        FlightSmoother().fit(table.rename(columns={"time": "times"}))
+    with pytest.raises(ValueError, match=r"'aplha' \(nearest: 'alpha'\)"):
+        FlightSmoother(columns=["aplha"]).fit(table)
+    with pytest.raises(ValueError, match="lacks the columns 'w'"):
+        FlightSmoother(cutoff={"w": 2.0}).fit(table)
+
+
+def test_unsorted_flight():
+    with pytest.raises(ValueError, match="expected time to increase strictly within a flight"):
+        FlightSmoother().fit(flights().sample(frac=1, random_state=0))
+
+
+def test_whole_way_to_regressors_in_a_grid_search():
+    table = flights(names=("one", "two", "three"))
+    table = table.assign(elevon_left=table.elevator, elevon_right=0.5 * table.elevator).drop(columns="elevator")
+    model = make_pipeline(
+        FlightSmoother(),
+        ElevonSplitter(),
+        RateNondimensionalizer(span=2.0, chord=1.0),
+        RegressorSelector(),
+        StandardScaler(),
+        LinearRegression(),
+    )
+    target = pd.DataFrame({"CZ": -4 * table.alpha, "Cm": -0.5 * table.alpha - 3 * table.q})
+    search = GridSearchCV(model, {"flightsmoother__cutoff": ["auto", 3.0]}, cv=GroupKFold(3))
+    search.fit(table, target, groups=table.flight)
+    assert search.best_score_ > 0.8
+    names = search.best_estimator_[:-1].get_feature_names_out()
+    assert list(names) == [
+        *["alpha", "beta", "p_hat", "q_hat", "r_hat", "alpha_dot_hat", "beta_dot_hat", "elevator", "aileron"]
+    ]
+
+
+@pytest.mark.shared
+def test_shared_flight(shared_data):
+    table = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
+    steps = make_pipeline(
+        FlightSmoother(), ElevonSplitter(), RateNondimensionalizer(span=2.8, chord=1.2), RegressorSelector()
+    )
+    out = steps.fit_transform(table)
+    assert out.shape == (14_400, 11)
+    assert np.isfinite(out.to_numpy()).all()
+    noise = steps[0].noise_std_  # the sensors' data sheet
+    for name, sheet in {"airspeed": 0.3, "alpha": np.deg2rad(0.3), "beta": np.deg2rad(0.3), "r": 0.002}.items():
+        assert noise[name] == pytest.approx(sheet, rel=0.1)

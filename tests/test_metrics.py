@@ -1,0 +1,227 @@
+"""Metrics against references typed from their definitions, and scorers inside scikit-learn's machinery."""
+
+import math
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.exceptions import UndefinedMetricWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from skdgp.metrics import (
+    SCORERS,
+    interval_coverage,
+    make_predictive_scorer,
+    median_relative_error,
+    negative_log_predictive_density,
+    normalized_rmse,
+    score_outputs,
+)
+
+METRICS = [median_relative_error, normalized_rmse, negative_log_predictive_density, interval_coverage]
+WITH_STD = METRICS[2:]
+
+
+def sample(n=40, outputs=3, seed=0):
+    rng = np.random.default_rng(seed)
+    y = rng.normal(1, 2, (n, outputs))
+    return y, y + rng.normal(0, 0.5, y.shape), rng.uniform(0.2, 1.0, y.shape)
+
+
+def arguments(metric, y, mean, std):
+    return (y, mean, std) if metric in WITH_STD else (y, mean)
+
+
+# References typed from the docstrings, one output at a time, in plain Python.
+def reference(metric, y, mean, std):
+    seen = [(a, b, c) for a, b, c in zip(y, mean, std, strict=True) if not math.isnan(a)]
+    n = len(seen)
+    if metric is median_relative_error:
+        errors = sorted(abs(a - b) / abs(a) for a, b, _ in seen)
+        return 0.5 * (errors[(n - 1) // 2] + errors[n // 2])
+    if metric is normalized_rmse:
+        centre = sum(a for a, _, _ in seen) / n
+        spread = sum((a - centre) ** 2 for a, _, _ in seen)
+        return math.sqrt(sum((a - b) ** 2 for a, b, _ in seen) / spread)
+    if metric is negative_log_predictive_density:
+        return sum(0.5 * math.log(2 * math.pi * c**2) + (a - b) ** 2 / (2 * c**2) for a, b, c in seen) / n
+    return sum(abs(a - b) < 1.959963984540054 * c for a, b, c in seen) / n
+
+
+@pytest.mark.parametrize("metric", METRICS)
+class TestEveryMetric:
+    @pytest.mark.parametrize("n", [39, 40])
+    def test_reference_with_missing_targets(self, metric, n):
+        y, mean, std = sample(n)
+        y[np.random.default_rng(1).random(y.shape) < 0.3] = np.nan
+        expected = [
+            reference(metric, *(column.tolist() for column in columns))
+            for columns in zip(*(a.T for a in (y, mean, std)), strict=True)
+        ]
+        got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
+        np.testing.assert_allclose(got, expected, rtol=1e-12)
+        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), rel=1e-12)
+        weights = [1.0, 0.0, 3.0]
+        weighted = metric(*arguments(metric, y, mean, std), multioutput=weights)
+        assert weighted == pytest.approx((expected[0] + 3 * expected[2]) / 4, rel=1e-12)
+
+    def test_shapes_and_types_do_not_matter(self, metric):
+        y, mean, std = sample(outputs=1)
+        flat = metric(*(a.ravel() for a in arguments(metric, y, mean, std)))
+        assert isinstance(flat, float)
+        assert metric(*arguments(metric, y, mean, std)) == flat
+        assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == flat
+
+    def test_one_sided_permutation_of_samples(self, metric):
+        y, mean, std = sample()
+        order = np.random.default_rng(2).permutation(len(y))
+        shuffled = metric(*(a[order] for a in arguments(metric, y, mean, std)))
+        assert shuffled == pytest.approx(metric(*arguments(metric, y, mean, std)), rel=1e-12)
+
+    def test_output_never_observed(self, metric):
+        y, mean, std = sample()
+        y[:, 1] = np.nan
+        with pytest.warns(UndefinedMetricWarning, match=r"Output \[1\] is never observed"):
+            raw = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
+        assert np.isnan(raw).tolist() == [False, True, False]
+        with pytest.warns(UndefinedMetricWarning):
+            assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(raw[[0, 2]]))
+
+    def test_shape_mismatch(self, metric):
+        y, mean, std = sample()
+        with pytest.raises(ValueError, match="of shape"):
+            metric(*arguments(metric, y, mean[:-1], std))
+
+    def test_prediction_must_be_finite(self, metric):
+        y, mean, std = sample()
+        mean[3, 0] = np.nan
+        with pytest.raises(ValueError, match="1 values of y_pred that are not finite"):
+            metric(*arguments(metric, y, mean, std))
+
+    def test_unknown_multioutput(self, metric):
+        with pytest.raises(ValueError, match="expected 'raw_values'"):
+            metric(*arguments(metric, *sample()), multioutput="mean")
+
+
+class TestMeaning:
+    def test_perfect_prediction(self):
+        y, _, _ = sample()
+        assert median_relative_error(y, y) == 0
+        assert normalized_rmse(y, y) == 0
+        assert interval_coverage(y, y, np.full_like(y, 1e-9)) == 1
+
+    def test_predicting_the_mean_scores_one(self):
+        y, _, _ = sample()
+        assert normalized_rmse(y, np.broadcast_to(y.mean(axis=0), y.shape)) == pytest.approx(1)
+
+    def test_relative_metrics_do_not_know_units(self):
+        y, mean, _ = sample()
+        for metric in (median_relative_error, normalized_rmse):
+            assert metric(1e3 * y, 1e3 * mean) == pytest.approx(metric(y, mean), rel=1e-12)
+
+    def test_zero_target(self):
+        assert median_relative_error([0.0], [0.0]) == 0
+        assert median_relative_error([0.0], [0.1]) == np.inf
+        assert median_relative_error([0.0, 1.0, 1.0], [0.1, 1.1, 1.1]) == pytest.approx(0.1)
+
+    def test_constant_target_has_no_scale(self):
+        with pytest.warns(UndefinedMetricWarning, match=r"Output \[0\] is constant"):
+            assert np.isnan(normalized_rmse([2.0, 2.0], [2.0, 2.1]))
+
+    def test_log_density_is_least_at_the_true_deviation(self):
+        error = np.random.default_rng(0).normal(0, 0.3, 20_000)
+        at = [negative_log_predictive_density(error, 0 * error, 0 * error + s) for s in (0.25, 0.3, 0.36)]
+        assert at[1] == min(at)
+        assert at[1] == pytest.approx(0.5 * math.log(2 * math.pi * math.e * 0.09), abs=0.02)
+
+    @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
+    def test_coverage_of_honest_bands_is_their_level(self, level):
+        rng = np.random.default_rng(0)
+        std = rng.uniform(0.1, 2, 20_000)
+        y = rng.normal(0, std)
+        assert interval_coverage(y, 0 * y, std, level=level) == pytest.approx(level, abs=0.01)
+
+    def test_bad_deviations_and_levels(self):
+        for metric in WITH_STD:
+            with pytest.raises(ValueError, match="expected positive"):
+                metric([1.0], [1.0], [0.0])
+        with pytest.raises(ValueError, match=r"inside \(0, 1\)"):
+            interval_coverage([1.0], [1.0], [1.0], level=95)
+
+
+class NoisyModel(RegressorMixin, BaseEstimator):
+    """Predict 0 with a latent deviation of 1, and of 2 with measurement noise."""
+
+    def fit(self, X, y):
+        self.n_outputs_ = np.ndim(y)
+        return self
+
+    def predict(self, X, return_std=False, include_noise=False):
+        mean = np.zeros(len(X))
+        return (mean, mean + (2.0 if include_noise else 1.0)) if return_std else mean
+
+
+class TestScorers:
+    def test_noise_is_asked_for_through_pipelines_and_searches(self):
+        X, y = np.zeros((50, 1)) + np.arange(50)[:, None], np.full(50, 1.5)
+        covers = make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True, level=0.68)
+        model = NoisyModel()
+        pipeline = make_pipeline(StandardScaler(), make_pipeline(StandardScaler(), model))
+        search = GridSearchCV(pipeline, {"standardscaler__with_mean": [True]}, cv=2, scoring=covers)
+        for estimator in (model, pipeline, search):
+            assert covers(clone(estimator).fit(X, y), X, y) == 1.0  # 1.5 lies inside 0.994 * 2, not inside 0.994
+
+    def test_grid_search_maximises(self):
+        rng = np.random.default_rng(0)
+        X = rng.normal(size=(60, 2))
+        Y = pd.DataFrame(X @ [[1.0, 2.0], [0.5, -1.0]] + rng.normal(0, 0.01, (60, 2)), columns=["CX", "Cm"])
+        search = GridSearchCV(Ridge(), {"alpha": [1e-3, 1e4]}, scoring=SCORERS["neg_normalized_rmse"], cv=3)
+        assert search.fit(X, Y).best_params_ == {"alpha": 1e-3}
+        assert search.best_score_ < 0
+
+    def test_all_scorers_with_groups_and_missing_targets(self):
+        rng = np.random.default_rng(0)
+        X = rng.normal(size=(60, 1))
+        y = np.sin(X).ravel() + rng.normal(0, 0.1, 60)
+        model = make_pipeline(StandardScaler(), GaussianProcessRegressor(RBF() + WhiteKernel(0.01)))
+        scores = cross_validate(
+            model, X, y, scoring=SCORERS, cv=GroupKFold(3), groups=np.repeat([0, 1, 2], 20), error_score="raise"
+        )
+        assert {name for name in scores if name.startswith("test_")} == {f"test_{name}" for name in SCORERS}
+        assert (scores["test_neg_normalized_rmse"] > -0.5).all()
+        assert (scores["test_log_predictive_density"] > -1).all()
+        holes = y.copy()
+        holes[::4] = np.nan
+        fitted = model.fit(X, y)
+        assert SCORERS["log_predictive_density"](fitted, X, holes) == pytest.approx(
+            SCORERS["log_predictive_density"](fitted, X[~np.isnan(holes)], y[~np.isnan(holes)])
+        )
+
+    def test_scores_of_every_output_by_name(self):
+        X = np.random.default_rng(0).normal(size=(40, 2))
+        Y = pd.DataFrame(X, columns=["CX", "Cm"])
+        scores = cross_validate(LinearRegression(), X, Y, scoring=score_outputs, cv=3, error_score="raise")
+        assert "test_normalized_rmse_Cm" in scores
+        scored = score_outputs(NoisyModel().fit(X, X[:, 0]), X, X[:, 0])
+        assert set(scored) == {f"{metric.__name__}_0" for metric in METRICS}
+        assert scored["interval_coverage_0"] == interval_coverage(X[:, 0], np.zeros(40), np.full(40, 2.0))
+
+    def test_std_is_demanded(self):
+        model = LinearRegression().fit([[0.0], [1.0]], [0.0, 1.0])
+        with pytest.raises(TypeError, match="LinearRegression, whose predict takes no return_std"):
+            SCORERS["log_predictive_density"](model, [[0.0]], [0.0])
+
+    @pytest.mark.parametrize("name", SCORERS)
+    def test_pickle(self, name):
+        again = pickle.loads(pickle.dumps(SCORERS[name]))
+        X, y = np.arange(10.0)[:, None], np.sin(np.arange(10.0))
+        model = GaussianProcessRegressor(alpha=0.1).fit(X, y)
+        assert again(model, X, y) == SCORERS[name](model, X, y)
+        assert SCORERS[name].metric.__name__ in repr(again)

@@ -20,6 +20,7 @@ from skdgp.plotting._style import (
     display_unit,
     legend_above,
     panels,
+    plain,
     scale_beside,
     tidy,
 )
@@ -125,7 +126,7 @@ class FlightDisplay:
                 self.lines_.append(self._draw_input(one, name, channel, n_bins))
             column[-1].set_xlabel("time [s]")
             if titles:
-                column[0].set_title(name, fontsize="medium", loc="left")
+                column[0].set_title(plain(name), fontsize="medium", loc="left")
         for row, channel in zip(axes, channels, strict=True):
             row[0].set_ylabel(axis_label(channel))
         self.axes_, self.figure_, self.colorbar_ = axes, axes.flat[0].figure, None
@@ -194,7 +195,7 @@ class FlightDisplay:
         values = display_unit(channel)[0] * table[channel].to_numpy(dtype=float)
         points = line_points(table["time"].to_numpy(dtype=float), values, n_bins=n_bins)
         color = CYCLE[list(self.flights).index(name) % len(CYCLE)]
-        return ax.plot(*points, color=color, linewidth=0.9, label=name)[0]
+        return ax.plot(*points, color=color, linewidth=0.9, label=plain(name))[0]
 
     def _check_color(self, color_by, names) -> str:
         altitude = all("altitude" in self.flights[name].columns for name in names)
@@ -253,7 +254,7 @@ def _draw_plain(ax, paths, color_by):
     lines = []
     for k, (name, path) in enumerate(paths.items()):
         color = CYCLE[k % len(CYCLE)]
-        lines += ax.plot(path["east"], path["north"], color=color, linewidth=1.2, label=name)
+        lines += ax.plot(path["east"], path["north"], color=color, linewidth=1.2, label=plain(name))
     return lines, None
 
 
@@ -267,7 +268,7 @@ def _draw_coloured(ax, paths, color_by):
     lines = []
     for name, path in paths.items():
         pieces, shades = _pieces(path, path[color_by].to_numpy(), low, high)
-        line = LineCollection(pieces, array=shades, cmap=cmap, linewidths=1.6, capstyle="round", label=name)
+        line = LineCollection(pieces, array=shades, cmap=cmap, linewidths=1.6, capstyle="round", label=plain(name))
         line.set_clim(low, high)
         lines.append(ax.add_collection(line))
     ax.autoscale_view()
@@ -290,7 +291,7 @@ def _draw_start(ax, path, name, k, color):
     """Mark where a flight begins, each flight with a marker of its own."""
     begin = path.iloc[:1]
     style = {"marker": "os^Dv*"[k % 6], "markersize": 6, "markeredgecolor": "white", "linestyle": "none"}
-    return ax.plot(begin["east"], begin["north"], color=color, zorder=3, label=f"{name}: start", **style)[0]
+    return ax.plot(begin["east"], begin["north"], color=color, zorder=3, label=plain(f"{name}: start"), **style)[0]
 
 
 def _finish_map(ax) -> None:

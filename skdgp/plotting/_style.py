@@ -55,7 +55,12 @@ def display_unit(name: str) -> tuple[float, str]:
 
 def symbol(name: str) -> str:
     """Return the symbol of a column for a label, or its name in words."""
-    return f"${_SYMBOLS[name]}$" if name in _SYMBOLS else name.replace("_", " ")
+    return f"${_SYMBOLS[name]}$" if name in _SYMBOLS else plain(name.replace("_", " "))
+
+
+def plain(name: str) -> str:
+    """Return ``name`` so that matplotlib takes it as it stands: no mathematics, no hidden label."""
+    return (f" {name}" if name.startswith("_") else name).replace("$", r"\$")
 
 
 def axis_label(name: str) -> str:

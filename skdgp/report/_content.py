@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ from skdgp.metrics import (
     negative_log_predictive_density,
     normalized_rmse,
 )
+from skdgp.plotting._arrays import check_time
 
 METRICS = (
     "median_relative_error",
@@ -89,7 +91,7 @@ class FlightResult:
     metrics: Mapping[str, Mapping[str, object]] | None = None
 
     def __post_init__(self):
-        n_samples = len(np.asarray(self.time))
+        n_samples = len(check_time(self.time))
         for name in ("measured", "mean", "std", "measured_std", "truth"):
             values = getattr(self, name)
             if values is not None and np.shape(values) != (n_samples, len(COEFFICIENTS)):
@@ -100,19 +102,23 @@ class FlightResult:
         if self.replay is not None and self.table is None:
             raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
 
-    @property
+    @cached_property
     def noisy_std(self) -> np.ndarray:
         """Standard deviations to compare measured values with."""
         return np.asarray(self.std if self.measured_std is None else self.measured_std, dtype=float)
 
+    @cached_property
     def scores(self) -> dict[str, pd.DataFrame]:
-        """Return the scores against "measured" and, where it is known, "truth": coefficients by metrics."""
+        """Scores against "measured" and, where it is known, "truth": coefficients by metrics."""
         given = self.metrics
         if given is None:
             given = {"measured": score(self.measured, self.mean, self.noisy_std)}
             if self.truth is not None:
                 given["truth"] = score(self.truth, self.mean, self.std)
-        tables = {against: pd.DataFrame(dict(of), index=list(COEFFICIENTS)) for against, of in given.items()}
+        tables = {
+            against: pd.DataFrame(dict(of), index=list(COEFFICIENTS))
+            for against, of in {"measured": {}, **given}.items()
+        }
         return {against: table.reindex(columns=list(METRICS)) for against, table in tables.items()}
 
 

@@ -20,7 +20,6 @@ PAGE = Template("""<!DOCTYPE html>
 </header>
 $body
 <footer>
-<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>
 <p class="colophon">$colophon</p>
 </footer>
 </main>
@@ -108,7 +107,7 @@ svg { font-family: "Segoe UI", "Helvetica Neue", Helvetica, Roboto, "Noto Sans",
 .key i.area { height: .7rem; vertical-align: -.08em; opacity: .45; }
 .key span { color: var(--ink); overflow-wrap: anywhere; }
 footer { margin-top: 4rem; }
-.sign { display: grid; grid-template-columns: repeat(3, 1fr); gap: 2rem; margin-bottom: 2rem; }
+.sign { display: none; grid-template-columns: repeat(3, 1fr); gap: 2rem; margin-bottom: 2rem; }
 .sign p { border-top: 1px solid var(--ink); padding-top: .3rem; margin-top: 3rem; font-size: .8rem;
   color: var(--quiet); }
 @media (max-width: 40rem) {
@@ -122,16 +121,23 @@ footer { margin-top: 4rem; }
   th, td { padding: .28rem .3rem; }
   table { font-size: .86rem; }
   thead th { font-size: .74rem; }
-  .sign { gap: 1rem; }
 }
 @page { margin: 16mm 14mm; }
 @media print {
-  body { font-size: 10pt; }
+  html { font-size: 13px; }
   main { max-width: none; padding: 0; }
-  h1 { font-size: 20pt; } h2 { font-size: 13pt; break-after: avoid; } h3 { font-size: 11pt; break-after: avoid; }
+  h2 { margin-top: 1.75rem; } h2, h3 { break-after: avoid; }
   .flight { break-before: page; }
-  figure, table, .head, .alerts li, .sign { break-inside: avoid; }
-  .panels { grid-template-columns: 1fr 1fr; }
+  .flight h2 { border-top: 0; margin-top: 0; }
+  figure, table, .head, .alerts li, .sign, .facts div, p { break-inside: avoid; }
+  .head { grid-template-columns: repeat(4, 1fr); gap: 0 1.5rem; }
+  .pair, .facts, .panels { grid-template-columns: 1fr 1fr; gap: 0 2rem; }
+  .facts div { grid-template-columns: 7rem 1fr; }
+  .panels { gap: .2rem 1rem; }
   .scroll { overflow: visible; }
+  table { font-size: .86rem; }
+  th, td { padding: .2rem .4rem; }
+  footer { margin-top: 1.5rem; }
+  .sign { display: grid; }
 }
 """

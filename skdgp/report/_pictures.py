@@ -24,7 +24,7 @@ EXCERPT = 30.0
 
 def time_slices(n_flights: int) -> int:
     """Return how many slices a line is drawn with: as many as a screen shows, fewer when flights are many."""
-    return int(np.clip(800 // max(n_flights, 1), 120, 350))
+    return int(np.clip(600 // max(n_flights, 1), 120, 350))
 
 
 def busiest_span(time, values, length: float = EXCERPT) -> tuple[float, float] | None:

@@ -35,7 +35,7 @@ def summary(content: ReportContent) -> str:
 
 
 def _headline(result: FlightResult) -> str:
-    scores = result.scores()
+    scores = result.scores
     measured, truth = scores["measured"], scores.get("truth")
     tiles = [
         _tile(measured, truth, "median_relative_error", LATERAL, "%", "median relative error, lateral", percent),
@@ -85,7 +85,9 @@ def what_was_done(content: ReportContent) -> str:
         ("Versions", ", ".join(f"{name} {version}" for name, version in model.versions.items())),
         ("Command", content.command),
     ]
-    return f"<section><h2>What was done</h2>{facts(pairs)}</section>"
+    # Shown in print only: the first page is the one to sign.
+    sign = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
+    return f"<section><h2>What was done</h2>{facts(pairs)}{sign}</section>"
 
 
 def _samples(model: ModelSummary) -> str | None:
@@ -108,7 +110,7 @@ def _grouped(value, form: str = "d") -> str | None:
 
 def flight(result: FlightResult, noise_std, n_bins: int, draw: bool) -> str:
     """Return everything about one test flight."""
-    scores = result.scores()
+    scores = result.scores
     tables = error_table(scores["measured"], noise_std, against="measured coefficients")
     if "truth" in scores:
         tables += error_table(scores["truth"], None, against="truth")
@@ -176,8 +178,7 @@ def _calibration(result: FlightResult) -> str:
 def coupling(content: ReportContent) -> str:
     """Return the heat map of the coupling between the outputs."""
     caption = (
-        "Correlation between the outputs that the model learned, by the prior covariance at its strongest shift. "
-        "Strong coupling lets one coefficient inform another."
+        "Correlation between the outputs that the model learned. Strong coupling lets one coefficient inform another."
     )
     panel = pictures.coupling_panel(content.model.correlation)
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
@@ -203,9 +204,13 @@ def flown(content: ReportContent, n_bins: int) -> str:
 
 def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
-    tables = {f"{record.name} (train)": record.table for record in content.train}
-    tested = {f"{result.name} (test)": result.table for result in content.test if result.table is not None}
-    return tables | tested
+    pairs = [(f"{record.name} (train)", record.table) for record in content.train]
+    pairs += [(f"{result.name} (test)", result.table) for result in content.test if result.table is not None]
+    tables = {}
+    for name, table in pairs:
+        twins = sum(other == name or other.startswith(f"{name} no. ") for other in tables)
+        tables[f"{name} no. {twins + 1}" if twins else name] = table
+    return tables
 
 
 def how_to_read() -> str:

@@ -1,0 +1,474 @@
+"""Displays: what is drawn is what was given, wherever it is drawn, and nothing breaks on poor data."""
+
+import time as clock
+from itertools import pairwise
+from types import SimpleNamespace
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from scipy.stats import norm
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.plotting import (
+    CalibrationDisplay,
+    CoefficientDisplay,
+    CouplingDisplay,
+    FlightDisplay,
+    StateDisplay,
+)
+
+
+def outputs(n=200, n_outputs=6, seed=0):
+    """Return time, measured, mean and std of outputs whose intervals are honest."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(n) / 40.0
+    mean = np.sin(time[:, None] * np.arange(1, n_outputs + 1))
+    std = np.full((n, n_outputs), 0.2)
+    return time, mean + std * rng.normal(size=mean.shape), mean, std
+
+
+def flight(n=400, seed=0):
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) / 10.0
+    return pd.DataFrame(
+        {
+            "time": t,
+            "throttle": 0.6,
+            "elevator": 0.05 * np.sin(t),
+            "aileron": 0.02 * rng.normal(size=n),
+            "rudder": 0.1 * np.cos(t),
+            "v_north": 40 * np.cos(t / 5),
+            "v_east": 40 * np.sin(t / 5),
+            "altitude": 300 + 2 * t,
+        }
+    )
+
+
+def coefficients(n, ax, corrupt=lambda values: values):
+    time, measured, mean, std = outputs(n)
+    return CoefficientDisplay.from_predictions(time, corrupt(measured), mean, std, truth=mean, ax=ax)
+
+
+def states(n, ax, corrupt=lambda values: values):
+    time, measured, mean, std = outputs(n, 3)
+    window = (time // 2).astype(int)
+    return StateDisplay.from_predictions(time, corrupt(measured), corrupt(mean), std, window=window, ax=ax)
+
+
+def calibration(n, ax, corrupt=lambda values: values):
+    _, measured, mean, std = outputs(n)
+    return CalibrationDisplay.from_predictions(corrupt(measured), mean, std, ax=ax)
+
+
+def coupling(n, ax, corrupt=lambda values: values):
+    return CouplingDisplay.from_correlation(corrupt(np.eye(6)), ax=ax)
+
+
+def corrupted_flight(n, corrupt):
+    table = flight(n)
+    table[["elevator", "v_east"]] = corrupt(table[["elevator", "v_east"]].to_numpy())
+    return table
+
+
+def inputs(n, ax, corrupt=lambda values: values):
+    return FlightDisplay.from_flights({"a": corrupted_flight(n, corrupt), "b": flight(n)}, ax=ax)
+
+
+def path(n, ax, corrupt=lambda values: values):
+    return FlightDisplay.from_flights({"a": corrupted_flight(n, corrupt)}, kind="path", ax=ax)
+
+
+DISPLAYS = [coefficients, states, calibration, coupling, inputs, path]
+MULTIPLE = {coefficients: (3, 2), states: (3, 1), inputs: (4, 2)}
+
+
+def holes(values):
+    values = values.copy()
+    values[: len(values) // 2 + 1] = np.nan
+    return values
+
+
+def nothing(values):
+    return np.full_like(values, np.nan)
+
+
+def constant(values):
+    return np.zeros_like(values)
+
+
+@pytest.mark.parametrize("make", DISPLAYS)
+class TestEveryDisplay:
+    def test_draws_into_a_figure_without_touching_pyplot(self, make):
+        before = plt.get_fignums()
+        figure = Figure()
+        display = make(200, figure)
+        assert display.figure_ is figure
+        assert plt.get_fignums() == before
+        figure.canvas.draw()
+
+    def test_makes_a_pyplot_figure_when_given_nothing(self, make):
+        before = set(plt.get_fignums())
+        display = make(200, None)
+        assert {display.figure_.number} == set(plt.get_fignums()) - before
+        display.figure_.canvas.draw()
+        plt.close(display.figure_)
+
+    def test_draws_into_one_given_axes(self, make):
+        figure = Figure()
+        left, right = figure.subplots(1, 2)
+        make(200, left)
+        figure.canvas.draw()
+        assert not right.has_data()
+
+    @pytest.mark.parametrize("corrupt", [holes, nothing, constant])
+    def test_survives_poor_data(self, make, corrupt):
+        display = make(50, Figure(), corrupt)
+        display.figure_.canvas.draw()
+
+    def test_survives_one_sample(self, make):
+        display = make(1, Figure())
+        display.figure_.canvas.draw()
+
+    def test_thirty_thousand_samples_take_no_time(self, make, capsys):
+        begin = clock.perf_counter()
+        make(30_000, Figure(figsize=(9, 6))).figure_.canvas.draw()
+        with capsys.disabled():
+            print(f"\n  {make.__name__}: 30,000 samples in {clock.perf_counter() - begin:.2f} s", end="")
+
+    def test_names_the_extra_when_matplotlib_is_absent(self, make, monkeypatch):
+        monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+        with pytest.raises(ImportError, match=r'pip install "skdgp\[plot\]"'):
+            make(10, None)
+
+
+@pytest.mark.parametrize("make", MULTIPLE)
+def test_panels_go_into_given_axes(make):
+    figure = Figure()
+    axes = figure.subplots(*MULTIPLE[make])
+    display = make(100, axes)
+    assert [id(ax) for ax in display.axes_.flat] == [id(ax) for ax in axes.flat]
+    with pytest.raises(ValueError, match="Got 2 axes, but expected"):
+        make(100, Figure().subplots(1, 2))
+
+
+def finite(line):
+    return np.asarray(line.get_ydata(), dtype=float)
+
+
+class TestCoefficients:
+    def test_lines_are_the_data(self):
+        time, measured, mean, std = outputs()
+        display = CoefficientDisplay.from_predictions(time, measured, mean, std, truth=2 * mean, ax=Figure())
+        for k in range(6):
+            np.testing.assert_array_equal(display.measured_[k].get_ydata(), measured[:, k])
+            np.testing.assert_array_equal(display.mean_[k].get_ydata(), mean[:, k])
+            np.testing.assert_array_equal(display.truth_[k].get_ydata(), 2 * mean[:, k])
+            np.testing.assert_array_equal(display.mean_[k].get_xdata(), time)
+        assert display.output_names == COEFFICIENTS
+
+    def test_the_band_is_the_interval(self):
+        time, measured, mean, std = outputs()
+        display = CoefficientDisplay.from_predictions(time, measured, mean, std, level=0.9, ax=Figure())
+        corners = display.bands_[1].get_path().vertices
+        upper = mean[:, 1] + norm.ppf(0.95) * std[:, 1]
+        np.testing.assert_allclose(corners[: len(time), 1], upper)
+        np.testing.assert_allclose(corners[len(time) : 2 * len(time), 1][::-1], 2 * mean[:, 1] - upper)
+
+    def test_forces_stand_left_and_moments_right(self):
+        display = coefficients(50, Figure())
+        labels = [[ax.get_ylabel() for ax in column] for column in display.axes_.T]
+        assert labels == [["$C_X$", "$C_Y$", "$C_Z$"], ["$C_l$", "$C_m$", "$C_n$"]]
+
+    def test_residuals(self):
+        time, measured, mean, std = outputs()
+        display = CoefficientDisplay.from_predictions(
+            time, measured, mean, std, truth=mean, kind="residuals", ax=Figure()
+        )
+        np.testing.assert_allclose(display.measured_[2].get_ydata(), (measured - mean)[:, 2])
+        np.testing.assert_array_equal(display.truth_[2].get_ydata(), 0)
+        np.testing.assert_array_equal(display.mean_[2].get_ydata(), 0)
+
+    def test_part_of_the_record_and_of_the_outputs(self):
+        time, measured, mean, _ = outputs()
+        display = CoefficientDisplay.from_predictions(
+            time, measured, mean, outputs=["Cm"], time_span=(1.0, 2.0), ax=Figure()
+        )
+        assert display.axes_.shape == (1, 1)
+        shown = display.mean_[0]
+        assert (shown.get_xdata()[0], shown.get_xdata()[-1]) == (1.0, 2.0)
+        np.testing.assert_array_equal(shown.get_ydata(), mean[(time >= 1) & (time <= 2), 4])
+        assert display.bands_ == [None]
+        assert display.truth_ == [None]
+
+    def test_a_wide_band_does_not_flatten_the_lines(self):
+        time, measured, mean, std = outputs()
+        display = CoefficientDisplay.from_predictions(time, measured, mean, 1000 * std, ax=Figure())
+        low, high = display.axes_[0, 0].get_ylim()
+        assert high - low < 3 * np.ptp(measured[:, 0])
+        assert low < min(measured[:, 0].min(), mean[:, 0].min())
+        assert high > max(measured[:, 0].max(), mean[:, 0].max())
+
+    def test_single_observed_values_are_dots(self):
+        time, measured, mean, _ = outputs()
+        measured[np.arange(200) % 10 != 0] = np.nan
+        display = CoefficientDisplay.from_predictions(time, measured, mean, ax=Figure())
+        line = display.measured_[0]
+        assert len(line.get_markevery()) == 20
+        np.testing.assert_array_equal(finite(line)[line.get_markevery()], measured[::10, 0])
+
+    def test_from_estimator(self):
+        time, measured, _, _ = outputs(60, 2)
+        X = pd.DataFrame({"time": time, "alpha": np.sin(time)})
+        Y = pd.DataFrame(measured, columns=["CX", "Cm"])
+        model = GaussianProcessRegressor(RBF() + WhiteKernel(0.1), optimizer=None).fit(X, Y)
+        display = CoefficientDisplay.from_estimator(model, X, Y, ax=Figure())
+        mean, std = model.predict(X, return_std=True)
+        np.testing.assert_array_equal(display.mean, mean)
+        np.testing.assert_array_equal(display.std, std)
+        assert display.output_names == ("CX", "Cm")
+        with pytest.raises(ValueError, match="without a column 'time'"):
+            CoefficientDisplay.from_estimator(model, X.to_numpy(), Y)
+
+    def test_noise_is_asked_for_only_when_wanted(self):
+        time, measured, mean, std = outputs()
+        asked = []
+
+        def predict(X, **words):
+            asked.append(words)
+            return mean, std
+
+        model = SimpleNamespace(predict=predict, output_names_=COEFFICIENTS)
+        for include_noise in (False, True):
+            CoefficientDisplay.from_estimator(
+                model, None, measured, time=time, include_noise=include_noise, ax=Figure()
+            )
+        assert asked == [{"return_std": True}, {"return_std": True, "include_noise": True}]
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"mean": np.zeros((3, 6))}, r"mean of shape \(3, 6\), but expected \(200, 6\)"),
+            ({"std": -np.ones((200, 6))}, "expected none below 0"),
+            ({"time": np.zeros(3)}, "Got 3 times for 200 samples"),
+            ({"time": np.full(200, np.nan)}, "200 values that are not finite"),
+            ({"output_names": ["a", "b"]}, "for 6 outputs"),
+            ({"outputs": ["CQ"]}, r"Got the outputs \['CQ'\]"),
+            ({"level": 95}, "expected a probability"),
+            ({"kind": "ratio"}, "expected 'values' or 'residuals'"),
+            ({"time_span": (900, 901)}, "choose a span inside"),
+        ],
+    )
+    def test_says_what_is_wrong(self, change, message):
+        time, measured, mean, std = outputs()
+        given = {"time": time, "measured": measured, "mean": mean, "std": std, "ax": Figure(), **change}
+        with pytest.raises(ValueError, match=message):
+            CoefficientDisplay.from_predictions(**given)
+
+
+class TestStates:
+    def test_degrees_are_drawn_from_radians(self):
+        time, measured, replayed, std = outputs(100, 3)
+        display = StateDisplay.from_predictions(time, measured, replayed, std, ax=Figure())
+        np.testing.assert_array_equal(display.measured_[0].get_ydata(), measured[:, 0])
+        np.testing.assert_allclose(display.replayed_[1].get_ydata(), np.rad2deg(replayed[:, 1]))
+        top = display.bands_[2].get_path().vertices[:100, 1]
+        np.testing.assert_allclose(top, np.rad2deg(replayed[:, 2] + norm.ppf(0.975) * std[:, 2]))
+
+    def test_lines_break_between_windows_and_marks_show_where(self):
+        time, measured, replayed, _ = outputs(100, 3)
+        window = np.arange(100) // 25
+        display = StateDisplay.from_predictions(time, measured, replayed, window=window, ax=Figure())
+        for line in display.replayed_:
+            assert np.isnan(line.get_ydata()).sum() == 3
+        np.testing.assert_array_equal(display.restarts_[0].get_xdata(), time[[25, 50, 75]])
+
+    def test_too_many_restarts_are_not_marked(self):
+        time, measured, replayed, _ = outputs(1000, 3)
+        display = StateDisplay.from_predictions(time, measured, replayed, window=np.arange(1000) // 2, ax=Figure())
+        assert display.restarts_ == [None] * 3
+
+    def trajectory(self, time, horizon):
+        window = (time // horizon).astype(int)
+        columns = {"time": time, "horizon": horizon, "window": window, "p": np.cos(time), "p_std": 0.1}
+        return pd.DataFrame(columns)
+
+    def test_from_replay_takes_the_longest_horizon_or_the_one_asked_for(self):
+        time = np.arange(400) / 10.0
+        both = pd.concat([self.trajectory(time, 2.0), self.trajectory(time, 10.0)])
+        table = pd.DataFrame({"time": time, "p": np.sin(time)})
+        longest = StateDisplay.from_replay(both, table, states=["p"], ax=Figure())
+        assert len(np.unique(longest.window)) == 4
+        asked = StateDisplay.from_replay(both, table, states=["p"], horizon=2.0, ax=Figure())
+        assert len(np.unique(asked.window)) == 20
+        np.testing.assert_array_equal(asked.std[:, 0], 0.1)
+        with pytest.raises(ValueError, match=r"holds \[2.0, 10.0\] s"):
+            StateDisplay.from_replay(both, table, states=["p"], horizon=3.0)
+        with pytest.raises(ValueError, match="with all its rows"):
+            StateDisplay.from_replay(both, table.iloc[1:], states=["p"])
+
+
+class TestCalibration:
+    def test_coverage_against_the_definition(self):
+        _, measured, mean, std = outputs(300)
+        measured[::7, 2] = np.nan
+        display = CalibrationDisplay.from_predictions(measured, mean, std, levels=[0.5, 0.95], ax=Figure())
+        for row, level in enumerate([0.5, 0.95]):
+            half = norm.ppf((1 + level) / 2) * std
+            for k in range(6):
+                seen = ~np.isnan(measured[:, k])
+                inside = np.abs(measured - mean)[seen, k] <= half[seen, k]
+                assert display.observed[row, k] == inside.mean()
+        assert display.n_values[2] == 300 - len(range(0, 300, 7))
+
+    def test_honest_intervals_lie_on_the_diagonal(self):
+        _, measured, mean, std = outputs(20_000, 2)
+        display = CalibrationDisplay.from_predictions(measured, mean, std, ax=Figure())
+        assert np.abs(display.observed - display.nominal[:, None]).max() < 0.015
+        assert (display.nominal[0], display.nominal[-1]) == (0.05, 0.99)
+        np.testing.assert_allclose(display.lines_[1].get_ydata(), 100 * display.observed[:, 1])
+
+    def test_certain_and_right_or_wrong(self):
+        display = CalibrationDisplay.from_predictions(
+            np.array([[1.0, 1.0]]), np.array([[1.0, 2.0]]), np.zeros((1, 2)), ax=Figure()
+        )
+        np.testing.assert_array_equal(display.observed[:, 0], 1.0)
+        np.testing.assert_array_equal(display.observed[:, 1], 0.0)
+
+    def test_from_estimator_asks_for_noise(self):
+        _, measured, mean, std = outputs(50)
+        asked = []
+
+        def predict(X, **words):
+            asked.append(words)
+            return mean, std
+
+        CalibrationDisplay.from_estimator(SimpleNamespace(predict=predict), None, measured, ax=Figure())
+        assert asked == [{"return_std": True, "include_noise": True}]
+
+    @pytest.mark.parametrize("levels", [[0.0], [95], [np.nan]])
+    def test_says_what_a_level_is(self, levels):
+        _, measured, mean, std = outputs(50)
+        with pytest.raises(ValueError, match="expected probabilities"):
+            CalibrationDisplay.from_predictions(measured, mean, std, levels=levels)
+
+
+class TestCoupling:
+    MATRIX = np.array([[1.0, -0.456], [-0.456, 1.0]])
+
+    def test_cells_are_coloured_and_written(self):
+        display = CouplingDisplay.from_correlation(self.MATRIX, output_names=["CZ", "Cm"], ax=Figure())
+        np.testing.assert_array_equal(display.image_.get_array().reshape(2, 2), self.MATRIX)
+        assert display.image_.get_clim() == (-1, 1)
+        assert display.text_[0, 1].get_text() == "−0.46"
+        assert [tick.get_text() for tick in display.ax_.get_yticklabels()] == ["$C_Z$", "$C_m$"]
+        assert display.colorbar_ is not None
+
+    def test_takes_the_names_that_come_with_the_matrix(self):
+        bunch = SimpleNamespace(correlation=self.MATRIX, output_names=["a", "b"], shift=None)
+        frame = pd.DataFrame(self.MATRIX, columns=["a", "b"])
+        model = SimpleNamespace(output_correlation=lambda: bunch)
+        pipeline = SimpleNamespace(steps=[("scale", None), ("model", model)])
+        for display in (
+            CouplingDisplay.from_correlation(bunch, ax=Figure()),
+            CouplingDisplay.from_correlation(frame, ax=Figure(), colorbar=False),
+            CouplingDisplay.from_estimator(model, ax=Figure()),
+            CouplingDisplay.from_estimator(pipeline, ax=Figure()),
+        ):
+            assert display.output_names == ("a", "b")
+
+    @pytest.mark.parametrize(
+        ("matrix", "message"), [(np.ones((2, 3)), r"expected \(P, P\)"), (2 * np.eye(2), "at most 1")]
+    )
+    def test_says_what_is_wrong(self, matrix, message):
+        with pytest.raises(ValueError, match=message):
+            CouplingDisplay.from_correlation(matrix)
+
+
+class TestFlight:
+    def test_one_column_per_flight_and_one_row_per_input(self):
+        display = FlightDisplay.from_flights({"train": flight(), "test": flight(200, seed=1)}, ax=Figure())
+        assert [ax.get_title(loc="left") for ax in display.axes_[0]] == ["train", "test"]
+        labels = [ax.get_ylabel() for ax in display.axes_[:, 0]]
+        assert labels == ["throttle", "elevator [deg]", "aileron [deg]", "rudder [deg]"]
+        np.testing.assert_allclose(display.lines_[1].get_ydata(), np.rad2deg(flight()["elevator"]))
+
+    def test_elevons_stand_in_for_an_elevator(self):
+        table = flight().rename(columns={"elevator": "elevon_left", "aileron": "elevon_right"})
+        assert FlightDisplay(flights={"a": table}).inputs == ["throttle", "elevon_left", "elevon_right", "rudder"]
+
+    def test_an_input_that_one_flight_lacks_is_said_so(self):
+        both = {"a": flight(), "b": flight().drop(columns="rudder")}
+        display = FlightDisplay.from_flights(both, ax=Figure())
+        assert display.axes_[3, 1].texts[0].get_text() == "not recorded"
+
+    def test_one_table_is_divided_by_flight(self):
+        table = pd.concat([flight().assign(flight="one"), flight(100).assign(flight="two")])
+        assert list(FlightDisplay.from_flights(table, ax=Figure()).flights) == ["one", "two"]
+
+    def test_velocities_are_integrated_to_a_circle(self):
+        n = 4000
+        t = np.linspace(0, 10 * np.pi, n)
+        table = pd.DataFrame({"time": t, "v_north": 40 * np.cos(t / 5), "v_east": 40 * np.sin(t / 5)})
+        display = FlightDisplay.from_flights({"a": table}, kind="path", color_by="flight", ax=Figure())
+        east, north = display.lines_[0].get_data()
+        np.testing.assert_allclose(np.hypot(north, east - 200), 200, rtol=1e-4)
+        assert len(east) <= 600
+
+    def test_recorded_positions_are_taken(self):
+        table = flight().assign(north=np.arange(400.0) + 7, east=np.arange(400.0) * 2)
+        display = FlightDisplay.from_flights({"a": table}, kind="path", color_by="flight", ax=Figure())
+        assert display.lines_[0].get_ydata()[0] == 7
+        assert display.lines_[0].get_xdata()[-1] == 798
+
+    def test_colour_along_the_path(self):
+        display = FlightDisplay.from_flights({"a": flight(), "b": flight()}, kind="path", ax=Figure())
+        assert display.colorbar_ is None
+        display = FlightDisplay.from_flights({"a": flight()}, kind="path", ax=Figure())
+        low, high = flight()["altitude"].min(), flight()["altitude"].max()
+        assert display.lines_[0].get_clim() == (low, high)
+        assert (np.diff(display.lines_[0].get_array()) > 0).all()
+        pieces = display.lines_[0].get_segments()
+        for piece, following in pairwise(pieces):
+            np.testing.assert_array_equal(piece[-1], following[0])
+        display.plot_path(Figure(), color_by="time")
+        assert display.colorbar_.ax.get_ylabel() == "time [s]"
+
+    def test_both_axes_have_one_scale(self):
+        display = FlightDisplay.from_flights({"a": flight()}, kind="path", ax=Figure())
+        assert display.axes_[0, 0].get_aspect() == 1.0
+
+    def test_any_name_may_be_drawn(self):
+        names = ["$x^", "_hidden", "a & <b>"]
+        for kind in ("inputs", "path"):
+            display = FlightDisplay.from_flights({name: flight(50) for name in names}, kind=kind, ax=Figure())
+            display.figure_.canvas.draw()
+        assert len(display.axes_[0, 0].get_legend().texts) == 3
+
+    @pytest.mark.parametrize(
+        ("flights", "options", "message"),
+        [
+            ({}, {}, "Got no flights"),
+            ({"a": flight().drop(columns="time")}, {}, "flight 'a' lacks the columns 'time'"),
+            ({"a": flight()[["time"]]}, {}, "without any of"),
+            ({"a": flight()[["time"]]}, {"kind": "path"}, "lacks the columns 'v_north'"),
+            ({"a": flight()}, {"kind": "speed"}, "expected 'inputs' or 'path'"),
+            ({"a": flight()}, {"kind": "path", "color_by": "speed"}, "expected 'flight', 'altitude' or 'time'"),
+            (
+                {"a": flight().drop(columns="altitude")},
+                {"kind": "path", "color_by": "altitude"},
+                "without that column",
+            ),
+        ],
+    )
+    def test_says_what_is_wrong(self, flights, options, message):
+        with pytest.raises(ValueError, match=message):
+            FlightDisplay.from_flights(flights, ax=Figure(), **options)

@@ -1,0 +1,105 @@
+"""Few points, the same picture."""
+
+import numpy as np
+import pytest
+
+from skdgp.plotting._envelope import band_points, line_points, lonely, stretch_starts
+
+
+def noisy_record(n=30_000, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.arange(n) / 40.0, np.cumsum(rng.normal(size=n)) + rng.normal(size=n)
+
+
+def naive_extremes(time, values, n_bins):
+    """Return the lowest and highest value of each of ``n_bins`` equal slices of the record."""
+    edge = np.floor((time - time[0]) / ((time[-1] - time[0]) / n_bins))
+    return {(values[edge == k].min(), values[edge == k].max()) for k in np.unique(edge)}
+
+
+def test_every_slice_keeps_its_extremes():
+    time, values = noisy_record(3000)
+    t, v = line_points(time, values, n_bins=50)
+    assert naive_extremes(time, values, 50) <= naive_extremes(t, v, 50)
+    assert len(t) <= 2 * 51 + 2
+    assert (t[0], t[-1]) == (time[0], time[-1])
+
+
+def test_only_samples_are_drawn():
+    time, values = noisy_record(3000)
+    t, v = line_points(time, values, n_bins=50)
+    assert set(zip(t, v, strict=True)) <= set(zip(time, values, strict=True))
+    assert (np.diff(t) > 0).all()
+
+
+def test_short_records_are_left_as_they_are():
+    time, values = noisy_record(100)
+    t, v = line_points(time, values, n_bins=50)
+    np.testing.assert_array_equal(t, time)
+    np.testing.assert_array_equal(v, values)
+
+
+def test_a_constant_needs_no_more_points_than_a_wiggle():
+    time = np.arange(30_000) / 40.0
+    assert len(line_points(time, np.zeros(30_000), n_bins=100)[0]) <= 2 * 101 + 2
+
+
+def test_lines_break_at_gaps_and_where_time_goes_back():
+    time = np.array([0.0, 1, 2, 3, 100, 101, 102, 0, 1, 2])
+    np.testing.assert_array_equal(stretch_starts(time), [0, 4, 7])
+    t, v = line_points(time, np.ones(10), n_bins=1000)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(v)), [4, 8])
+    assert len(t) == 12
+
+
+def test_lines_break_between_windows():
+    window = np.repeat([0, 1, 2], 4)
+    np.testing.assert_array_equal(stretch_starts(np.arange(12.0), window), [0, 4, 8])
+
+
+def test_holes_wide_enough_to_be_seen_break_the_line():
+    time = np.arange(1000) / 10.0
+    values = np.sin(time)
+    values[300:400] = np.nan
+    _, v = line_points(time, values, n_bins=100)
+    assert np.count_nonzero(np.isnan(v)) == 1
+    assert np.isnan(line_points(time, np.full(1000, np.nan), n_bins=100)[1]).sum() == 0
+
+
+def test_thinned_targets_keep_every_value():
+    time = np.arange(14_400) / 40.0
+    values = np.full(14_400, np.nan)
+    values[::19] = np.sin(time[::19])
+    _, v = line_points(time, values, n_bins=2000)
+    np.testing.assert_array_equal(v[np.isfinite(v)], values[::19])
+
+
+def test_a_band_covers_every_interval():
+    time, centre = noisy_record(5000)
+    half = 1 + np.abs(np.sin(time))
+    t, low, high = band_points(time, centre - half, centre + half, n_bins=80)
+    edge = np.append(np.unique(np.searchsorted(time, t)), len(time))
+    covered_low = np.interp(time, t, low)
+    covered_high = np.interp(time, t, high)
+    assert len(t) <= 2 * 81
+    # Inside a slice the band is the union of its samples' intervals; between slices it is interpolated.
+    inside = np.isin(np.arange(5000), edge)
+    assert (covered_low[inside] <= (centre - half)[inside] + 1e-12).all()
+    assert (covered_high[inside] >= (centre + half)[inside] - 1e-12).all()
+    assert low.min() == (centre - half).min()
+    assert high.max() == (centre + half).max()
+
+
+def test_a_short_band_is_left_as_it_is_and_breaks_with_its_line():
+    time = np.array([0.0, 1, 2, 50, 51, 52])
+    t, low, high = band_points(time, -np.ones(6), np.ones(6), n_bins=100)
+    np.testing.assert_array_equal(np.isnan(t), [False, False, False, True, False, False, False])
+    np.testing.assert_array_equal(low, -high)
+
+
+@pytest.mark.parametrize(
+    ("values", "alone"),
+    [([1.0, np.nan, 2, 3], [0]), ([np.nan, 1, np.nan], [1]), ([1.0], [0]), ([1.0, 2], []), ([np.nan], [])],
+)
+def test_lonely_values(values, alone):
+    np.testing.assert_array_equal(lonely(np.array(values)), alone)

@@ -1,0 +1,334 @@
+"""The report: whole, self-contained, readable, true to the numbers it is given."""
+
+import re
+from datetime import datetime
+from html.parser import HTMLParser
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.exceptions import UndefinedMetricWarning
+
+from skdgp._vocabulary import COEFFICIENTS, LATERAL
+from skdgp.metrics import interval_coverage, median_relative_error
+from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
+from skdgp.report import _write as write_module
+from skdgp.report._sections import flown_tables
+
+VOID = {"meta", "br", "hr", "img", "input", "link"}
+
+
+class Page(HTMLParser):
+    """Check that elements close in order, and collect what a reader sees and what a browser would load."""
+
+    def __init__(self, html):
+        super().__init__(convert_charrefs=True)
+        self.open, self.text, self.tags, self.loads, self.ids = [], [], [], [], []
+        self.feed(html)
+        self.close()
+        assert self.open == [], f"never closed: {self.open}"
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.loads += [value for name, value in attributes if name in ("src", "href", "data", "action")]
+        self.ids += [value for name, value in attributes if name == "id"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.text.append(data)
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+def table(n, seed=0):
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) / 40.0
+    columns = {
+        "time": t,
+        "throttle": 0.5 + 0 * t,
+        "elevator": 0.05 * np.sin(t),
+        "aileron": 0.01 * rng.normal(size=n),
+        "rudder": 0.1 * np.cos(t),
+        "v_north": 40 * np.cos(t / 9),
+        "v_east": 40 * np.sin(t / 9),
+        "altitude": 300 + t,
+        "p": np.sin(t),
+        "r": np.cos(t),
+    }
+    return pd.DataFrame(columns)
+
+
+def replay(flight):
+    tables = []
+    for horizon in (2.0, 10.0):
+        window = (flight["time"] // horizon).astype(int)
+        columns = {name: 1.01 * flight[name] for name in ("v_east", "p", "r")}
+        bands = {f"{name}_std": 0.1 for name in columns}
+        tables.append(flight[["time"]].assign(horizon=horizon, window=window, **columns, **bands))
+    return pd.concat(tables)
+
+
+def result(n=2400, name="test", truth=True, seed=0, **changes):
+    rng = np.random.default_rng(seed)
+    flight = table(n, seed)
+    mean = 0.1 * np.sin(flight["time"].to_numpy()[:, None] * np.arange(1, 7)) + 0.01
+    std = np.full((n, 6), 0.01)
+    given = {
+        "name": name,
+        "time": flight["time"].to_numpy(),
+        "measured": mean + 0.02 * rng.normal(size=(n, 6)),
+        "mean": mean,
+        "std": std,
+        "measured_std": 2 * std,
+        "truth": mean + 0.01 * rng.normal(size=(n, 6)) if truth else None,
+        "table": flight,
+        "replay": replay(flight),
+        "replay_errors": pd.DataFrame(
+            {"state": ["v_east", "p"], "horizon": 2.0, "median": [0.47, 0.0155], "at_end": [1.0, 0.02], "coverage": 0.9}
+        ),
+    }
+    return FlightResult(**{**given, **changes})
+
+
+def content(**changes):
+    given = {
+        "title": "Brumby, six flights",
+        "train": [FlightRecord(name="train", table=table(800, 1))],
+        "test": [result()],
+        "model": ModelSummary(
+            n_samples=755,
+            n_available=14400,
+            regressors=["alpha", "beta"],
+            n_latent=2,
+            n_private=6,
+            log_marginal_likelihood=-1234.5,
+            fit_seconds=12.34,
+            noise_std=np.arange(1, 7) * 1e-3,
+            correlation=np.eye(6),
+            versions={"skdgp": "0.1.0"},
+        ),
+        "aircraft": {"Aircraft": "brumby", "Mass": "45 kg"},
+        "messages": ["The optimiser stopped early."],
+        "created": datetime(2026, 5, 4, 12, 30),
+    }
+    return ReportContent(**{**given, **changes})
+
+
+@pytest.fixture(scope="module")
+def html():
+    return render_report(content())
+
+
+@pytest.fixture
+def numbers_only(monkeypatch):
+    """Leave the pictures out, as where matplotlib is absent: what is tested is text."""
+
+    def absent(who):
+        raise ImportError
+
+    monkeypatch.setattr(write_module, "check_matplotlib", absent)
+
+
+class TestPage:
+    def test_is_well_formed(self, html):
+        page = Page(html)
+        assert page.tags[0] == "html"
+        assert html.startswith("<!DOCTYPE html>")
+        assert len(page.ids) == len(set(page.ids))
+
+    def test_needs_nothing_else(self, html):
+        page = Page(html)
+        assert all(load.startswith("#") for load in page.loads)
+        assert {load[1:] for load in page.loads} <= set(page.ids)
+        assert set(re.findall(r"url\(#([^)]+)\)", html)) <= set(page.ids)
+        assert not {"script", "link", "img", "iframe", "object"} & set(page.tags)
+        assert "http" not in html
+        assert "@import" not in html
+        assert "font-face" not in html
+
+    def test_suits_small_and_dark_screens_and_paper(self, html):
+        assert 'name="viewport"' in html
+        for rule in ("prefers-color-scheme: dark", "@media print", "max-width: 40rem", "color-scheme: light dark"):
+            assert rule in html
+
+    def test_every_colour_variable_is_defined_for_light_and_dark(self, html):
+        light, dark = (set(re.findall(r"--([a-z]+):", rules)) for rules in re.findall(r":root \{(.*?)\}", html, re.S))
+        used = set(re.findall(r"var\(--([a-z]+)\)", html)) - {"rows"}
+        assert used <= light
+        assert light == dark
+
+    def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self, html):
+        before, setting = plt.get_fignums(), plt.rcParams["svg.fonttype"]
+        assert render_report(content()) == html
+        assert plt.get_fignums() == before
+        assert plt.rcParams["svg.fonttype"] == setting
+
+    def test_three_long_flights_stay_under_three_megabytes(self):
+        flights = [result(28_800, f"test {k}", seed=k) for k in range(3)]
+        assert len(render_report(content(test=flights)).encode()) < 3e6
+
+
+class TestWords:
+    def test_says_what_was_done(self, html):
+        words = Page(html).words
+        for piece in (
+            "Brumby, six flights",
+            "04 May 2026, 12:30",
+            "755 of 14 400",
+            "alpha, beta",
+            "2 shared, 6 private",
+            "−1 234.5",
+            "12.3 s",
+            "skdgp 0.1.0",
+            "45 kg",
+            "The optimiser stopped early.",
+        ):
+            assert piece in words
+
+    def test_headline_is_the_mean_over_the_group(self, html):
+        flight = result()
+        lateral = [COEFFICIENTS.index(name) for name in LATERAL]
+        for values in (flight.measured, flight.truth):
+            errors = median_relative_error(values, flight.mean, multioutput="raw_values")
+            assert f"{100 * errors[lateral].mean():.2f}" in Page(html).words
+
+    def test_tables_hold_every_score(self, html):
+        flight = result()
+        words = Page(html).words
+        for values, std in ((flight.measured, flight.measured_std), (flight.truth, flight.std)):
+            for error in median_relative_error(values, flight.mean, multioutput="raw_values"):
+                assert f"{100 * error:.2f}" in words
+            for share in interval_coverage(values, flight.mean, std, multioutput="raw_values"):
+                assert f"{100 * share:.1f}" in words
+
+    def test_states_are_in_degrees(self, html):
+        assert f"{np.rad2deg(0.0155):.3g}" in Page(html).words
+        assert "deg/s" in Page(html).words
+
+    def test_given_metrics_are_shown_instead(self, numbers_only):
+        given = {"measured": {"median_relative_error": dict.fromkeys(COEFFICIENTS, 0.4321)}}
+        page = Page(render_report(content(test=[result(metrics=given)])))
+        assert "43.21" in page.words
+        assert "against truth" not in page.words
+
+    def test_marks_dishonest_bands(self, numbers_only):
+        flight = result()
+        too_sure = Page(render_report(content(test=[result(measured_std=0.1 * flight.std)])))
+        too_wide = Page(render_report(content(test=[result(measured_std=100 * flight.std, truth=False)])))
+        assert "▼" in too_sure.words
+        assert "▲ 100.0" in too_wide.words
+
+    def test_escapes_what_comes_from_outside(self):
+        evil = '<script>alert("&")</script>'
+        page = render_report(
+            content(
+                title=evil,
+                train=[FlightRecord(name=evil, table=table(100))],
+                test=[result(100, name=evil)],
+                aircraft={evil: evil, "Aircraft": evil},
+                messages=[evil],
+                command=evil,
+                model=ModelSummary(regressors=[evil], versions={evil: evil}, extra={evil: evil}, kernel=evil),
+            )
+        )
+        assert "<script" not in page
+        assert evil in Page(page).words
+        assert "script" not in Page(page).tags
+
+    def test_dollars_are_no_templates_and_no_mathematics(self):
+        page = render_report(content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{")]))
+        assert "$title $$ ${body} $x^" in Page(page).words
+
+    def test_says_when_nothing_went_wrong_and_when_nothing_was_tested(self):
+        page = Page(render_report(content(messages=(), test=())))
+        assert "No warning arose" in page.words
+        assert "No test flight was given" in page.words
+
+
+class TestPoorContent:
+    def test_the_least(self):
+        assert "Title" in Page(render_report(ReportContent(title="Title"))).words
+
+    def test_one_sample(self):
+        one = {"metrics": {}, "truth": None}
+        Page(render_report(content(test=[result(1, **one)], train=[FlightRecord(name="a", table=table(1))])))
+
+    def test_an_output_never_observed(self):
+        flight = result()
+        measured = flight.measured.copy()
+        measured[:, 3] = np.nan
+        with pytest.warns(UndefinedMetricWarning, match="never observed"):
+            html = render_report(content(test=[result(measured=measured, truth=None)]))
+        assert "–" in Page(html).words
+
+    def test_constant_estimates(self):
+        flight = result(500)
+        Page(render_report(content(test=[result(500, mean=np.zeros((500, 6)), std=flight.std)])))
+
+    def test_no_table_no_replay(self):
+        bare = result(table=None, replay=None, replay_errors=None, measured_std=None, truth=None)
+        words = Page(render_report(content(test=[bare], train=()))).words
+        assert "Replayed" not in words
+        assert "What was flown" not in words
+
+    def test_a_flight_without_velocities_has_no_path(self):
+        flight = table(200).drop(columns=["v_north", "v_east"])
+        page = render_report(content(train=[FlightRecord(name="a", table=flight)], test=()))
+        assert "Path over the ground" not in page
+        assert "Inputs of a (train)" in page
+
+    def test_two_flights_of_one_name_are_both_shown(self):
+        twins = [result(100), result(100, seed=1)]
+        assert list(flown_tables(content(test=twins))) == ["train (train)", "test (test)", "test (test) no. 2"]
+
+    def test_without_matplotlib_the_numbers_remain(self, numbers_only):
+        page = Page(render_report(content()))
+        assert "svg" not in page.tags
+        assert 'pip install "skdgp[plot]"' in page.words
+        assert page.tags.count("table") == 3
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"mean": np.zeros((3, 6))}, r"Got mean of shape \(3, 6\) for flight 'test', but expected \(2400, 6\)"),
+            ({"std": np.zeros(2400)}, "Got std of shape"),
+            ({"table": None}, "without its table"),
+            ({"time": np.full(2400, np.inf)}, "not finite"),
+        ],
+    )
+    def test_says_what_does_not_fit(self, change, message):
+        with pytest.raises(ValueError, match=message):
+            result(**change)
+
+
+class TestFile:
+    def test_is_written(self, tmp_path, numbers_only):
+        path = write_report(tmp_path / "report.html", content())
+        assert path.read_text(encoding="utf-8") == render_report(content())
+        assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+
+    def test_a_failure_leaves_the_old_report(self, tmp_path, monkeypatch):
+        path = tmp_path / "report.html"
+        path.write_text("old")
+
+        def fail(source, target):
+            raise OSError("disk full")
+
+        monkeypatch.setattr("os.replace", fail)
+        with pytest.raises(OSError, match="disk full"):
+            write_report(path, content(test=()))
+        assert path.read_text() == "old"
+        assert [file.name for file in tmp_path.iterdir()] == ["report.html"]

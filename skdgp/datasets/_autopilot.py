@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..dynamics import quaternion_to_euler
+from ..dynamics._rigid_body import STANDARD_GRAVITY
 
 __all__ = ["COMMANDS", "Autopilot"]
 
 COMMANDS = ("elevator", "aileron", "rudder", "throttle")
-GRAVITY = 9.80665
 BANK_LIMIT = 0.70
 CAPTURE_DISTANCE = 170.0
 """Distance [m] from the orbit at which the wanted course still cuts it at 45 degrees."""
@@ -42,12 +42,12 @@ class Autopilot:
         """
         derivative, airspeed, beta = loads.derivative, loads.airspeed, loads.beta
         phi, theta, _ = np.moveaxis(quaternion_to_euler(state[:, 6:10]), -1, 0)
-        p, q, r = state[:, 10], state[:, 11], state[:, 12]
+        p, q, r = state[:, 10:13].T
         bank = self._bank(state, derivative, orbit)
         climb = np.clip(0.35 * (altitude + state[:, 2]), -3.0, 4.0)
-        elevator = self._elevator(climb + derivative[:, 2], climb / airspeed, phi, theta, q, r)
+        elevator = self._elevator(climb + derivative[:, 2], climb / airspeed, phi, theta, q, airspeed)
         aileron = self._aileron(bank - phi, p)
-        rudder = 0.22 * (r - GRAVITY * np.sin(phi) * np.cos(theta) / airspeed) - 0.10 * beta
+        rudder = 0.22 * (r - STANDARD_GRAVITY * np.sin(phi) * np.cos(theta) / airspeed) - 0.10 * beta
         throttle = self._throttle(wanted_airspeed - airspeed, climb)
         return self.trim + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
@@ -60,15 +60,15 @@ class Autopilot:
         error = np.arctan2(east, north) + turn * (0.5 * np.pi + np.arctan(off)) - course
         error = (error + np.pi) % (2.0 * np.pi) - np.pi
         ground_speed2 = derivative[:, 0] ** 2 + derivative[:, 1] ** 2
-        ahead = turn * np.arctan(ground_speed2 / (GRAVITY * radius)) * np.exp(-0.5 * off**2)
+        ahead = turn * np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius)) * np.exp(-0.5 * off**2)
         return np.clip(ahead + 1.2 * error, -BANK_LIMIT, BANK_LIMIT)
 
-    def _elevator(self, climb_error, path, phi, theta, q, r):
+    def _elevator(self, climb_error, path, phi, theta, q, airspeed):
         """Return the addition to the elevator: > 0 pitches down."""
         self.climb_integral = np.clip(self.climb_integral + 0.010 * climb_error * self.step, -0.10, 0.10)
         level = np.cos(phi)
         wanted = self.alpha_trim / level + path + 0.012 * climb_error + self.climb_integral
-        turning = GRAVITY * np.sin(phi) ** 2 / (level * 36.0)
+        turning = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * airspeed)
         return -0.30 * (wanted - theta) + 0.12 * (q - turning) - 0.03 * (1.0 / level - 1.0)
 
     def _aileron(self, bank_error, p):

@@ -87,7 +87,7 @@ class CouplingDisplay:
             text[i, j] = ax.text(
                 j,
                 i,
-                f"{value:.2f}".replace("-", "−") if np.isfinite(value) else "–",
+                f"{value:z.2f}".replace("-", "−") if np.isfinite(value) else "–",
                 ha="center",
                 va="center",
                 fontsize="small",

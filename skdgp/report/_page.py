@@ -30,13 +30,13 @@ $body
 STYLE = """
 :root { color-scheme: light dark;
   --paper: #ffffff; --ink: #20242a; --quiet: #5f6973; --rule: #d3d8de; --tint: #f4f6f8; --alert: #a63c00;
-  --measured: #333333; --mean: #0072b2; --band: #56b4e9; --truth: #d55e00;
+  --measured: #333333;
   --blue: #0072b2; --vermillion: #d55e00; --green: #009e73; --purple: #b9588f; --sky: #56b4e9;
   --orange: #e69f00; --yellow: #d8c800; --grey: #8a8a8a; }
 @media screen and (prefers-color-scheme: dark) { :root {
   --paper: #15181b; --ink: #e4e7ea; --quiet: #9aa5b0; --rule: #39414a; --tint: #1d2227; --alert: #ffa36b;
-  --measured: #c3c9cf; --mean: #4fb0ee; --band: #2f7fb0; --truth: #ff8a3c;
-  --blue: #4fb0ee; --vermillion: #ff8a3c; --green: #2cc79b; --purple: #e39cc3; --sky: #8fd0f7;
+  --measured: #c3c9cf;
+  --blue: #2f9be6; --vermillion: #ff8a3c; --green: #2cc79b; --purple: #e39cc3; --sky: #a3dcff;
   --orange: #f0b93a; --yellow: #f0e442; --grey: #9aa5b0; } }
 * { box-sizing: border-box; }
 html { -webkit-text-size-adjust: 100%; }
@@ -99,7 +99,7 @@ figcaption { margin-top: .6rem; }
 .panels svg, .single svg { display: block; width: 100%; height: auto; }
 .single { max-width: 31rem; }
 svg { font-family: "Segoe UI", "Helvetica Neue", Helvetica, Roboto, "Noto Sans", "Liberation Sans", Arial, sans-serif;
-  stroke-linejoin: round; font-variant-numeric: tabular-nums; }
+  stroke-linejoin: round; overflow: visible; font-variant-numeric: tabular-nums; }
 .key { display: flex; flex-wrap: wrap; gap: .1rem 1.25rem; font-size: .85rem; padding: 0;
   margin: 0 0 .25rem; list-style: none; }
 .key i { display: inline-block; width: 1.4rem; height: .16rem; vertical-align: .25em; margin-right: .45rem;

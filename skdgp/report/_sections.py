@@ -102,7 +102,7 @@ def _latents(model: ModelSummary) -> str:
     return ", ".join(parts)
 
 
-def _grouped(value, form: str = "d") -> str | None:
+def _grouped(value, form: str = ".0f") -> str | None:
     if value is None:
         return None
     return number(value, "," + form).replace(",", THIN)
@@ -129,8 +129,8 @@ def flight(result: FlightResult, noise_std, n_bins: int, draw: bool) -> str:
 
 
 def _coefficients(result: FlightResult, n_bins: int) -> str:
-    key = [("measured", "measured", ""), ("mean", "estimated", ""), ("band", "95 % band of a measurement", "area")]
-    key += [] if result.truth is None else [("truth", "truth", "")]
+    key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", "95 % band of a measurement", "area")]
+    key += [] if result.truth is None else [("vermillion", "truth", "")]
     span = pictures.busiest_span(result.time, result.mean)
     columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, n_bins)}
     columns["Whole flight"] = pictures.coefficient_panels(result, None, n_bins)
@@ -153,8 +153,8 @@ def _states(result: FlightResult, horizon: float, n_bins: int) -> str:
     names = [name for name in pictures.LATERAL_STATES if name in rows and name in result.table]
     if not names:
         return ""
-    key = [("measured", "measured", ""), ("mean", "replayed", "")]
-    key += [("band", "95 % band", "area")] if f"{names[0]}_std" in rows else []
+    key = [("measured", "measured", ""), ("blue", "replayed", "")]
+    key += [("sky", "95 % band", "area")] if f"{names[0]}_std" in rows else []
     span = pictures.busiest_span(rows["time"], result.table[names])
     columns = {} if span is None else {_seconds(span): pictures.state_panels(result, horizon, span, n_bins)}
     columns["Whole flight"] = pictures.state_panels(result, horizon, None, n_bins)

@@ -32,8 +32,8 @@ _STYLE = {
 _VARIABLES = {
     INK: "ink",
     "#b0b0b0": "quiet",
+    ROLES["measured"]: "measured",
     **{color: name for name, color in PALETTE.items()},
-    **{color: role for role, color in ROLES.items()},
 }
 _VARIABLES = {color.lower(): f"var(--{name})" for color, name in _VARIABLES.items()}
 

@@ -30,7 +30,7 @@ def number(value: float, form: str = ".2f") -> str:
         return DASH
     if np.isinf(value):
         return "∞" if value > 0 else "−∞"
-    return f"{value:{form}}".replace("-", "−")
+    return f"{float(value):z{form}}".replace("-", "−")
 
 
 def percent(value: float, form: str = ".2f") -> str:
@@ -114,7 +114,7 @@ def _replay_row(row, with_bands: bool) -> list[str]:
 def state(name: str) -> str:
     """Return a state's name as the paper writes it."""
     axes = {"v_north": "N", "v_east": "E", "v_down": "D"}
-    return f"<i>v</i><sub>{axes[name]}</sub>" if name in axes else text(name)
+    return f"<i>v</i><sub>{axes[name]}</sub>" if name in axes else f"<i>{text(name)}</i>"
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:

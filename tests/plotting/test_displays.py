@@ -372,6 +372,10 @@ class TestCoupling:
         assert [tick.get_text() for tick in display.ax_.get_yticklabels()] == ["$C_Z$", "$C_m$"]
         assert display.colorbar_ is not None
 
+    def test_nothing_is_written_as_minus_zero(self):
+        tiny = np.array([[1.0, -0.001], [-0.001, 1.0]])
+        assert CouplingDisplay.from_correlation(tiny, ax=Figure()).text_[0, 1].get_text() == "0.00"
+
     def test_takes_the_names_that_come_with_the_matrix(self):
         bunch = SimpleNamespace(correlation=self.MATRIX, output_names=["a", "b"], shift=None)
         frame = pd.DataFrame(self.MATRIX, columns=["a", "b"])

@@ -129,7 +129,8 @@ def flight(result: FlightResult, noise_std, n_bins: int, draw: bool) -> str:
 
 
 def _coefficients(result: FlightResult, n_bins: int) -> str:
-    key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", "95 % band of a measurement", "area")]
+    band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
+    key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", band, "area")]
     key += [] if result.truth is None else [("vermillion", "truth", "")]
     span = pictures.busiest_span(result.time, result.mean)
     columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, n_bins)}
@@ -167,7 +168,7 @@ def _states(result: FlightResult, horizon: float, n_bins: int) -> str:
 
 def _calibration(result: FlightResult) -> str:
     panel = pictures.calibration_panel(result.measured, result.mean, result.noisy_std, "measured")
-    columns = {"Measured values, band with noise": [panel]}
+    columns = {f"Measured values{'' if result.measured_std is None else ', band with noise'}": [panel]}
     if result.truth is not None:
         panel = pictures.calibration_panel(result.truth, result.mean, result.std, "true")
         columns["Truth, band without noise"] = [panel]
@@ -177,20 +178,18 @@ def _calibration(result: FlightResult) -> str:
 
 def coupling(content: ReportContent) -> str:
     """Return the heat map of the coupling between the outputs."""
-    caption = (
-        "Correlation between the outputs that the model learned. Strong coupling lets one coefficient inform another."
-    )
+    caption = "Correlation between the outputs that the model learned, at the shift where it is largest. Strong coupling lets one coefficient inform another."
     panel = pictures.coupling_panel(content.model.correlation)
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
 
 
-def flown(content: ReportContent, n_bins: int) -> str:
+def flown(content: ReportContent) -> str:
     """Return the inputs and the path of every flight that came with its table."""
     flights = flown_tables(content)
     parts = ["<section><h2>What was flown</h2>"]
     for k, name in enumerate(flights):
         key = [(_color(k), name, "")]
-        panels = pictures.input_panels(flights, name, n_bins)
+        panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
         parts.append(_figure(panels, f"Inputs of {text(name)}.", key))
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:

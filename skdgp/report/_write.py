@@ -79,7 +79,7 @@ def _body(content: ReportContent) -> str:
     if draw and content.model.correlation is not None:
         parts.append(sections.coupling(content))
     if draw and sections.flown_tables(content):
-        parts.append(sections.flown(content, n_bins))
+        parts.append(sections.flown(content))
     return "\n".join([*parts, sections.how_to_read()])
 
 

@@ -178,7 +178,10 @@ def _calibration(result: FlightResult) -> str:
 
 def coupling(content: ReportContent) -> str:
     """Return the heat map of the coupling between the outputs."""
-    caption = "Correlation between the outputs that the model learned, at the shift where it is largest. Strong coupling lets one coefficient inform another."
+    caption = (
+        "Correlation between the outputs that the model learned, at the shift where it is largest. "
+        "Strong coupling lets one coefficient inform another."
+    )
     panel = pictures.coupling_panel(content.model.correlation)
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
 

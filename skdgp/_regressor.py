@@ -227,8 +227,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         repeated = int(rows.duplicated().sum())
         if repeated:
             warnings.warn(
-                f"{repeated} of {len(rows)} samples repeat another one, regressors and targets alike. Each counts as new "
-                "evidence, so the uncertainty comes out too small: drop repeated rows (was a log read twice?).",
+                f"{repeated} of {len(rows)} samples repeat another one, regressors and targets alike. Each counts as "
+                "new evidence, so the uncertainty comes out too small: drop repeated rows (was a log read twice?).",
                 UserWarning,
                 stacklevel=4,
             )
@@ -237,9 +237,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         needed, there = 8 * 2 * n_values**2, _physical_memory()
         if needed > 0.8 * there:
             raise ValueError(
-                f"Exact inference on {n_values} observed values needs about {needed / 2**30:.0f} GiB, but this machine has "
-                f"{there / 2**30:.0f} GiB. Observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread "
-                "over the log."
+                f"Exact inference on {n_values} observed values needs about {needed / 2**30:.0f} GiB, but this machine "
+                f"has {there / 2**30:.0f} GiB. Observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 "
+                "samples spread over the log."
             )
 
     def _search(self, X, Z):

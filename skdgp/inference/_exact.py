@@ -5,6 +5,7 @@ Only this file knows how the N x N matrix is laid out; kernels only ever see one
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +53,7 @@ def _tiles(sizes):
     for i, size in enumerate(sizes):
         n_pieces = -(-size // TILE)
         edges = np.linspace(0, size, n_pieces + 1).astype(int)
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             tiles.append(_Tile(i, slice(a, b), slice(start + a, start + b)))
         start += size
     return tiles

@@ -25,11 +25,13 @@ class Optimum(NamedTuple):
 class _Objective:
     """Negative log likelihood for a minimiser, that remembers its best point and reports on its way."""
 
-    def __init__(self, log_likelihood, theta, stage):
-        self.log_likelihood, self.stage = log_likelihood, stage
+    def __init__(self, log_likelihood, theta, stage, stop):
+        self.log_likelihood, self.stage, self.stop = log_likelihood, stage, stop
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
 
     def __call__(self, theta, eval_gradient=True):
+        if self.n_evaluations and self.stop is not None and self.stop.is_set():
+            raise KeyboardInterrupt
         self.n_evaluations += 1
         try:
             value, gradient = self.log_likelihood(theta)
@@ -44,7 +46,9 @@ class _Objective:
         return (-value, -gradient) if eval_gradient else -value
 
 
-def maximize(log_likelihood, theta, bounds, *, optimizer="fmin_l_bfgs_b", max_iter=100, tolerance=1e-7, stage="fit"):
+def maximize(
+    log_likelihood, theta, bounds, *, optimizer="fmin_l_bfgs_b", max_iter=100, tolerance=1e-5, stage="fit", stop=None
+):
     """Return the best point found from ``theta`` on.
 
     Parameters
@@ -61,6 +65,8 @@ def maximize(log_likelihood, theta, bounds, *, optimizer="fmin_l_bfgs_b", max_it
         Stop when the likelihood rises by less than this fraction of itself in one iteration.
     stage : str
         What the progress listeners are told.
+    stop : threading.Event or None
+        Set by Ctrl-C, and as good as it: looked at before every evaluation but the first.
 
     Warns
     -----
@@ -68,7 +74,7 @@ def maximize(log_likelihood, theta, bounds, *, optimizer="fmin_l_bfgs_b", max_it
         When it was interrupted (Ctrl-C), with the point that was kept.
     """
     theta = np.clip(theta, bounds[:, 0], bounds[:, 1])
-    objective = _Objective(log_likelihood, theta, stage)
+    objective = _Objective(log_likelihood, theta, stage, stop)
     n_iter, interrupted = 0, False
     try:
         if callable(optimizer):
@@ -78,6 +84,8 @@ def maximize(log_likelihood, theta, bounds, *, optimizer="fmin_l_bfgs_b", max_it
             n_iter = minimize(objective, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options).nit
     except KeyboardInterrupt:
         interrupted = True
+        if stop is not None:
+            stop.set()
         warnings.warn(
             f"The fit was interrupted after {objective.n_evaluations} evaluations; the best hyperparameters so far are "
             f"kept (log marginal likelihood {objective.value:.6g}). Fit again for more.",

@@ -66,6 +66,14 @@ class MultiOutputKernel(Kernel):
         X is (n, d), Y is (n, P) with NaN where an output was not observed.
         """
 
+    @abstractmethod
+    def single(self) -> MultiOutputKernel:
+        """Return the kernel, without values, that one output alone would have."""
+
+    @abstractmethod
+    def adopt(self, singles: list[MultiOutputKernel]) -> MultiOutputKernel:
+        """Return the initialized kernel with what fits of each output alone, made from ``single``, have found."""
+
     def unexplained(self, X, Y) -> np.ndarray:
         """Return what of Y, (n, P), this kernel leaves to the others of a sum when they choose starting values."""
         return Y
@@ -232,6 +240,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def initialize(self, X, Y, random_state):
         first = self.k1.initialize(X, Y, random_state)
         return Sum(first, self.k2.initialize(X, first.unexplained(X, Y), random_state))
+
+    def single(self):
+        return Sum(self.k1.single(), self.k2.single())
+
+    def adopt(self, singles):
+        return Sum(self.k1.adopt([s.k1 for s in singles]), self.k2.adopt([s.k2 for s in singles]))
 
     def unexplained(self, X, Y):
         return self.k2.unexplained(X, self.k1.unexplained(X, Y))

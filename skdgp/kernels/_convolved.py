@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from sklearn.base import clone
 
 from skdgp.kernels._base import Free, MultiOutputKernel
 from skdgp.kernels._start import starting_values
@@ -151,6 +152,27 @@ class ConvolvedGaussian(MultiOutputKernel):
                     f"The kernel is for {got} {what}, but the data have {want}: the last axis of amplitude counts "
                     "outputs, that of length_scale regressors; leave them None to take them from the data."
                 )
+        return kernel
+
+    def single(self):
+        return ConvolvedGaussian(0, private_latents=True, covariance_type=self.covariance_type)
+
+    def adopt(self, singles):
+        """Private latents take over the widths found; a shared one their weighted geometric mean.
+
+        Equal widths couple most: from widths that differ tenfold in a dozen regressors, no coupling could be
+        learned.
+        """
+        kernel, w = clone(self), self._value("amplitude")
+        found = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
+        lengths = np.stack([s._value("length_scale")[0, 0] for s in singles])
+        kernel.amplitude = w * found / np.sqrt((w**2).sum(axis=0))
+        weight = w**2 / (w**2).sum(axis=1, keepdims=True)
+        shared = np.exp(weight @ np.log(lengths))
+        own = (weight == 1.0)[..., None]
+        kernel.length_scale = np.where(own, lengths, shared[:, None, :])
+        if self.covariance_type == "full":
+            kernel.shear = np.where(own, np.stack([s._value("shear")[0, 0] for s in singles]), 0.0)
         return kernel
 
     def _free(self):

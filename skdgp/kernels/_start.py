@@ -19,7 +19,7 @@ def starting_values(n_latent, private_latents, X, Y, random_state):
     x_scale = _scale(X)
     M = n_latent + (P if private_latents else 0)
     amplitude = np.zeros((M, P))
-    share = 0.7 if private_latents and n_latent else 1.0
+    share = 0.1 if private_latents and n_latent else 1.0
     amplitude[:n_latent] = np.sqrt(share) * y_scale * _directions(Y, n_latent, rng)
     if private_latents:
         amplitude[n_latent:] = np.diag(np.sqrt(1.0 - share if n_latent else 1.0) * y_scale)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from sklearn.base import clone
 
 from skdgp.kernels._base import Free, MultiOutputKernel
 
@@ -78,6 +79,15 @@ class LinearTrend(MultiOutputKernel):
             intercept_scale_bounds=intercept_bounds,
             slope_scale_bounds=slope_bounds,
         )
+
+    def single(self):
+        return LinearTrend()
+
+    def adopt(self, singles):
+        kernel = clone(self)
+        kernel.intercept_scale = np.concatenate([np.ravel(s.intercept_scale) for s in singles])
+        kernel.slope_scale = np.concatenate([np.atleast_2d(s.slope_scale) for s in singles])
+        return kernel
 
     def unexplained(self, X, Y):
         basis = np.column_stack([np.ones(len(X)), X])

@@ -176,6 +176,60 @@ class TestSmooth:
         assert rms((smooth(noisy, late) - truth)[2300:]) < 0.5 * rms((noisy - truth)[2300:])
 
 
+class TestJoint:
+    """Channels that see the same motion: here a vane and a gyro, alpha_dot = q, on a random motion."""
+
+    def motion(self, n=9600, seed=0):
+        rng = np.random.default_rng(seed)
+        alpha = signal.lfilter([1], np.poly([0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j)]).real, rng.normal(size=n))
+        alpha *= 0.03 / alpha.std()
+        truth = np.column_stack([alpha, np.gradient(alpha) * RATE])
+        return clock(n), truth, truth + rng.normal(0, [0.01, 0.002], (n, 2))
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_the_gyro_helps_the_vane(self, seed):
+        time, truth, noisy = self.motion(seed=seed)
+        alone, together = smooth(noisy, time), smooth(noisy, time, joint=True)
+        assert rms(together[:, 0] - truth[:, 0]) < 0.8 * rms(alone[:, 0] - truth[:, 0])
+        rates = [differentiate(noisy, time, joint=joint)[:, 0] for joint in (False, True)]
+        assert rms(rates[1] - truth[:, 1]) < 0.8 * rms(rates[0] - truth[:, 1])
+
+    def test_the_error_left_is_known(self):
+        time, truth, noisy = self.motion()
+        stated = noise_level(noisy, time, joint=True).smoothed[0]
+        left = rms((smooth(noisy, time, joint=True) - truth)[:, 0])
+        assert 0.8 * left < stated < 2 * left  # a resonance narrower than the spectrum's resolution: on the safe side
+
+    def test_scale_and_order_of_channels_do_not_matter(self):
+        time, _, noisy = self.motion(2400)
+        there = smooth(noisy, time, joint=True)
+        other = smooth(noisy[:, ::-1] * [1e3, 1e-3], time, joint=True) / [1e3, 1e-3]
+        np.testing.assert_allclose(other[:, ::-1], there, atol=1e-9)
+
+    def test_unrelated_channels_are_smoothed_as_if_alone(self):
+        time, _, noisy = noisy_sine(9600)
+        walk = np.cumsum(np.random.default_rng(3).normal(size=9600)) + np.random.default_rng(4).normal(0, 3, 9600)
+        both = np.column_stack([noisy, walk])
+        apart = smooth(both, time)
+        change = smooth(both, time, joint=True) - apart
+        assert (change.std(axis=0) < 0.1 * both.std(axis=0)).all()
+
+    def test_time_reversal_commutes(self):
+        time, _, noisy = self.motion(2400)
+        back = smooth(noisy[::-1], time, joint=True)[::-1]
+        np.testing.assert_allclose(smooth(noisy, time, joint=True), back, atol=1e-9)
+
+    def test_lines_are_kept(self):
+        time = clock(1200)
+        lines = np.column_stack([3.0 + 0.1 * time, 1.0 - 2.0 * time])
+        np.testing.assert_allclose(smooth(lines, time, joint=True), lines, atol=1e-9)
+
+    def test_channel_sampled_at_other_rows_stays_alone(self):
+        time, _, noisy = self.motion(4800)
+        noisy[::2, 1] = np.nan
+        np.testing.assert_allclose(smooth(noisy, time, joint=True)[:, 0], smooth(noisy[:, :1], time, joint=True)[:, 0])
+
+
 class TestMissing:
     def test_nan_stays_and_does_not_spread(self):
         time, truth, noisy = noisy_sine()

@@ -16,6 +16,11 @@ SMOOTHED = (
     *("ax", "ay", "az"),
 )
 DIFFERENTIATED = ("alpha", "beta")
+VANES = ("alpha", "beta")
+PARTNERS = {
+    "rates": ("airspeed", "p", "q", "r"),
+    "inertial": ("airspeed", "p", "q", "r", "ax", "ay", "az"),
+}
 WRAPPED = ("phi", "psi")
 
 
@@ -42,11 +47,18 @@ class FlightSmoother(TableTransformer):
     derivatives : "auto" or list of str, default="auto"
         Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, if they are there. A rate that the table
         already holds was measured and is kept (and smoothed).
+    joint : {"rates", "inertial"} or None, default="rates"
+        Whose company alpha and beta are smoothed in, where their cutoff is "auto": airspeed, p, q and r, or ax, ay and
+        az too. A vane that moves as the gyros say is believed beyond the frequency at which it is lost alone.
+        "inertial" is the more exact, but puts the forces that a model is to predict into its alpha and beta: fit for
+        reconstructing a flight, not for judging a model.
 
     Attributes
     ----------
     columns_, derivatives_ : list of str
         Columns smoothed and differentiated.
+    partners_ : list of str
+        Columns in whose company alpha and beta are smoothed; ``transform`` needs them too.
     noise_std_, error_std_ : dict of str to float
         Standard deviation of each smoothed column's white noise as measured, and what smoothing by "auto" is
         expected to leave of it; NaN for a log too short to tell (less than 128 samples).
@@ -80,12 +92,14 @@ class FlightSmoother(TableTransformer):
         "cutoff": _cutoff,
         "columns": [StrOptions({"auto"}), list, tuple],
         "derivatives": [StrOptions({"auto"}), list, tuple],
+        "joint": [StrOptions(set(PARTNERS)), None],
     }
 
-    def __init__(self, *, cutoff="auto", columns="auto", derivatives="auto"):
+    def __init__(self, *, cutoff="auto", columns="auto", derivatives="auto", joint="rates"):
         self.cutoff = cutoff
         self.columns = columns
         self.derivatives = derivatives
+        self.joint = joint
 
     def _fit_table(self, table):
         self.columns_ = _present(SMOOTHED, table) if self.columns == "auto" else list(self.columns)
@@ -94,31 +108,46 @@ class FlightSmoother(TableTransformer):
         check_columns(table, ["time", *self.columns_, *wanted])
         if isinstance(self.cutoff, dict):
             check_columns(table, self.cutoff)
-        level = noise_level(_unwrapped(table, self.columns_), **_clock(table))
-        self.noise_std_ = dict(zip(self.columns_, level.measured.tolist(), strict=True))
-        self.error_std_ = dict(zip(self.columns_, level.smoothed.tolist(), strict=True))
+        read = {*self.columns_, *self.derivatives_}
+        self._vanes = [name for name in VANES if self.joint and name in read and self._cutoff_of(name) == "auto"]
+        self.partners_ = _present(PARTNERS[self.joint], table) if self._vanes else []
+        levels = {}
+        for names, partners, _ in self._groups(self.columns_):
+            found = noise_level(_unwrapped(table, names + partners), **_clock(table), joint=bool(partners))
+            levels |= dict(zip(names, zip(*found, strict=True), strict=False))
+        self.noise_std_ = {name: float(levels[name][0]) for name in self.columns_}
+        self.error_std_ = {name: float(levels[name][1]) for name in self.columns_}
 
     def _transform_table(self, table):
-        check_columns(table, ["time", *self.columns_, *self.derivatives_])
-        new = self._by_cutoff(smooth, self.columns_, table)
+        check_columns(table, ["time", *self.columns_, *self.derivatives_, *self._vanes, *self.partners_])
+        new = self._apply(smooth, self.columns_, table)
         new |= {name: _rewrapped(new[name], table[name]) for name in WRAPPED if name in new}
-        rates = self._by_cutoff(differentiate, self.derivatives_, table)
+        rates = self._apply(differentiate, self.derivatives_, table)
         return with_columns(table, new | {f"{name}_dot": rate for name, rate in rates.items()})
 
     def _columns_out(self, names):
         return names + [f"{name}_dot" for name in self.derivatives_]
 
-    def _by_cutoff(self, operation, names, table):
-        """Apply smooth or differentiate once for each cutoff in use."""
-        chosen = {
-            name: self.cutoff.get(name, "auto") if isinstance(self.cutoff, dict) else self.cutoff for name in names
-        }
+    def _apply(self, operation, names, table):
+        """Smooth or differentiate the named columns, each in its group."""
         new = {}
-        for cutoff in dict.fromkeys(chosen.values()):
-            group = [name for name in names if chosen[name] == cutoff]
-            values = operation(_unwrapped(table, group), cutoff=cutoff, **_clock(table))
-            new |= dict(zip(group, values.T, strict=True))
+        for group, partners, cutoff in self._groups(names):
+            values = operation(
+                _unwrapped(table, group + partners), cutoff=cutoff, joint=bool(partners), **_clock(table)
+            )
+            new |= dict(zip(group, values.T, strict=False))  # partners help, and are smoothed by themselves
         return {name: new[name] for name in names}
+
+    def _groups(self, names):
+        """Return (columns filtered at once, their partners, cutoff); every name is in one group."""
+        groups = [(self._vanes, self.partners_, "auto")] if any(name in self._vanes for name in names) else []
+        rest = {name: self._cutoff_of(name) for name in names if name not in self._vanes}
+        for cutoff in dict.fromkeys(rest.values()):
+            groups.append(([name for name in rest if rest[name] == cutoff], [], cutoff))
+        return groups
+
+    def _cutoff_of(self, name):
+        return self.cutoff.get(name, "auto") if isinstance(self.cutoff, dict) else self.cutoff
 
 
 def _present(names, table):

@@ -32,7 +32,7 @@ def flights(n=1200, names=("one", "two")):
 
 def test_is_the_signal_module_per_flight():
     table = flights()
-    out = FlightSmoother(derivatives=["alpha", "p"]).fit_transform(table)
+    out = FlightSmoother(derivatives=["alpha", "p"], joint=None).fit_transform(table)
     clock = {"time": table.time, "flight": table.flight}
     np.testing.assert_allclose(out.alpha, smooth(table.alpha, **clock), atol=1e-15)
     np.testing.assert_allclose(out.p_dot, differentiate(table.p, **clock), atol=1e-12)
@@ -45,6 +45,26 @@ def test_automatic_columns_are_the_measured_ones():
     assert smoother.derivatives_ == ["alpha", "beta"]
 
 
+@pytest.mark.parametrize(("joint", "company"), [("rates", "airspeed p q r"), ("inertial", "airspeed p q r ax ay az")])
+def test_vanes_are_smoothed_in_company(joint, company):
+    table = flights()
+    table[["ax", "ay", "az"]] = np.random.default_rng(0).normal(size=(len(table), 3))
+    clock = {"time": table.time, "flight": table.flight}
+    channels = table[["alpha", "beta", *company.split()]]
+    out = FlightSmoother(joint=joint, derivatives=["alpha", "beta", "p"]).fit_transform(table)
+    vanes = smooth(channels, **clock, joint=True)[:, :2]
+    np.testing.assert_allclose(out[["alpha", "beta"]], vanes, atol=1e-15)
+    np.testing.assert_allclose(out.beta_dot, differentiate(channels, **clock, joint=True)[:, 1], atol=1e-12)
+    np.testing.assert_allclose(out[["q", "airspeed"]], smooth(table[["q", "airspeed"]], **clock), atol=1e-12)
+    np.testing.assert_allclose(out.p_dot, differentiate(table.p, **clock), atol=1e-12)
+
+
+def test_a_cutoff_of_its_own_leaves_the_company():
+    table = flights()
+    out = FlightSmoother(cutoff={"alpha": 2.0}).fit_transform(table)
+    np.testing.assert_allclose(out.alpha, smooth(table.alpha, table.time, flight=table.flight, cutoff=2.0))
+
+
 def test_measured_rates_are_kept():
     table = flights().assign(alpha_dot=9.0)
     out = FlightSmoother().fit_transform(table)
@@ -53,7 +73,7 @@ def test_measured_rates_are_kept():
 
 def test_cutoff_for_each_column():
     table = flights()
-    out = FlightSmoother(cutoff={"alpha": 2.0, "q": None}).fit_transform(table)
+    out = FlightSmoother(cutoff={"alpha": 2.0, "q": None}, joint=None).fit_transform(table)
     clock = {"time": table.time, "flight": table.flight}
     np.testing.assert_allclose(out.alpha, smooth(table.alpha, cutoff=2.0, **clock))
     np.testing.assert_allclose(out.alpha_dot, differentiate(table.alpha, cutoff=2.0, **clock))

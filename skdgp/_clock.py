@@ -1,0 +1,108 @@
+"""The clock of a log: contiguous stretches, their sampling rate, refusal of clocks without one."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+GAP = 2.5
+"""A step longer than this many median steps starts a new segment (one lost sample is bridged)."""
+JITTER = 0.02
+"""Samples nearer than this fraction of a step to a uniform grid are taken to lie on it (rounded clocks)."""
+
+
+def flight_segments(time, flight=None) -> list[slice]:
+    """Split a log into contiguous stretches of one flight without gaps.
+
+    A new segment starts where ``flight`` changes and where a step exceeds 2.5 times the median step of its
+    flight.
+
+    Parameters
+    ----------
+    time : array-like of shape (n,)
+        Time [s], strictly increasing within a flight.
+    flight : array-like of shape (n,), optional
+        Flight identifiers, rows of a flight together; by default all rows are one flight.
+
+    Returns
+    -------
+    list of slice
+        In order, covering every row once.
+
+    Raises
+    ------
+    ValueError
+        If time is not finite, does not increase, or steps so irregularly that no sampling rate can be told.
+
+    Examples
+    --------
+    >>> flight_segments([0.0, 0.1, 0.2, 0.9, 1.0, 0.0, 0.1], ["a"] * 5 + ["b"] * 2)
+    [slice(0, 3, None), slice(3, 5, None), slice(5, 7, None)]
+    """
+    time, codes = check_clock(time, flight)
+    return _split(time, codes)
+
+
+def check_clock(time, flight):
+    """Return time (n,) as float and integer flight codes (n,)."""
+    time = np.asarray(time, dtype=float)
+    if time.ndim != 1 or not np.isfinite(time).all():
+        raise ValueError(f"Got time of shape {time.shape}, but expected (n,), every value finite [s].")
+    codes = np.zeros(len(time), int) if flight is None else pd.factorize(np.asarray(flight))[0]
+    if len(codes) != len(time):
+        raise ValueError(f"Got {len(codes)} flight identifiers and {len(time)} times, but expected as many.")
+    step = np.diff(time)
+    back = np.flatnonzero((step <= 0) & (np.diff(codes) == 0))
+    if back.size:
+        row = back[0] + 1
+        raise ValueError(
+            f"Got time {time[row]:g} s after {time[row - 1]:g} s at row {row}, but expected time to increase "
+            "strictly within a flight: sort the rows by flight and time, drop repeated ones, or name the "
+            "flights apart."
+        )
+    return time, codes
+
+
+def runs_by_flight(time, codes):
+    """Group the segments by flight."""
+    runs = {}
+    for segment in _split(time, codes):
+        runs.setdefault(int(codes[segment.start]), []).append(segment)
+    return list(runs.values())
+
+
+def uniform_grid(time):
+    """Return the uniform grid of a run, and whether the samples lie off it (so must be resampled)."""
+    n = len(time)
+    if n < 3:
+        return time, False
+    count = np.arange(n)
+    line = np.polynomial.Polynomial.fit(count, time, 1)(count)
+    step = (line[-1] - line[0]) / (n - 1)
+    if np.abs(time - line).max() <= JITTER * step:
+        return line, False
+    size = max(n, 1 + round((time[-1] - time[0]) / np.median(np.diff(time))))
+    return np.linspace(time[0], time[-1], size), True
+
+
+def _split(time, codes):
+    """Segments of a checked clock; refuses clocks without a rate."""
+    if not len(time):
+        return []
+    step, same = np.diff(time), np.diff(codes) == 0
+    usual = pd.Series(step[same]).groupby(codes[1:][same]).median()
+    usual_here = usual.reindex(codes[1:]).to_numpy()
+    gap = same & (step > GAP * usual_here)
+    starts = ~same | gap
+    uneven = ~starts & (np.abs(step - usual_here) > 0.5 * usual_here)
+    if max(gap.sum(), uneven.sum()) > 0.1 * max(same.sum(), 10):
+        raise ValueError(
+            f"Got time steps from {step[same].min():.3g} s to {step[same].max():.3g} s (median "
+            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: resample "
+            "the "
+            "log to one uniform clock first."
+        )
+    edges = [0, *(np.flatnonzero(starts) + 1).tolist(), len(time)]
+    return [slice(a, b) for a, b in pairwise(edges)]

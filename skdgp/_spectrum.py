@@ -74,9 +74,8 @@ def joint_gain(spectrum: Spectrum, floor) -> np.ndarray:
     In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the edge of Marchenko
     and Pastur (1967); only those beyond it are signal.
     """
-    own = spectrum.own
-    k = own.shape[1]
-    unit = np.sqrt(np.where(floor > 0, floor, 1e-2 * own.min(axis=0) + 1e-12 * own.max(axis=0) + 1e-300))
+    own, k = spectrum.own, len(floor)
+    unit = _noise_unit(own, floor)
     size, axes = np.linalg.eigh(spectrum.power / (unit[:, None] * unit))
     edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
     kept = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
@@ -89,13 +88,17 @@ def joint_gain(spectrum: Spectrum, floor) -> np.ndarray:
 
 
 def expected_error(spectrum: Spectrum, floor, gain) -> np.ndarray:
-    """Return the mean squared error that is left, (k,): the integral of (1-H) S (1-H)* + H N H*, S = P - N."""
+    """Return the mean squared error that is left, (k,): the integral of (1-H) S (1-H)* + H N H*, S = P - N.
+
+    S is an estimate that may be negative; the second part, the noise that passes, bounds the sum from below.
+    """
     k = len(floor)
     full = gain if gain.ndim == 3 else gain[:, :, None] * np.eye(k)
-    lost = np.eye(k) - full
-    signal_power = spectrum.power - np.diag(floor)
-    density = np.einsum("mij,mjl,mil->mi", lost, signal_power, lost.conj()).real + np.abs(full) ** 2 @ floor
-    return np.maximum(np.trapezoid(density[1:], spectrum.frequency[1:], axis=0), 0.0)
+    missed = np.eye(k) - full
+    lost = np.einsum("mij,mjl,mil->mi", missed, spectrum.power - np.diag(floor), missed.conj()).real
+    passed = np.abs(full) ** 2 @ floor
+    lost, passed = np.trapezoid([lost[1:], passed[1:]], spectrum.frequency[1:], axis=1)
+    return passed + np.maximum(lost, 0)
 
 
 def impulse_response(gain) -> np.ndarray:
@@ -114,6 +117,11 @@ def convolve(columns, response) -> np.ndarray:
         return signal.oaconvolve(padded, response, mode="valid", axes=0)
     each = [signal.oaconvolve(padded, part, mode="valid", axes=0).sum(axis=1) for part in np.moveaxis(response, 1, 0)]
     return np.stack(each, axis=1)
+
+
+def _noise_unit(own, floor):
+    """Square root of the noise power of each channel; of something small where there is no noise."""
+    return np.sqrt(np.where(floor > 0, floor, 1e-2 * own.min(axis=0) + 1e-12 * own.max(axis=0) + 1e-300))
 
 
 def _falling(gain):

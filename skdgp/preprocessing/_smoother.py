@@ -30,7 +30,7 @@ class FlightSmoother(TableTransformer):
     Each gap-free stretch of each flight is filtered alone, on the columns ``time`` [s] and, where it is there,
     ``flight``. With ``cutoff="auto"`` each channel gets the Wiener smoother of its own spectrum,
     H(f) = max(0, 1 - N / P(f)), where N is the white noise that the upper end of P shows: a quiet channel stays as it
-    is, a noisy vane is cleaned below a few hertz. Rates of change are slopes of the cubic spline through the
+    is, a noisy vane keeps what lies below a few hertz. Rates of change are slopes of the cubic spline through the
     smoothed channel. Missing values (NaN) stay missing, and a slow sensor is filtered on its own clock.
 
     Smooth the whole flight at its full rate, before thinning: leave samples out of the fit by their targets

@@ -142,6 +142,9 @@ def test_shared_flight(shared_data):
     out = steps.fit_transform(table)
     assert out.shape == (14_400, 11)
     assert np.isfinite(out.to_numpy()).all()
+    for name in ("alpha", "beta", "airspeed", "r"):
+        left = np.std(steps[0].transform(table)[name] - table[f"{name}_true"])
+        assert steps[0].error_std_[name] == pytest.approx(left, rel=0.15)
     noise = steps[0].noise_std_  # the sensors' data sheet
     for name, sheet in {"airspeed": 0.3, "alpha": np.deg2rad(0.3), "beta": np.deg2rad(0.3), "r": 0.002}.items():
         assert noise[name] == pytest.approx(sheet, rel=0.1)

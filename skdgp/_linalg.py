@@ -54,14 +54,14 @@ def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
         if jitter > 1.01 * JITTER_LAST or not np.isfinite(mean):
             raise np.linalg.LinAlgError(
                 f"The covariance matrix of {len(K)} values is not positive definite even with {JITTER_LAST:g} of its "
-                "mean diagonal added. Raise the noise (its lower bound), remove repeated samples, or shorten the length "
-                "scales."
+                "mean diagonal added. Raise the noise (its lower bound), remove repeated samples, or shorten the "
+                "length scales."
             )
     if jitter:
         warnings.warn(
             f"The covariance matrix of {len(L)} values was not positive definite in double precision; {jitter:g} of "
-            "its mean diagonal was added. The results are those of a slightly noisier model: remove repeated samples or "
-            "raise the lower bound of the noise if that matters.",
+            "its mean diagonal was added. The results are those of a slightly noisier model: remove repeated samples "
+            "or raise the lower bound of the noise if that matters.",
             JitterWarning,
             stacklevel=3,
         )

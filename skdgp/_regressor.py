@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from functools import partial
 from numbers import Integral
 
 import numpy as np
@@ -14,8 +15,11 @@ from sklearn.utils import check_array, check_consistent_length, check_random_sta
 from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp.inference import Data, ExactPosterior, fit_hyperparameters, log_likelihood, output_correlation
+from skdgp.inference import fit_exact, fit_sparse, output_correlation
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
+
+EXACT_LIMIT = 6000
+"""Observed values up to which inference="auto" is exact: about two seconds an evaluation on two cores."""
 
 
 class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -49,8 +53,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "constant" takes the mean of each output away (the paper's centring). "linear" adds a linear function
         of the regressors whose weights are integrated out, so that the model goes on sensibly where there were
         no data, with the uncertainty of the slopes. None: neither.
-    inference : {"auto", "exact"}
-        How the posterior is had. "auto" is "exact".
+    inference : {"auto", "exact", "sparse"}
+        "exact" conditions on every observed value. "sparse" starts from an exact fit of some samples and maximises
+        a lower bound of the likelihood on all of them, in time linear in the samples and memory that does not
+        grow. "auto" is "exact" up to 6000 observed values; ``inference_`` says what it chose.
+    n_inducing : int
+        Of sparse inference: inducing inputs of each latent process.
     optimizer : "fmin_l_bfgs_b", callable or None
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values.
     n_restarts_optimizer : int
@@ -72,7 +80,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, in squared units of the outputs.
     log_marginal_likelihood_value_ : float
-        Of the normalised outputs.
+        Of the normalised outputs; its lower bound where inference is sparse.
+    inference_ : {"exact", "sparse"}
+        What was done.
+    posterior_ : ExactPosterior or SparsePosterior
+        The state of knowledge about the normalised outputs.
     n_iter_, n_evaluations_ : int
         Iterations on the full data; evaluations of the likelihood in all.
     output_names_ : list of str
@@ -100,7 +112,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
         "trend": [StrOptions({"linear", "constant"}), None],
-        "inference": [StrOptions({"auto", "exact"})],
+        "inference": [StrOptions({"auto", "exact", "sparse"})],
+        "n_inducing": [Interval(Integral, 1, None, closed="left")],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
         "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
@@ -118,6 +131,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         covariance_type="diag",
         trend="linear",
         inference="auto",
+        n_inducing=100,
         optimizer="fmin_l_bfgs_b",
         n_restarts_optimizer=0,
         max_iter=60,
@@ -131,6 +145,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.covariance_type = covariance_type
         self.trend = trend
         self.inference = inference
+        self.n_inducing = n_inducing
         self.optimizer = optimizer
         self.n_restarts_optimizer = n_restarts_optimizer
         self.max_iter = max_iter
@@ -179,18 +194,21 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         used = np.isfinite(Y).any(axis=1)
         X, Y = X[used], Y[used]
         self._warn_of(X, Y)
-        self._check_memory(int(np.isfinite(Y).sum()))
-        center = np.nanmean(Y, axis=0) if self.trend else np.zeros(Y.shape[1])
+        n_values = int(np.isfinite(Y).sum())
+        self.inference_ = (
+            self.inference if self.inference != "auto" else "exact" if n_values <= EXACT_LIMIT else "sparse"
+        )
+        if self.inference_ == "exact":
+            _check_memory(n_values)
+        self._center = np.nanmean(Y, axis=0) if self.trend else np.zeros(Y.shape[1])
         scale = np.nanstd(Y, axis=0) if self.normalize_y else np.ones(Y.shape[1])
-        self._center, self._scale = center, np.where(scale > 1e-12 * np.abs(np.nanmax(np.abs(Y), axis=0)), scale, 1.0)
-        Z = (Y - self._center) / self._scale
-        best = self._search(X, Z)
-        self.kernel_ = best.kernel
+        self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
+        best = self._search(X, (Y - self._center) / self._scale)
+        self.posterior_ = best.posterior
+        self.kernel_ = best.posterior.kernel
+        self.noise_variance_ = best.posterior.noise * self._scale**2
+        self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_ = best.n_iter, best.n_evaluations
-        self.noise_variance_ = best.noise * self._scale**2
-        self._data = Data.from_table(X, Z)
-        self.posterior_ = ExactPosterior(best.kernel, best.noise, self._data)
-        self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood
         return self
 
     def _check_targets(self, y, X):
@@ -233,15 +251,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 stacklevel=4,
             )
 
-    def _check_memory(self, n_values):
-        needed, there = 8 * 2 * n_values**2, _physical_memory()
-        if needed > 0.8 * there:
-            raise ValueError(
-                f"Exact inference on {n_values} observed values needs about {needed / 2**30:.0f} GiB, but this machine "
-                f"has {there / 2**30:.0f} GiB. Observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 "
-                "samples spread over the log."
-            )
-
     def _search(self, X, Z):
         """Return the best fit over the starting points."""
         kernel = self.kernel
@@ -252,17 +261,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         kernel = clone(kernel)
         if self.trend == "linear":
             kernel = LinearTrend() + kernel
+        search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
+        search = partial(search, kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter)
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
-        jobs = (
-            delayed(fit_hyperparameters)(
-                kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter, random_state=int(seed), spread=spread
-            )
-            for seed, spread in zip(seeds, [0.0] + [1.0] * self.n_restarts_optimizer, strict=True)
-        )
         if not self.n_restarts_optimizer:
-            function, args, kwargs = next(jobs)
-            return function(*args, **kwargs)
-        return max(Parallel(n_jobs=self.n_jobs)(jobs), key=lambda fit: fit.value)
+            return search(random_state=int(seeds[0]))
+        spreads = [0.0] + [1.0] * self.n_restarts_optimizer
+        jobs = (
+            delayed(search)(random_state=int(seed), spread=spread) for seed, spread in zip(seeds, spreads, strict=True)
+        )
+        return max(Parallel(n_jobs=self.n_jobs)(jobs), key=lambda fit: fit.posterior.log_marginal_likelihood)
 
     # -- prediction ------------------------------------------------------------------------------------
 
@@ -369,7 +377,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             theta = self.theta_
         theta = np.asarray(theta, dtype=float)
         kernel = self.kernel_.clone_with_theta(theta[:-P])
-        return log_likelihood(kernel, np.exp(theta[-P:]), self._data, eval_gradient)
+        return self.posterior_.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
 
     @property
     def theta_(self):
@@ -399,6 +407,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _shaped(self, values):
         """Return (n, P, ...) as it is, or (n, ...) where the targets were (n,)."""
         return values[:, 0] if self._single else values
+
+
+def _check_memory(n_values):
+    needed, there = 8 * 2 * n_values**2, _physical_memory()
+    if needed > 0.8 * there:
+        raise ValueError(
+            f"Exact inference on {n_values} observed values needs about {needed / 2**30:.0f} GiB, but this machine has "
+            f"{there / 2**30:.0f} GiB. Use inference='sparse', or observe fewer: "
+            "skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over the log."
+        )
 
 
 def _physical_memory():

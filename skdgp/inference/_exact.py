@@ -5,6 +5,7 @@ Only this file knows how the N x N matrix is laid out; kernels only ever see one
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -128,20 +129,32 @@ class ExactPosterior:
     """
 
     def __init__(self, kernel, noise, data: Data):
-        self.kernel, self.noise, self.X = kernel, np.asarray(noise, dtype=float), data.X
+        self.kernel, self.noise, self.data = kernel, np.asarray(noise, dtype=float), data
         y = np.concatenate(data.y)
-        self.L = jittered_cholesky(lambda: covariance(kernel, noise, data.X))
         self.alpha = cholesky_solve(self.L, y)
         self.log_marginal_likelihood = -0.5 * (y @ self.alpha + log_determinant(self.L) + len(y) * np.log(2 * np.pi))
 
+    @cached_property
+    def L(self):
+        """Cholesky factor of Kff + noise, (N, N); factored again, to the same bits, where it was left behind."""
+        return jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data.X))
+
+    def __getstate__(self):
+        # A saved model holds the samples, not the N x N factor: megabytes instead of hundreds of them.
+        return {name: value for name, value in self.__dict__.items() if name != "L"}
+
+    def likelihood_at(self, kernel, noise, eval_gradient=False):
+        """Return the log likelihood of the same data at other hyperparameters, and its gradient on request."""
+        return log_likelihood(kernel, noise, self.data, eval_gradient)
+
     def cross(self, i, Xs) -> np.ndarray:
         """Return cov(y_i(Xs), all observed values), (n, N)."""
-        tiles, rows = _tiles([len(x) for x in self.X]), _tiles([len(Xs)])
+        tiles, rows = _tiles([len(x) for x in self.data.X]), _tiles([len(Xs)])
         K = np.empty((len(Xs), len(self.alpha)))
 
         def fill(pair):
             a, b = pair
-            K[a.own, b.all] = self.kernel.block(i, b.output, Xs[a.own], self.X[b.output][b.own])
+            K[a.own, b.all] = self.kernel.block(i, b.output, Xs[a.own], self.data.X[b.output][b.own])
 
         thread_map(fill, [(a, b) for a in rows for b in tiles])
         return K
@@ -178,7 +191,9 @@ class ExactPosterior:
         for rows in self._chunks(len(Xs), d * len(self.alpha)):
             for i in range(P):
                 x = Xs[rows]
-                K = np.concatenate([self.kernel.block_derivative(i, j, x, Xj) for j, Xj in enumerate(self.X)], axis=2)
+                K = np.concatenate(
+                    [self.kernel.block_derivative(i, j, x, Xj) for j, Xj in enumerate(self.data.X)], axis=2
+                )
                 mean[rows, i] = (K @ self.alpha).T
                 if return_variance:
                     half = triangular_solve(self.L, K.reshape(-1, len(self.alpha)).T)

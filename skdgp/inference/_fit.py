@@ -1,4 +1,4 @@
-"""From a kernel without values to a kernel that fits: starting values, a cheap start, the full likelihood."""
+"""From a kernel without values to a posterior: starting values, hyperparameters, the state of knowledge."""
 
 from __future__ import annotations
 
@@ -7,39 +7,30 @@ from threading import Event
 from typing import NamedTuple
 
 import numpy as np
+from sklearn.cluster import KMeans
 from sklearn.utils import check_random_state
 
 from skdgp._threads import thread_map
-from skdgp.inference._exact import Data, log_likelihood
+from skdgp.inference._exact import Data, ExactPosterior, log_likelihood
 from skdgp.inference._optimize import maximize
+from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
+SUBSET = 2400  # values of the exact fit from which the sparse one starts
 NOISE_BOUNDS = (1e-6, 1e2)
 
 
 class Fit(NamedTuple):
-    """Fitted hyperparameters and how they were found."""
+    """A posterior and how its hyperparameters were found."""
 
-    kernel: object
-    noise: np.ndarray
-    value: float
+    posterior: ExactPosterior | SparsePosterior
     n_iter: int
     n_evaluations: int
     interrupted: bool
 
 
-def objective(kernel, data, n_outputs):
-    """Return the log likelihood as a function of [theta, log noise]."""
-
-    def evaluate(theta):
-        noise = np.exp(theta[-n_outputs:])
-        return log_likelihood(kernel.clone_with_theta(theta[:-n_outputs]), noise, data, eval_gradient=True)
-
-    return evaluate
-
-
-def fit_hyperparameters(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0):
-    """Return the fit from one starting point.
+def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) -> Fit:
+    """Return the exact posterior at the best hyperparameters found from one starting point.
 
     Parameters
     ----------
@@ -51,7 +42,7 @@ def fit_hyperparameters(kernel, X, Y, *, optimizer, max_iter, random_state, spre
     optimizer : "fmin_l_bfgs_b", callable or None
         None keeps the starting values.
     max_iter : int
-        Iterations on the full data.
+        Iterations on the joint likelihood.
     random_state : int, RandomState or None
     spread : float
         Standard deviation of what is added to the starting theta: for restarts.
@@ -59,10 +50,10 @@ def fit_hyperparameters(kernel, X, Y, *, optimizer, max_iter, random_state, spre
     random_state = check_random_state(random_state)
     P = Y.shape[1]
     kernel = kernel.initialize(X, Y, random_state)
-    noise = _starting_noise(kernel, X, Y)
+    noise = np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), 10 * NOISE_BOUNDS[0], None)
     data = Data.from_table(X, Y)
     if optimizer is None:
-        return Fit(kernel, noise, log_likelihood(kernel, noise, data), 0, 1, False)
+        return Fit(ExactPosterior(kernel, noise, data), 0, 0, False)
     stop = Event()
     search = partial(maximize, optimizer=optimizer, stop=stop)
     n_evaluations = 0
@@ -70,19 +61,65 @@ def fit_hyperparameters(kernel, X, Y, *, optimizer, max_iter, random_state, spre
         kernel, noise, n_evaluations = _from_single_outputs(kernel, noise, X, Y, search, random_state)
     theta = np.concatenate([kernel.theta, np.log(noise)])
     theta += spread * random_state.normal(size=theta.shape)
-    best = search(objective(kernel, data, P), theta, _bounds(kernel, P), max_iter=max_iter)
-    return Fit(
-        kernel.clone_with_theta(best.theta[:-P]),
-        np.exp(best.theta[-P:]),
-        best.value,
-        best.n_iter,
-        n_evaluations + best.n_evaluations,
-        stop.is_set(),
+    best = search(_likelihood(kernel, data, P), theta, _bounds(kernel, P), max_iter=max_iter)
+    kernel, noise = kernel.clone_with_theta(best.theta[:-P]), np.exp(best.theta[-P:])
+    return Fit(ExactPosterior(kernel, noise, data), best.n_iter, n_evaluations + best.n_evaluations, stop.is_set())
+
+
+def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, spread=0.0) -> Fit:
+    """Return the sparse posterior on all samples, started from an exact fit of some of them.
+
+    Parameters are those of ``fit_exact``, and
+
+    n_inducing : int
+        Inducing inputs of each latent process; they start at the centres of k-means and are learned.
+    """
+    random_state = check_random_state(random_state)
+    data = Data.from_table(X, Y)
+    share = min(1.0, SUBSET / data.n_values)
+    rows = np.sort(random_state.permutation(len(X))[: max(2, int(share * len(X)))])
+    first = fit_exact(
+        kernel, X[rows], Y[rows], optimizer=optimizer, max_iter=max_iter, random_state=random_state, spread=spread
     )
+    kernel, noise = first.posterior.kernel, first.posterior.noise
+    features = kernel.features(_centres(X, n_inducing, random_state))
+    if optimizer is None or first.interrupted:
+        return first._replace(posterior=SparsePosterior(kernel, features, noise, data))
+    n, P = kernel.n_dims, Y.shape[1]
+
+    def rebuilt(theta):
+        new = kernel.clone_with_theta(theta[:n])
+        return SparsePosterior(new, features.rebuild(new, theta[n + P :]), np.exp(theta[n : n + P]), data)
+
+    def bound(theta):
+        posterior = rebuilt(theta)
+        return posterior.log_marginal_likelihood, posterior.bound_gradient()
+
+    theta = np.concatenate([kernel.theta, np.log(noise), features.theta])
+    bounds = np.concatenate([_bounds(kernel, P), features.bounds])
+    best = maximize(bound, theta, bounds, optimizer=optimizer, max_iter=max_iter, stage="bound")
+    return Fit(rebuilt(best.theta), best.n_iter, first.n_evaluations + best.n_evaluations, best.interrupted)
 
 
-def _starting_noise(kernel, X, Y):
-    return np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), 10 * NOISE_BOUNDS[0], None)
+def _centres(X, n_inducing, random_state):
+    """Return at most n_inducing centres of the samples, (k, d)."""
+    distinct = np.unique(X, axis=0)
+    if len(distinct) <= n_inducing:
+        return distinct
+    some = X[random_state.permutation(len(X))[: 50 * n_inducing]]
+    scale = np.where(X.std(axis=0) > 0, X.std(axis=0), 1.0)
+    means = KMeans(n_inducing, n_init=1, random_state=random_state).fit(some / scale)
+    return means.cluster_centers_ * scale
+
+
+def _likelihood(kernel, data, n_outputs):
+    """Return the log likelihood as a function of [theta, log noise]."""
+
+    def evaluate(theta):
+        noise = np.exp(theta[-n_outputs:])
+        return log_likelihood(kernel.clone_with_theta(theta[:-n_outputs]), noise, data, eval_gradient=True)
+
+    return evaluate
 
 
 def _bounds(kernel, n_outputs):
@@ -103,8 +140,8 @@ def _from_single_outputs(kernel, noise, X, Y, search, random_state):
         x, y = X[rows], Y[rows, i : i + 1]
         single = kernel.single().initialize(x, y, states[i])
         theta = np.append(single.theta, np.log(noise[i]))
-        log_likelihood_i = objective(single, Data.from_table(x, y), 1)
-        best = search(log_likelihood_i, theta, _bounds(single, 1), max_iter=SINGLE_ITERATIONS, stage=f"output {i + 1}")
+        likelihood = _likelihood(single, Data.from_table(x, y), 1)
+        best = search(likelihood, theta, _bounds(single, 1), max_iter=SINGLE_ITERATIONS, stage=f"output {i + 1}")
         return single.clone_with_theta(best.theta[:-1]), np.exp(best.theta[-1]), best.n_evaluations
 
     singles, noises, n_evaluations = zip(*thread_map(fit_one, range(Y.shape[1]), search.keywords["stop"]), strict=True)

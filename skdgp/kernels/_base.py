@@ -9,6 +9,8 @@ import numpy as np
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
+from skdgp.kernels._features import Features, SumFeatures
+
 
 class Free(NamedTuple):
     """The free entries of one parameter array.
@@ -58,6 +60,18 @@ class MultiOutputKernel(Kernel):
     @abstractmethod
     def derivative_diag(self, i: int, Xi) -> np.ndarray:
         """Return the prior variance of dy_i/dx at Xi, (n_i, d)."""
+
+    @abstractmethod
+    def diag_gradient(self, i: int, Xi, w) -> np.ndarray:
+        """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
+
+    @abstractmethod
+    def features(self, Z) -> Features:
+        """Return inducing features for sparse inference, placed at Z (k, d)."""
+
+    @abstractmethod
+    def peaks(self, i: int, j: int, d: int) -> np.ndarray:
+        """Return separations where the terms of a stationary cov(y_i, y_j) are largest, (k, d)."""
 
     @abstractmethod
     def initialize(self, X, Y, random_state) -> MultiOutputKernel:
@@ -240,6 +254,15 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def initialize(self, X, Y, random_state):
         first = self.k1.initialize(X, Y, random_state)
         return Sum(first, self.k2.initialize(X, first.unexplained(X, Y), random_state))
+
+    def diag_gradient(self, i, Xi, w):
+        return np.concatenate([self.k1.diag_gradient(i, Xi, w), self.k2.diag_gradient(i, Xi, w)])
+
+    def features(self, Z):
+        return SumFeatures(self.k1.features(Z), self.k2.features(Z))
+
+    def peaks(self, i, j, d):
+        return np.concatenate([self.k1.peaks(i, j, d), self.k2.peaks(i, j, d)])
 
     def single(self):
         return Sum(self.k1.single(), self.k2.single())

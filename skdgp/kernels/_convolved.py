@@ -6,8 +6,10 @@ import numpy as np
 from sklearn.base import clone
 
 from skdgp.kernels._base import Free, MultiOutputKernel
+from skdgp.kernels._features import ConvolvedFeatures
 from skdgp.kernels._start import starting_values
 
+PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
 
 
@@ -35,6 +37,9 @@ class ConvolvedGaussian(MultiOutputKernel):
     covariance_type : {"spherical", "diag", "full", "tied"}
         The filters' widths: one number, one per regressor, a full matrix, or one per regressor that all outputs
         of a latent have in common (with zero shifts: the linear model of coregionalisation).
+    feeds : array (M, P) of bool or None
+        Which latent feeds which output, where neither all nor one is right (a latent for the lateral outputs, say);
+        it replaces ``n_latent`` and ``private_latents``.
     amplitude : array (M, P) or None
         Signed w, the last axis tells P, shared latents first, then the private ones. None: from the data.
     length_scale : array (M, P, d) or None
@@ -70,6 +75,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         *,
         private_latents=True,
         covariance_type="diag",
+        feeds=None,
         amplitude=None,
         length_scale=None,
         shear=0.0,
@@ -82,6 +88,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.n_latent = n_latent
         self.private_latents = private_latents
         self.covariance_type = covariance_type
+        self.feeds = feeds
         self.amplitude = amplitude
         self.length_scale = length_scale
         self.shear = shear
@@ -110,10 +117,8 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         w, lengths = np.asarray(self.amplitude, dtype=float), np.asarray(self.length_scale, dtype=float)
         P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
-        feeds = _feeds(self.n_latent, P, self.private_latents)
+        feeds = self._who_feeds(P)
         M = len(feeds)
-        if M == 0:
-            raise ValueError("Got n_latent=0 without private latents, but expected at least one latent process.")
         if not (lengths > 0).all():
             raise ValueError("Got a length_scale that is not positive; expected lengths > 0.")
         return {
@@ -123,6 +128,20 @@ class ConvolvedGaussian(MultiOutputKernel):
             "shear": _as_shape("shear", self.shear, (M, P, d * (d - 1) // 2)),
             "shift": _as_shape("shift", self.shift, (M, P, d)),
         }
+
+    def _who_feeds(self, P):
+        """Return (M, P), one where a latent feeds an output."""
+        if self.feeds is None:
+            feeds = np.ones((self.n_latent, P))
+            feeds = np.concatenate([feeds, np.eye(P)]) if self.private_latents else feeds
+        else:
+            feeds = np.asarray(self.feeds, dtype=float)
+        if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
+            raise ValueError(
+                f"Got latents that feed the outputs as {feeds.astype(int).tolist()}, but expected (M, {P}) with at "
+                "least one latent for every output, and no idle latent: raise n_latent, or set private_latents=True."
+            )
+        return feeds
 
     def _value(self, name):
         return self._arrays()[name]
@@ -139,7 +158,7 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def initialize(self, X, Y, random_state):
         params = self.get_params()
-        for name, value in starting_values(self.n_latent, self.private_latents, X, Y, random_state).items():
+        for name, value in starting_values(self._who_feeds(Y.shape[1]), X, Y, random_state).items():
             if params[name] is None:
                 params[name] = value
         kernel = ConvolvedGaussian(**params)
@@ -153,6 +172,21 @@ class ConvolvedGaussian(MultiOutputKernel):
                     "outputs, that of length_scale regressors; leave them None to take them from the data."
                 )
         return kernel
+
+    def diag_gradient(self, i, Xi, w):
+        zeros = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
+        zeros["amplitude"][:, i] = 2 * np.sum(w) * self._value("amplitude")[:, i]
+        return self.pull_back(zeros)
+
+    def features(self, Z):
+        w, lengths = self._value("amplitude"), self._value("length_scale")
+        weight = np.maximum(w**2, 1e-12) * self._value("feeds")
+        weight /= weight.sum(axis=1, keepdims=True)
+        width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
+        return ConvolvedFeatures(self, np.tile(Z, (len(w), 1, 1)), width, _widened)
+
+    def peaks(self, i, j, d):
+        return self._pair(i, j)[-1]
 
     def single(self):
         return ConvolvedGaussian(0, private_latents=True, covariance_type=self.covariance_type)
@@ -184,7 +218,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         own = latent * P + output
         width = latent if self.covariance_type == "tied" else own
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
-        moves = feeds & (output > 0) & (latent < self.n_latent)
+        moves = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
         free = [
             Free("amplitude", _number(own, feeds), False, _or(self.amplitude_bounds, (-1e3, 1e3))),
             Free(
@@ -298,19 +332,31 @@ class ConvolvedGaussian(MultiOutputKernel):
         return np.broadcast_to(variance, np.shape(Xi))
 
     def block_gradient(self, i, j, Xi, Xj, W):
-        shift = self._pair(i, j)[-1]
+        return self.pull_back(self.entry_gradients(i, j, Xi, Xj, W))
+
+    def entry_gradients(self, i, j, Xi, Xj, W, inputs=False):
+        """Return sum(W * dK_ij) by each entry of the parameter arrays (of the logarithm of length scales).
+
+        With ``inputs`` also by the rows of Xj, (n_j, d).
+        """
+        gains, shift = self._pair(i, j)[1], self._pair(i, j)[-1]
+        d_inputs = np.zeros(np.shape(Xj)) if inputs else None
         full = self.covariance_type == "full"
         mass, first = np.zeros(len(shift)), np.zeros(shift.shape)
         second = np.zeros((*shift.shape, shift.shape[1]) if full else shift.shape)
         for k, E in self._exponentials(i, j, Xi, Xj):
             E *= W
             mass[k], first[k], second[k] = _moments(E, Xi - shift[k], Xj, full)
-        return self._chain(i, j, mass, first, second)
+            if inputs:
+                pull = E.T @ (Xi - shift[k]) - E.sum(axis=0)[:, None] * Xj
+                d_inputs += gains[k] * pull @ self._precision(i, j, k)
+        entries = self._chain(i, j, mass, first, second)
+        return (entries, d_inputs) if inputs else entries
 
     def _chain(self, i, j, mass, first, second):
-        """Return the gradient from the moments of W * E over delta - mu: of order 0, 1 and 2."""
+        """Return the gradients from the moments of W * E over delta - mu: of order 0, 1 and 2."""
         both, gains, c, F, _ = self._pair(i, j)
-        gradients = {name: np.zeros_like(self._value(name)) for name in ("amplitude", "length_scale", "shear", "shift")}
+        gradients = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
         w = self._value("amplitude")[both]
         np.add.at(gradients["amplitude"], (both, i), c * w[:, j] * mass)
         np.add.at(gradients["amplitude"], (both, j), c * w[:, i] * mass)
@@ -328,7 +374,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             slope = F**2 * first
         np.add.at(gradients["shift"], (both, i), gains[:, None] * slope)
         np.add.at(gradients["shift"], (both, j), -gains[:, None] * slope)
-        return self.pull_back(gradients)
+        return gradients
 
     def _chain_full(self, gradients, i, j, mass, second):
         """Add the derivatives with respect to length scales and shears of full filters."""
@@ -354,6 +400,19 @@ class ConvolvedGaussian(MultiOutputKernel):
         return True
 
 
+def _widened(kernel, width):
+    """Return the kernel with one more output for each latent: the latent itself, at unit variance and given width."""
+    M = len(width)
+    lengths = np.tile(width[:, None, :], (1, M, 1))
+    extra = {"amplitude": np.eye(M), "length_scale": lengths, "feeds": np.eye(M)}
+    arrays = {}
+    for name in (*PARAMETERS, "feeds"):
+        value = kernel._value(name)
+        arrays[name] = np.concatenate([value, extra.get(name, np.zeros((M, M, *value.shape[2:])))], axis=1)
+    covariance_type = "full" if kernel.covariance_type == "full" else "diag"
+    return ConvolvedGaussian(covariance_type=covariance_type, **arrays)
+
+
 def _moments(G, a, b, full):
     """Return sum G, sum G delta and sum G delta delta^T (or its diagonal) over delta = a_i - b_j."""
     rows, columns = G.sum(axis=1), G.sum(axis=0)
@@ -375,12 +434,6 @@ def _full_pair(R):
     # Sigma = A_i (A_i + A_j)^-1 A_j = (A_i^-1 + A_j^-1)^-1, symmetric although the product does not look it.
     S = Ai @ np.linalg.solve(Ai + Aj, Aj)
     return c, np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2)))
-
-
-def _feeds(n_latent, n_outputs, private):
-    """Return (M, P), one where a latent feeds an output."""
-    shared = np.ones((n_latent, n_outputs))
-    return np.concatenate([shared, np.eye(n_outputs)]) if private else shared
 
 
 def _number(index, chosen):

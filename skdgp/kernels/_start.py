@@ -5,26 +5,30 @@ from __future__ import annotations
 import numpy as np
 from sklearn.utils import check_random_state
 
+SHARED_VARIANCE = 0.1  # of an output that also has a latent of its own
 
-def starting_values(n_latent, private_latents, X, Y, random_state):
+
+def starting_values(feeds, X, Y, random_state):
     """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
 
-    The shared latents start along the principal directions of the outputs' correlation, so that what moves
-    together shares a latent from the start; widths are spread over latents, since equal ones would have equal
-    gradients and never part.
+    ``feeds`` (M, P) tells which latent feeds which output. The shared latents start along the principal directions
+    of the outputs' correlation, so that what moves together shares a latent from the start; widths are spread over
+    latents, since equal ones would have equal gradients and never part.
     """
     rng = check_random_state(random_state)
-    P, d = Y.shape[1], X.shape[1]
-    y_scale = _scale(Y)
-    x_scale = _scale(X)
-    M = n_latent + (P if private_latents else 0)
-    amplitude = np.zeros((M, P))
-    share = 0.1 if private_latents and n_latent else 1.0
-    amplitude[:n_latent] = np.sqrt(share) * y_scale * _directions(Y, n_latent, rng)
-    if private_latents:
-        amplitude[n_latent:] = np.diag(np.sqrt(1.0 - share if n_latent else 1.0) * y_scale)
+    M, P = feeds.shape
+    d = X.shape[1]
+    x_scale, y_scale = _scale(X), _scale(Y)
+    shared = feeds.sum(axis=1) > 1
+    n_shared = int(shared.sum())
+    weight = np.where(shared[:, None], SHARED_VARIANCE, 1.0 - SHARED_VARIANCE) * np.ones((1, P)) * feeds
+    directions = np.ones((M, P))
+    directions[shared] = _directions(Y, n_shared, rng)
+    weight *= directions**2
+    amplitude = np.sign(directions) * np.sqrt(weight / weight.sum(axis=0)) * y_scale
     # A latent that explains more varies more slowly: wide first, narrow last.
-    spread = np.concatenate([np.geomspace(2.0, 0.8, n_latent), np.full(M - n_latent, 1.2)])
+    spread = np.full(M, 1.2)
+    spread[shared] = np.geomspace(2.0, 0.8, n_shared)
     lengths = np.sqrt(d) * spread[:, None, None] * x_scale * np.exp(0.1 * rng.normal(size=(M, 1, d)))
     return {
         "amplitude": amplitude,

@@ -6,6 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from skdgp.kernels._base import Free, MultiOutputKernel
+from skdgp.kernels._features import TrendFeatures
 
 
 class LinearTrend(MultiOutputKernel):
@@ -80,6 +81,36 @@ class LinearTrend(MultiOutputKernel):
             slope_scale_bounds=slope_bounds,
         )
 
+    def basis(self, i, X):
+        """Return (n, d + 1): output i's standardised weights -> its trend at X."""
+        return np.column_stack([np.full(len(X), self._scales(i)[0]), self._weighted(i, X)])
+
+    def basis_derivative(self, i, X):
+        """Return dbasis / dX, (d, n, d + 1)."""
+        n, d = np.shape(X)
+        slopes = np.column_stack([np.zeros(d), np.diag(self._scales(i)[1])])
+        return np.broadcast_to(slopes[:, None, :], (d, n, d + 1))
+
+    def basis_gradient(self, i, X, W):
+        """Return sum(W * dbasis / dtheta), (n_theta,)."""
+        by_column = (W * self.basis(i, X)).sum(axis=0)
+        return self._by_entry(i, by_column[0], by_column[1:])
+
+    def diag_gradient(self, i, Xi, w):
+        return self._by_entry(i, 2 * w.sum() * self._scales(i)[0] ** 2, 2 * w @ self._weighted(i, Xi) ** 2)
+
+    def features(self, Z):
+        return TrendFeatures(self)
+
+    def _by_entry(self, i, by_intercept, by_slope):
+        intercept = np.zeros(np.shape(np.ravel(self.intercept_scale)))
+        slope = np.zeros(np.shape(np.atleast_2d(self.slope_scale)))
+        intercept[i], slope[i] = by_intercept, by_slope
+        return self.pull_back({"intercept_scale": intercept, "slope_scale": slope})
+
+    def peaks(self, i, j, d):
+        return np.zeros((0, d))
+
     def single(self):
         return LinearTrend()
 
@@ -123,12 +154,10 @@ class LinearTrend(MultiOutputKernel):
         return np.broadcast_to(self._scales(i)[1] ** 2, np.shape(Xi))
 
     def block_gradient(self, i, j, Xi, Xj, W):
-        intercept = np.zeros(np.shape(np.ravel(self.intercept_scale)))
-        slope = np.zeros(np.shape(np.atleast_2d(self.slope_scale)))
-        if i == j:
-            intercept[i] = 2 * W.sum() * self._scales(i)[0] ** 2
-            slope[i] = 2 * np.einsum("ak,ak->k", self._weighted(i, Xi), W @ self._weighted(i, Xj))
-        return self.pull_back({"intercept_scale": intercept, "slope_scale": slope})
+        if i != j:
+            return np.zeros(self.n_dims)
+        by_slope = np.einsum("ak,ak->k", self._weighted(i, Xi), W @ self._weighted(i, Xj))
+        return self._by_entry(i, 2 * W.sum() * self._scales(i)[0] ** 2, 2 * by_slope)
 
     def _free(self):
         if self.slope_scale is None or self.intercept_scale is None:

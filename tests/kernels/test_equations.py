@@ -1,0 +1,101 @@
+"""Equations 14 to 16 typed from the paper, with the kernel's published v, A and mu."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, trapezoid
+
+from skdgp.kernels import ConvolvedGaussian
+
+
+def kernel_of(covariance_type, d, n_latent=2, P=2, seed=0):
+    rng = np.random.default_rng(seed)
+    M = n_latent + P
+    widths = {"spherical": (M, P, 1), "tied": (M, 1, d)}.get(covariance_type, (M, P, d))
+    shift = rng.normal(0, 0.5, (M, P, d)) * (np.arange(M) < n_latent)[:, None, None]
+    return ConvolvedGaussian(
+        n_latent,
+        covariance_type=covariance_type,
+        amplitude=rng.normal(size=(M, P)) * np.r_[np.ones((n_latent, P)), np.eye(P)],
+        length_scale=np.broadcast_to(rng.uniform(0.6, 1.6, widths), (M, P, d)),
+        shear=rng.normal(0, 0.7, (M, P, d * (d - 1) // 2)) if covariance_type == "full" else 0.0,
+        shift=shift,
+    )
+
+
+def matrices(kernel):
+    """The precisions as matrices, (M, P, d, d), whatever their type."""
+    A = kernel.A
+    return A if A.ndim == 4 else A[..., None] * np.eye(A.shape[-1])
+
+
+def smoothing(kernel, m, i, s):
+    """Equation 14's impulse response h_mi at s, (..., d)."""
+    away = s - kernel.mu[m, i]
+    return kernel.v[m, i] * np.exp(-0.5 * np.einsum("...k,kl,...l->...", away, matrices(kernel)[m, i], away))
+
+
+def test_covariance_is_the_integral_of_the_filters_in_one_dimension():
+    kernel = kernel_of("diag", 1)
+    delta = 0.37
+    for i in range(2):
+        for j in range(2):
+            total = 0.0
+            for m in range(4):
+
+                def product(u, m=m, i=i, j=j):
+                    u = np.array([u])
+                    return smoothing(kernel, m, i, u) * smoothing(kernel, m, j, u - delta)
+
+                total += quad(product, -12, 12, epsabs=1e-12, limit=200)[0]
+            assert kernel.block(i, j, [[delta]], [[0.0]])[0, 0] == pytest.approx(total, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("covariance_type", ["spherical", "diag", "full", "tied"])
+def test_covariance_is_the_integral_of_the_filters_in_two_dimensions(covariance_type):
+    kernel = kernel_of(covariance_type, 2, seed=3)
+    delta = np.array([0.4, -0.3])
+    axis = np.linspace(-10, 10, 301)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
+    for i in range(2):
+        for j in range(2):
+            product = sum(smoothing(kernel, m, i, grid) * smoothing(kernel, m, j, grid - delta) for m in range(4))
+            total = trapezoid(trapezoid(product, axis), axis)  # of spectral order: the Gaussians vanish at the ends
+            got = kernel.block(i, j, delta[None], np.zeros((1, 2)))[0, 0]
+            assert got == pytest.approx(total, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("d", [1, 2, 4])
+@pytest.mark.parametrize("covariance_type", ["spherical", "diag", "full", "tied"])
+def test_covariance_is_equation_16(covariance_type, d):
+    kernel = kernel_of(covariance_type, d, P=3, seed=d)
+    rng = np.random.default_rng(9)
+    X, Z = rng.normal(size=(3, d)), rng.normal(size=(2, d))
+    A, v, mu = matrices(kernel), kernel.v, kernel.mu
+    for i in range(3):
+        for j in range(3):
+            for a, x in enumerate(X):
+                for b, z in enumerate(Z):
+                    expected = 0.0
+                    for m in range(len(v)):
+                        both = A[m, i] + A[m, j]
+                        S = A[m, i] @ np.linalg.inv(both) @ A[m, j]
+                        away = x - z - (mu[m, i] - mu[m, j])
+                        size = (2 * np.pi) ** (d / 2) * v[m, i] * v[m, j] / np.sqrt(np.linalg.det(both))
+                        expected += size * np.exp(-0.5 * away @ S @ away)
+                    assert kernel.block(i, j, X, Z)[a, b] == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("covariance_type", ["spherical", "diag", "full", "tied"])
+def test_published_parameters(covariance_type):
+    kernel = kernel_of(covariance_type, 3, n_latent=2, P=2, seed=6)
+    assert kernel.v.shape == (4, 2)
+    assert kernel.mu.shape == (4, 2, 3)
+    assert kernel.A.shape == ((4, 2, 3, 3) if covariance_type == "full" else (4, 2, 3))
+    # Shared latents first, then one for each output, which feeds that output alone.
+    np.testing.assert_array_equal(kernel.v[2:] != 0, np.eye(2, dtype=bool))
+    assert (np.linalg.eigvalsh(matrices(kernel)) > 0).all()
+    # w = v pi^(d/4) |A|^(-1/4): the variance is the sum of squared amplitudes.
+    w = kernel.v * np.pi**0.75 / np.linalg.det(matrices(kernel)) ** 0.25
+    np.testing.assert_allclose(w, kernel.amplitude, rtol=1e-12)
+    for i in range(2):
+        np.testing.assert_allclose(kernel.block_diag(i, np.zeros((1, 3))), (w[:, i] ** 2).sum())

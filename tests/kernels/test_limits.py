@@ -1,0 +1,166 @@
+"""Special cases whose answers are known."""
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+from skdgp.inference import Data, ExactPosterior
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def correlation(kernel, delta, i=0, j=1):
+    origin = np.zeros((1, len(delta)))
+    size = np.sqrt(kernel.block_diag(i, origin) * kernel.block_diag(j, origin))
+    return (kernel.block(i, j, np.asarray(delta)[None], origin)[0] / size).item()
+
+
+class TestNothingShared:
+    """Private latents alone are independent Gaussian processes: scikit-learn's."""
+
+    amplitude = np.array([0.8, -1.5, 2.0])
+    lengths = np.array([[0.7, 1.3], [1.0, 0.5], [2.0, 0.9]])
+
+    @property
+    def kernel(self):
+        private = np.repeat(self.lengths[None], 3, axis=0)
+        return ConvolvedGaussian(0, amplitude=np.diag(self.amplitude), length_scale=private)
+
+    def test_kernel(self, rng):
+        X = rng.normal(size=(6, 2))
+        K = self.kernel(X)
+        for i in range(3):
+            for j in range(3):
+                block = K[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]
+                expected = self.amplitude[i] ** 2 * RBF(self.lengths[i])(X) if i == j else 0.0
+                np.testing.assert_allclose(block, np.broadcast_to(expected, (6, 6)), rtol=1e-12)
+
+    def test_posterior(self, rng):
+        X, Y, Z = rng.normal(size=(25, 2)), rng.normal(size=(25, 3)), rng.normal(size=(7, 2))
+        noise = np.array([0.1, 0.02, 0.3])
+        posterior = ExactPosterior(self.kernel, noise, Data.from_table(X, Y))
+        mean, variance = posterior.predict(Z, return_variance=True)
+        likelihood = 0.0
+        for i in range(3):
+            prior = ConstantKernel(self.amplitude[i] ** 2) * RBF(self.lengths[i])
+            theirs = GaussianProcessRegressor(prior, alpha=noise[i], optimizer=None).fit(X, Y[:, i])
+            expected, std = theirs.predict(Z, return_std=True)
+            np.testing.assert_allclose(mean[:, i], expected, rtol=1e-9)
+            np.testing.assert_allclose(np.sqrt(variance[:, i]), std, rtol=1e-8)
+            likelihood += theirs.log_marginal_likelihood_value_
+        assert posterior.log_marginal_likelihood == pytest.approx(likelihood)
+
+
+def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
+    W, lengths = rng.normal(size=(2, 3)), rng.uniform(0.5, 2, (2, 1, 2))
+    kernel = ConvolvedGaussian(
+        2, private_latents=False, covariance_type="tied", amplitude=W, length_scale=np.repeat(lengths, 3, axis=1)
+    )
+    X = rng.normal(size=(5, 2))
+    expected = sum(np.kron(np.outer(w, w), RBF(length[0])(X)) for w, length in zip(W, lengths, strict=True))
+    np.testing.assert_allclose(kernel(X), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("covariance_type", ["spherical", "diag", "full", "tied"])
+def test_one_latent_through_equal_filters_correlates_fully(covariance_type, sign, rng):
+    kernel = ConvolvedGaussian(
+        1,
+        private_latents=False,
+        covariance_type=covariance_type,
+        amplitude=[[2.0, 0.3 * sign]],
+        length_scale=np.full((1, 2, 2), 0.8),
+        shear=0.4 if covariance_type == "full" else 0.0,
+    )
+    assert correlation(kernel, [0.0, 0.0]) == pytest.approx(sign)
+
+
+def test_one_latent_through_unequal_filters_is_bound():
+    a = np.array([[0.5, 2.0, 1.0], [1.5, 0.4, 0.9]])  # diagonal of A of the two outputs
+    kernel = ConvolvedGaussian(1, private_latents=False, amplitude=[[0.7, 1.9]], length_scale=np.sqrt(2 / a)[None])
+    np.testing.assert_allclose(kernel.A[0], a)
+    bound = np.prod(np.sqrt(2) * (a[0] * a[1]) ** 0.25 / np.sqrt(a[0] + a[1]))
+    assert correlation(kernel, np.zeros(3)) == pytest.approx(bound)
+    assert bound < 0.95
+
+
+def test_outputs_are_most_alike_at_the_difference_of_their_shifts():
+    shift = np.array([[[0.0, 0.0], [0.7, -0.4]]])
+    kernel = ConvolvedGaussian(
+        1, private_latents=False, amplitude=[[1.0, 1.0]], length_scale=np.ones((1, 2, 2)), shift=shift
+    )
+    # Output 0 at s - shift says what output 1 says at s: its filter answers later.
+    assert correlation(kernel, shift[0, 0] - shift[0, 1]) == pytest.approx(1.0)
+    assert correlation(kernel, shift[0, 1] - shift[0, 0]) < 0.8
+
+
+def test_only_differences_of_shifts_matter(rng):
+    shift, X = rng.normal(size=(1, 3, 2)), rng.normal(size=(4, 2))
+    shared = {"private_latents": False, "amplitude": [[1.0, -0.5, 2.0]], "length_scale": np.ones((1, 3, 2))}
+    K = [ConvolvedGaussian(1, shift=shift + common, **shared)(X) for common in (0.0, np.array([3.0, -1.0]))]
+    np.testing.assert_allclose(K[0], K[1], rtol=1e-12)
+
+
+def test_signs_of_a_latents_amplitudes_are_free(rng):
+    w, X = rng.normal(size=(1, 3)), rng.normal(size=(4, 2))
+    shared = {"private_latents": False, "length_scale": np.ones((1, 3, 2))}
+    K = [ConvolvedGaussian(1, amplitude=sign * w, **shared)(X) for sign in (1, -1)]
+    np.testing.assert_array_equal(K[0], K[1])
+
+
+def test_narrower_types_are_wider_ones_under_constraints(rng):
+    w, X = rng.normal(size=(1, 2)), rng.normal(size=(4, 3))
+    shift = rng.normal(size=(1, 2, 3)) * [[[0], [1]]]
+
+    def matrix(covariance_type, lengths):
+        return ConvolvedGaussian(
+            1, private_latents=False, covariance_type=covariance_type, amplitude=w, length_scale=lengths, shift=shift
+        )(X)
+
+    free = rng.uniform(0.5, 2, (1, 2, 3))
+    np.testing.assert_allclose(matrix("full", free), matrix("diag", free), rtol=1e-10)
+    equal = np.broadcast_to(rng.uniform(0.5, 2, (1, 2, 1)), (1, 2, 3))
+    np.testing.assert_allclose(matrix("spherical", equal), matrix("diag", equal), rtol=1e-12)
+    tied = np.broadcast_to(rng.uniform(0.5, 2, (1, 1, 3)), (1, 2, 3))
+    np.testing.assert_allclose(matrix("tied", tied), matrix("diag", tied), rtol=1e-12)
+
+
+def test_full_filters_see_a_rotation_of_the_regressors(rng):
+    """Two equal full filters: the Mahalanobis distance of their precision."""
+    kernel = ConvolvedGaussian(
+        1,
+        private_latents=False,
+        covariance_type="full",
+        amplitude=[[1.0, 1.0]],
+        length_scale=np.broadcast_to([0.5, 1.0, 2.0], (1, 2, 3)),
+        shear=np.broadcast_to([0.3, -0.8, 0.5], (1, 2, 3)),
+    )
+    X = rng.normal(size=(5, 3))
+    root = np.linalg.cholesky(kernel.A[0, 0] / 2)
+    np.testing.assert_allclose(kernel.block(0, 1, X, X), RBF(1.0)(X @ root), rtol=1e-10)
+
+
+def test_no_amplitude_no_coupling(rng):
+    kernel = ConvolvedGaussian(
+        1, amplitude=[[1.0, 0.0, 2.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], length_scale=np.ones((4, 3, 1))
+    )
+    X = rng.normal(size=(3, 1))
+    assert (kernel.block(0, 1, X, X) == 0).all()
+    assert (kernel.block(0, 2, X, X) != 0).all()
+
+
+def test_trend_is_a_bayesian_linear_model(rng):
+    """Phi diag(tau^2) Phi^T of each output, nothing between outputs."""
+    intercept, slope, center = rng.uniform(1, 2, 2), rng.uniform(1, 2, (2, 3)), rng.normal(size=3)
+    X = rng.normal(size=(4, 3))
+    Phi = np.column_stack([np.ones(4), X - center])
+    K = LinearTrend(intercept, slope, center)(X)
+    for i in range(2):
+        prior = np.diag(np.r_[intercept[i], slope[i]] ** 2)
+        np.testing.assert_allclose(K[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], Phi @ prior @ Phi.T, rtol=1e-12)
+    assert (K[:4, 4:] == 0).all()

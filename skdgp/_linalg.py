@@ -45,13 +45,18 @@ def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
         K = assemble()
         diagonal = np.einsum("ii->i", K)
         mean = diagonal.mean()
+        if not np.isfinite(mean):
+            raise np.linalg.LinAlgError(
+                f"The covariance matrix of {len(K)} values is not finite: some hyperparameter or input overflowed. "
+                "Scale the regressors (StandardScaler) or narrow the bounds."
+            )
         if jitter:
             diagonal += jitter * mean
         L, info = lapack.dpotrf(K, lower=1, overwrite_a=1, clean=0)
         if info == 0 and np.isfinite(np.einsum("ii->i", L)).all():
             break
         jitter = 10 * jitter if jitter else JITTER_FIRST
-        if jitter > 1.01 * JITTER_LAST or not np.isfinite(mean):
+        if jitter > 1.01 * JITTER_LAST:
             raise np.linalg.LinAlgError(
                 f"The covariance matrix of {len(K)} values is not positive definite even with {JITTER_LAST:g} of its "
                 "mean diagonal added. Raise the noise (its lower bound), remove repeated samples, or shorten the "
@@ -89,3 +94,9 @@ def triangular_solve(L: np.ndarray, B: np.ndarray) -> np.ndarray:
 def log_determinant(L: np.ndarray) -> float:
     """Return log |K| from its factor."""
     return 2.0 * float(np.log(np.einsum("ii->i", L)).sum())
+
+
+def column_scale(Z: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each column over its finite values, one where that is zero."""
+    scale = np.array([np.std(z[np.isfinite(z)]) if np.isfinite(z).any() else 0.0 for z in Z.T])
+    return np.where(scale > 0, scale, 1.0)

@@ -9,8 +9,10 @@ from numbers import Integral
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
+from joblib import Parallel, delayed, effective_n_jobs
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_consistent_length, check_random_state
 from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -189,10 +191,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ConvergenceWarning
             When the search for hyperparameters was interrupted; the best ones so far are kept.
         """
+        index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
-        Y = self._check_targets(y, X)
+        Y = self._check_targets(y, X, index)
         used = np.isfinite(Y).any(axis=1)
         X, Y = X[used], Y[used]
+        self._check_enough(Y)
         self._warn_of(X, Y)
         n_values = int(np.isfinite(Y).sum())
         self.inference_ = (
@@ -201,9 +205,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if self.inference_ == "exact":
             _check_memory(n_values)
         self._center = np.nanmean(Y, axis=0) if self.trend else np.zeros(Y.shape[1])
-        scale = np.nanstd(Y, axis=0) if self.normalize_y else np.ones(Y.shape[1])
+        scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
         self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
         best = self._search(X, (Y - self._center) / self._scale)
+        if best.interrupted:
+            warnings.warn(
+                f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
+                "hyperparameters so far are kept. Fit again for more.",
+                ConvergenceWarning,
+                stacklevel=3,
+            )
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.posterior.noise * self._scale**2
@@ -211,11 +222,18 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.n_iter_, self.n_evaluations_ = best.n_iter, best.n_evaluations
         return self
 
-    def _check_targets(self, y, X):
+    def _check_targets(self, y, X, index):
         """Return the targets as (n, P), and remember their names and shape."""
         if y is None:
             raise ValueError(f"This {type(self).__name__} estimator requires y to be passed, but the target y is None.")
         names = y.columns if isinstance(y, pd.DataFrame) else [y.name] if isinstance(y, pd.Series) else None
+        if names is not None and isinstance(index, pd.Index) and not index.equals(y.index):
+            warnings.warn(
+                "The indices of X and y differ; rows are matched by position. If rows of one were dropped or sorted, "
+                "do the same to the other (y.loc[X.index]).",
+                UserWarning,
+                stacklevel=4,
+            )
         Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
         check_consistent_length(X, Y)
         if Y.ndim > 2:
@@ -224,13 +242,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Y = Y.reshape(len(Y), -1)
         named = names is not None and all(isinstance(name, str) for name in names)
         self.output_names_ = list(names) if named else [f"y{i}" for i in range(Y.shape[1])]
-        unseen = [name for name, column in zip(self.output_names_, Y.T, strict=True) if np.isnan(column).all()]
-        if unseen:
-            raise ValueError(
-                f"The outputs {unseen} were never observed: every target is NaN. Leave these columns out, or give "
-                "at least a few of their values."
-            )
         return Y
+
+    def _check_enough(self, Y):
+        """Refuse outputs that no two samples tell of."""
+        counts = np.isfinite(Y).sum(axis=0)
+        few = {name: int(n) for name, n in zip(self.output_names_, counts, strict=True) if n < 2}
+        if few:
+            raise ValueError(
+                f"Got outputs observed at fewer than two samples: {few} (NaN is not observed). Leave these columns "
+                "out, or give at least two of their values, better many."
+            )
 
     def _warn_of(self, X, Y):
         constant = [n for n, y in zip(self.output_names_, Y.T, strict=True) if np.nanmax(y) == np.nanmin(y)]
@@ -264,13 +286,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
         search = partial(search, kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter)
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
-        if not self.n_restarts_optimizer:
-            return search(random_state=int(seeds[0]))
-        spreads = [0.0] + [1.0] * self.n_restarts_optimizer
-        jobs = (
-            delayed(search)(random_state=int(seed), spread=spread) for seed, spread in zip(seeds, spreads, strict=True)
-        )
-        return max(Parallel(n_jobs=self.n_jobs)(jobs), key=lambda fit: fit.posterior.log_marginal_likelihood)
+        starts = [{"random_state": int(seed), "spread": float(k > 0)} for k, seed in enumerate(seeds)]
+        if effective_n_jobs(self.n_jobs) > 1 and len(starts) > 1:
+            fits = Parallel(n_jobs=self.n_jobs)(delayed(search)(**start) for start in starts)
+        else:
+            fits = []
+            for start in starts:
+                fits.append(search(**start))
+                if fits[-1].interrupted:
+                    break
+        best = max(fits, key=lambda fit: fit.posterior.log_marginal_likelihood)
+        return best._replace(interrupted=any(fit.interrupted for fit in fits))
 
     # -- prediction ------------------------------------------------------------------------------------
 
@@ -376,12 +402,19 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 return self.log_marginal_likelihood_value_
             theta = self.theta_
         theta = np.asarray(theta, dtype=float)
+        expected = (self.kernel_.n_dims + P,)
+        if theta.shape != expected:
+            raise ValueError(
+                f"Got theta of shape {theta.shape}, but expected {expected}: the kernel's {expected[0] - P} "
+                f"hyperparameters and the logarithms of {P} noise variances, as in theta_."
+            )
         kernel = self.kernel_.clone_with_theta(theta[:-P])
         return self.posterior_.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
 
     @property
     def theta_(self):
         """Fitted hyperparameters, as ``log_marginal_likelihood`` takes them."""
+        check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.noise_variance_ / self._scale**2)])
 
     def output_correlation(self):
@@ -395,10 +428,31 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             it is, in the units of the regressors; ``output_names``.
         """
         check_is_fitted(self)
-        kernel = self.kernel_.k2 if self.trend == "linear" else self.kernel_
-        found = output_correlation(kernel, self.n_features_in_)
+        kernel = self.kernel_.stationary_part()
+        if kernel is None:
+            raise ValueError("The kernel has no stationary part: a linear trend alone couples no outputs.")
+        found = output_correlation(kernel)
         found["output_names"] = list(self.output_names_)
         return found
+
+    def score(self, X, y, sample_weight=None):
+        """Return R^2, averaged over the outputs, of the targets that were observed.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        y : array, Series or DataFrame (n,) or (n, P)
+            NaN where an output was not observed.
+        sample_weight : array (n,) or None
+        """
+        mean = self.predict(X).reshape(len(X), -1)
+        Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+        scores = []
+        for y_true, y_pred in zip(Y.reshape(len(Y), -1).T, mean.T, strict=True):
+            seen = np.isfinite(y_true)
+            weight = None if sample_weight is None else np.asarray(sample_weight)[seen]
+            scores.append(r2_score(y_true[seen], y_pred[seen], sample_weight=weight))
+        return float(np.mean(scores))
 
     def _check_regressors(self, X):
         check_is_fitted(self)

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from sklearn.utils import Bunch
 
 
-def output_correlation(kernel, n_features):
+def output_correlation(kernel):
     """Return the largest correlation between outputs over all separations, and the separation where it is.
 
     For a stationary kernel the correlation of output i at s + delta with output j at s is
@@ -18,14 +18,13 @@ def output_correlation(kernel, n_features):
     ----------
     kernel : MultiOutputKernel
         Stationary.
-    n_features : int
 
     Returns
     -------
     Bunch
         ``correlation`` (P, P) and ``shift`` (P, P, d), which is antisymmetric in its outputs.
     """
-    P = kernel.n_outputs
+    P, n_features = kernel.n_outputs, kernel.n_features
     correlation, shift = np.eye(P), np.zeros((P, P, n_features))
     scale = np.sqrt([kernel.block_diag(i, np.zeros((1, n_features)))[0] for i in range(P)])
     for i in range(P):

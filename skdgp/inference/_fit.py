@@ -10,6 +10,7 @@ import numpy as np
 from sklearn.cluster import KMeans
 from sklearn.utils import check_random_state
 
+from skdgp._linalg import column_scale
 from skdgp._threads import thread_map
 from skdgp.inference._exact import Data, ExactPosterior, log_likelihood
 from skdgp.inference._optimize import maximize
@@ -17,7 +18,7 @@ from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
 SUBSET = 2400  # values of the exact fit from which the sparse one starts
-NOISE_BOUNDS = (1e-6, 1e2)
+NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
 
 
 class Fit(NamedTuple):
@@ -49,19 +50,21 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) ->
     """
     random_state = check_random_state(random_state)
     P = Y.shape[1]
-    kernel = kernel.initialize(X, Y, random_state)
-    noise = np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), 10 * NOISE_BOUNDS[0], None)
+    open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
+    noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
+    noise = np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), *noise_bounds.T)
     data = Data.from_table(X, Y)
     if optimizer is None:
         return Fit(ExactPosterior(kernel, noise, data), 0, 0, False)
     stop = Event()
     search = partial(maximize, optimizer=optimizer, stop=stop)
     n_evaluations = 0
-    if P > 1:
-        kernel, noise, n_evaluations = _from_single_outputs(kernel, noise, X, Y, search, random_state)
+    if P > 1 and not open_kernel.is_given():
+        singles, noise, n_evaluations = _single_outputs(open_kernel, noise, noise_bounds, X, Y, search, random_state)
+        kernel = open_kernel.initialize(X, Y, random_state, singles)
     theta = np.concatenate([kernel.theta, np.log(noise)])
     theta += spread * random_state.normal(size=theta.shape)
-    best = search(_likelihood(kernel, data, P), theta, _bounds(kernel, P), max_iter=max_iter)
+    best = search(_likelihood(kernel, data, P), theta, _bounds(kernel, noise_bounds), max_iter=max_iter)
     kernel, noise = kernel.clone_with_theta(best.theta[:-P]), np.exp(best.theta[-P:])
     return Fit(ExactPosterior(kernel, noise, data), best.n_iter, n_evaluations + best.n_evaluations, stop.is_set())
 
@@ -82,6 +85,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
         kernel, X[rows], Y[rows], optimizer=optimizer, max_iter=max_iter, random_state=random_state, spread=spread
     )
     kernel, noise = first.posterior.kernel, first.posterior.noise
+    noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
     features = kernel.features(_centres(X, n_inducing, random_state))
     if optimizer is None or first.interrupted:
         return first._replace(posterior=SparsePosterior(kernel, features, noise, data))
@@ -96,7 +100,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
         return posterior.log_marginal_likelihood, posterior.bound_gradient()
 
     theta = np.concatenate([kernel.theta, np.log(noise), features.theta])
-    bounds = np.concatenate([_bounds(kernel, P), features.bounds])
+    bounds = np.concatenate([_bounds(kernel, noise_bounds), features.bounds])
     best = maximize(bound, theta, bounds, optimizer=optimizer, max_iter=max_iter, stage="bound")
     return Fit(rebuilt(best.theta), best.n_iter, first.n_evaluations + best.n_evaluations, best.interrupted)
 
@@ -122,12 +126,12 @@ def _likelihood(kernel, data, n_outputs):
     return evaluate
 
 
-def _bounds(kernel, n_outputs):
-    return np.concatenate([kernel.bounds, np.tile(np.log(NOISE_BOUNDS), (n_outputs, 1))])
+def _bounds(kernel, noise_bounds):
+    return np.concatenate([kernel.bounds, np.log(noise_bounds)])
 
 
-def _from_single_outputs(kernel, noise, X, Y, search, random_state):
-    """Return kernel and noise started from a fit of each output alone, and what that cost.
+def _single_outputs(kernel, noise, noise_bounds, X, Y, search, random_state):
+    """Return kernel and noise of a fit of each output alone, and what that cost.
 
     A single output has a P-th of the values: its fit costs a P^3-th of the joint one, and finds trend, widths and
     noise nearly where the joint fit ends.
@@ -140,9 +144,14 @@ def _from_single_outputs(kernel, noise, X, Y, search, random_state):
         x, y = X[rows], Y[rows, i : i + 1]
         single = kernel.single().initialize(x, y, states[i])
         theta = np.append(single.theta, np.log(noise[i]))
-        likelihood = _likelihood(single, Data.from_table(x, y), 1)
-        best = search(likelihood, theta, _bounds(single, 1), max_iter=SINGLE_ITERATIONS, stage=f"output {i + 1}")
+        best = search(
+            _likelihood(single, Data.from_table(x, y), 1),
+            theta,
+            _bounds(single, noise_bounds[i : i + 1]),
+            max_iter=SINGLE_ITERATIONS,
+            stage=f"output {i + 1}",
+        )
         return single.clone_with_theta(best.theta[:-1]), np.exp(best.theta[-1]), best.n_evaluations
 
     singles, noises, n_evaluations = zip(*thread_map(fit_one, range(Y.shape[1]), search.keywords["stop"]), strict=True)
-    return kernel.adopt(list(singles)), np.array(noises), sum(n_evaluations)
+    return list(singles), np.array(noises), sum(n_evaluations)

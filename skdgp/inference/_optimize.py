@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from sklearn.exceptions import ConvergenceWarning
 
 from skdgp._progress import tell
 
@@ -68,10 +66,10 @@ def maximize(
     stop : threading.Event or None
         Set by Ctrl-C, and as good as it: looked at before every evaluation but the first.
 
-    Warns
-    -----
-    ConvergenceWarning
-        When it was interrupted (Ctrl-C), with the point that was kept.
+    Returns
+    -------
+    Optimum
+        Ctrl-C ends the search and is kept in ``interrupted``; the caller says so.
     """
     theta = np.clip(theta, bounds[:, 0], bounds[:, 1])
     objective = _Objective(log_likelihood, theta, stage, stop)
@@ -86,10 +84,4 @@ def maximize(
         interrupted = True
         if stop is not None:
             stop.set()
-        warnings.warn(
-            f"The fit was interrupted after {objective.n_evaluations} evaluations; the best hyperparameters so far are "
-            f"kept (log marginal likelihood {objective.value:.6g}). Fit again for more.",
-            ConvergenceWarning,
-            stacklevel=2,
-        )
     return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted)

@@ -25,9 +25,18 @@ class Free(NamedTuple):
     bounds: object
 
     @property
+    def fixed(self) -> bool:
+        """Whether the parameter keeps its value."""
+        if isinstance(self.bounds, str) and self.bounds != "fixed":
+            raise ValueError(
+                f"Got {self.name}_bounds={self.bounds!r}, but expected a pair, an array of pairs, or 'fixed'."
+            )
+        return isinstance(self.bounds, str)
+
+    @property
     def n_elements(self) -> int:
         """How many entries of theta the parameter has."""
-        return 0 if isinstance(self.bounds, str) else int(self.index.max(initial=-1)) + 1
+        return 0 if self.fixed else int(self.index.max(initial=-1)) + 1
 
 
 class MultiOutputKernel(Kernel):
@@ -40,6 +49,7 @@ class MultiOutputKernel(Kernel):
     """
 
     n_outputs: int
+    n_features: int
 
     @abstractmethod
     def block(self, i: int, j: int, Xi, Xj) -> np.ndarray:
@@ -74,19 +84,24 @@ class MultiOutputKernel(Kernel):
         """Return separations where the terms of a stationary cov(y_i, y_j) are largest, (k, d)."""
 
     @abstractmethod
-    def initialize(self, X, Y, random_state) -> MultiOutputKernel:
-        """Return the kernel with shapes, starting values and bounds taken from data where none were given.
+    def initialize(self, X, Y, random_state, singles=None) -> MultiOutputKernel:
+        """Return the kernel with the values and bounds that were not given taken from data.
 
-        X is (n, d), Y is (n, P) with NaN where an output was not observed.
+        X is (n, d), Y is (n, P) with NaN where an output was not observed. ``singles`` are fits of each output
+        alone, made from ``single``: better starting values. What was given stays as it is.
         """
+
+    @abstractmethod
+    def is_given(self) -> bool:
+        """Return whether every value was given, so that none is taken from data."""
 
     @abstractmethod
     def single(self) -> MultiOutputKernel:
         """Return the kernel, without values, that one output alone would have."""
 
     @abstractmethod
-    def adopt(self, singles: list[MultiOutputKernel]) -> MultiOutputKernel:
-        """Return the initialized kernel with what fits of each output alone, made from ``single``, have found."""
+    def stationary_part(self) -> MultiOutputKernel | None:
+        """Return what of the covariance depends on the separation alone, None if nothing does."""
 
     def unexplained(self, X, Y) -> np.ndarray:
         """Return what of Y, (n, P), this kernel leaves to the others of a sum when they choose starting values."""
@@ -96,14 +111,19 @@ class MultiOutputKernel(Kernel):
 
     def split(self, X) -> list[np.ndarray]:
         """Return X as one array per output."""
-        if isinstance(X, (list, tuple)) and len(X) and np.ndim(X[0]) == 2:
-            arrays = [np.asarray(x, dtype=float) for x in X]
-            if len(arrays) != self.n_outputs:
+        per_output = isinstance(X, (list, tuple)) and len(X) > 0 and np.ndim(X[0]) == 2
+        arrays = [np.asarray(x, dtype=float) for x in (X if per_output else [X])]
+        if per_output and len(arrays) != self.n_outputs:
+            raise ValueError(
+                f"Got {len(arrays)} input arrays, but expected one for each of the {self.n_outputs} outputs."
+            )
+        for x in arrays:
+            if x.ndim != 2 or x.shape[1] != self.n_features:
                 raise ValueError(
-                    f"Got {len(arrays)} input arrays, but expected one for each of the {self.n_outputs} outputs."
+                    f"Got inputs of shape {x.shape}, but expected (n, {self.n_features}): one column for each "
+                    "regressor that the kernel has length scales or slopes for."
                 )
-            return arrays
-        return [np.asarray(X, dtype=float)] * self.n_outputs
+        return arrays if per_output else arrays * self.n_outputs
 
     def __call__(self, X, Y=None, eval_gradient=False):
         """Return the covariance matrix, (sum n_i, sum n_j), output-major, and on request its gradient.
@@ -136,7 +156,22 @@ class MultiOutputKernel(Kernel):
         return np.concatenate([self.block_diag(i, Xi) for i, Xi in enumerate(self.split(X))])
 
     def __add__(self, other):
+        if not isinstance(other, MultiOutputKernel):
+            raise TypeError(
+                f"Got {other!r} to add to a multi-output kernel, but expected another multi-output kernel. Measurement "
+                "noise needs no term: DependentGPRegressor learns it for each output (noise_variance_)."
+            )
         return Sum(self, other)
+
+    def __radd__(self, other):
+        return self + other
+
+    def _no_product(self, other):
+        raise TypeError(
+            "Multi-output kernels can be added, not multiplied or raised to a power: their amplitudes scale them."
+        )
+
+    __mul__ = __rmul__ = __pow__ = _no_product
 
     # -- hyperparameters -------------------------------------------------------------------------------
 
@@ -148,8 +183,9 @@ class MultiOutputKernel(Kernel):
     def hyperparameters(self):
         """Each hyperparameter with its number of elements and bounds."""
         return [
-            Hyperparameter(f.name, "numeric", f.bounds if isinstance(f.bounds, str) else _pairs(f), f.n_elements or 1)
+            Hyperparameter(f.name, "numeric", "fixed" if f.fixed else _pairs(f), 1 if f.fixed else f.n_elements)
             for f in self._free()
+            if f.fixed or f.n_elements
         ]
 
     @property
@@ -234,7 +270,18 @@ class Sum(_SklearnSum, MultiOutputKernel):
     @property
     def n_outputs(self):
         """Number of outputs P."""
-        return self.k1.n_outputs
+        return self._agreed("n_outputs")
+
+    @property
+    def n_features(self):
+        """Number of regressors d."""
+        return self._agreed("n_features")
+
+    def _agreed(self, name):
+        first, second = getattr(self.k1, name), getattr(self.k2, name)
+        if first != second:
+            raise ValueError(f"Got a sum of kernels with {name} {first} and {second}, but expected the same number.")
+        return first
 
     def block(self, i, j, Xi, Xj):
         return self.k1.block(i, j, Xi, Xj) + self.k2.block(i, j, Xi, Xj)
@@ -251,9 +298,17 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def derivative_diag(self, i, Xi):
         return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
 
-    def initialize(self, X, Y, random_state):
-        first = self.k1.initialize(X, Y, random_state)
-        return Sum(first, self.k2.initialize(X, first.unexplained(X, Y), random_state))
+    def initialize(self, X, Y, random_state, singles=None):
+        first = self.k1.initialize(X, Y, random_state, singles and [s.k1 for s in singles])
+        rest = first.unexplained(X, Y)
+        return Sum(first, self.k2.initialize(X, rest, random_state, singles and [s.k2 for s in singles]))
+
+    def is_given(self):
+        return self.k1.is_given() and self.k2.is_given()
+
+    def stationary_part(self):
+        parts = [part for part in (self.k1.stationary_part(), self.k2.stationary_part()) if part is not None]
+        return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None
 
     def diag_gradient(self, i, Xi, w):
         return np.concatenate([self.k1.diag_gradient(i, Xi, w), self.k2.diag_gradient(i, Xi, w)])
@@ -266,9 +321,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def single(self):
         return Sum(self.k1.single(), self.k2.single())
-
-    def adopt(self, singles):
-        return Sum(self.k1.adopt([s.k1 for s in singles]), self.k2.adopt([s.k2 for s in singles]))
 
     def unexplained(self, X, Y):
         return self.k2.unexplained(X, self.k1.unexplained(X, Y))
@@ -292,3 +344,19 @@ def _pairs(f: Free) -> np.ndarray:
     pairs = np.empty((f.n_elements, 2))
     pairs[f.index[chosen]] = np.broadcast_to(bounds, (*f.index.shape, 2))[chosen]
     return pairs
+
+
+def as_shape(name: str, value, shape) -> np.ndarray:
+    """Return a parameter broadcast to its shape, or say which shape was expected."""
+    value = np.asarray(value, dtype=float)
+    try:
+        return np.array(np.broadcast_to(value, shape))
+    except ValueError:
+        raise ValueError(
+            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or what broadcasts to it."
+        ) from None
+
+
+def or_default(given, default):
+    """Return what was given, or the default."""
+    return default if given is None else given

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from sklearn.base import clone
 
-from skdgp.kernels._base import Free, MultiOutputKernel
+from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._features import ConvolvedFeatures
 from skdgp.kernels._start import starting_values
 
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
+TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
 
 
@@ -121,13 +121,27 @@ class ConvolvedGaussian(MultiOutputKernel):
         M = len(feeds)
         if not (lengths > 0).all():
             raise ValueError("Got a length_scale that is not positive; expected lengths > 0.")
+        lengths = as_shape("length_scale", lengths, (M, P, d))
+        self._check_ties(lengths, feeds)
         return {
             "feeds": feeds,
-            "amplitude": _as_shape("amplitude", w, (M, P)) * feeds,
-            "length_scale": _as_shape("length_scale", lengths, (M, P, d)),
-            "shear": _as_shape("shear", self.shear, (M, P, d * (d - 1) // 2)),
-            "shift": _as_shape("shift", self.shift, (M, P, d)),
+            "amplitude": as_shape("amplitude", w, (M, P)) * feeds,
+            "length_scale": lengths,
+            "shear": as_shape("shear", self.shear, (M, P, d * (d - 1) // 2)),
+            "shift": as_shape("shift", self.shift, (M, P, d)),
         }
+
+    def _check_ties(self, lengths, feeds):
+        axis = TIED_AXIS.get(self.covariance_type)
+        if axis is None:
+            return
+        most = np.where(feeds[..., None] > 0, lengths, 0.0).max(axis=axis, keepdims=True)
+        if not np.allclose(np.where(feeds[..., None] > 0, lengths, most), most, rtol=1e-9, atol=0.0):
+            along = "regressors" if self.covariance_type == "spherical" else "outputs"
+            raise ValueError(
+                f"Got length scales that differ along the {along} with covariance_type={self.covariance_type!r}, but "
+                "expected equal ones: use covariance_type='diag', or give one length scale to all."
+            )
 
     def _who_feeds(self, P):
         """Return (M, P), one where a latent feeds an output."""
@@ -156,11 +170,23 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Number of regressors d."""
         return self._value("length_scale").shape[2]
 
-    def initialize(self, X, Y, random_state):
+    def is_given(self):
+        return self.amplitude is not None and self.length_scale is not None
+
+    def initialize(self, X, Y, random_state, singles=None):
         params = self.get_params()
-        for name, value in starting_values(self._who_feeds(Y.shape[1]), X, Y, random_state).items():
+        start = starting_values(self._who_feeds(Y.shape[1]), X, Y, random_state)
+        if singles:
+            start |= self._from_singles(start["amplitude"], singles)
+        axis = TIED_AXIS.get(self.covariance_type)
+        if axis is not None:
+            mean = np.log(start["length_scale"]).mean(axis=axis, keepdims=True)
+            start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
+        for name, value in start.items():
             if params[name] is None:
                 params[name] = value
+        if self.covariance_type == "full" and singles and np.array_equal(self.shear, 0.0):
+            params["shear"] = start["shear"]
         kernel = ConvolvedGaussian(**params)
         for what, got, want in (
             ("outputs", kernel.n_outputs, Y.shape[1]),
@@ -172,6 +198,28 @@ class ConvolvedGaussian(MultiOutputKernel):
                     "outputs, that of length_scale regressors; leave them None to take them from the data."
                 )
         return kernel
+
+    def _from_singles(self, w, singles):
+        """Return values from fits of each output alone, (M, P, ...).
+
+        Private latents take over the widths found; a shared one their weighted geometric mean, since equal widths
+        couple most: from widths that differ tenfold in a dozen regressors, no coupling could be learned.
+        """
+        found = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
+        lengths = np.stack([s._value("length_scale")[0, 0] for s in singles])
+        weight = w**2 / (w**2).sum(axis=1, keepdims=True)
+        own = (weight == 1.0)[..., None]
+        return {
+            "amplitude": w * found / np.sqrt((w**2).sum(axis=0)),
+            "length_scale": np.where(own, lengths, np.exp(weight @ np.log(lengths))[:, None, :]),
+            "shear": np.where(own, np.stack([s._value("shear")[0, 0] for s in singles]), 0.0),
+        }
+
+    def single(self):
+        return ConvolvedGaussian(0, private_latents=True, covariance_type=self.covariance_type)
+
+    def stationary_part(self):
+        return self
 
     def diag_gradient(self, i, Xi, w):
         zeros = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
@@ -186,28 +234,11 @@ class ConvolvedGaussian(MultiOutputKernel):
         return ConvolvedFeatures(self, np.tile(Z, (len(w), 1, 1)), width, _widened)
 
     def peaks(self, i, j, d):
-        return self._pair(i, j)[-1]
-
-    def single(self):
-        return ConvolvedGaussian(0, private_latents=True, covariance_type=self.covariance_type)
-
-    def adopt(self, singles):
-        """Private latents take over the widths found; a shared one their weighted geometric mean.
-
-        Equal widths couple most: from widths that differ tenfold in a dozen regressors, no coupling could be
-        learned.
-        """
-        kernel, w = clone(self), self._value("amplitude")
-        found = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
-        lengths = np.stack([s._value("length_scale")[0, 0] for s in singles])
-        kernel.amplitude = w * found / np.sqrt((w**2).sum(axis=0))
-        weight = w**2 / (w**2).sum(axis=1, keepdims=True)
-        shared = np.exp(weight @ np.log(lengths))
-        own = (weight == 1.0)[..., None]
-        kernel.length_scale = np.where(own, lengths, shared[:, None, :])
-        if self.covariance_type == "full":
-            kernel.shear = np.where(own, np.stack([s._value("shear")[0, 0] for s in singles]), 0.0)
-        return kernel
+        # Terms of either sign may cancel at their centres and peak beside them: a width or two along each axis.
+        _, _, _, F, shift = self._pair(i, j)
+        widths = 1.0 / (F if F.ndim == 2 else np.einsum("mkk->mk", F))
+        steps = np.concatenate([t * np.eye(d) for t in (-3, -2, -1, 1, 2, 3)])
+        return np.concatenate([shift, *(mu + steps * width for mu in shift for width in widths)])
 
     def _free(self):
         feeds = self._value("feeds").astype(bool)
@@ -220,23 +251,23 @@ class ConvolvedGaussian(MultiOutputKernel):
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
         moves = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
         free = [
-            Free("amplitude", _number(own, feeds), False, _or(self.amplitude_bounds, (-1e3, 1e3))),
+            Free("amplitude", _number(own, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
             Free(
                 "length_scale",
                 _number(width[..., None] * d + per_feature, feeds[..., None]),
                 True,
-                _or(self.length_scale_bounds, (1e-3, 1e3)),
+                or_default(self.length_scale_bounds, (1e-3, 1e3)),
             ),
             Free(
                 "shift",
                 _number(own[..., None] * d + np.arange(d), moves[..., None]),
                 False,
-                _or(self.shift_bounds, (-1e2, 1e2)),
+                or_default(self.shift_bounds, (-1e2, 1e2)),
             ),
         ]
         if self.covariance_type == "full":
             index = _number(own[..., None] * pairs + np.arange(pairs), feeds[..., None])
-            free.append(Free("shear", index, False, _or(self.shear_bounds, (-10.0, 10.0))))
+            free.append(Free("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0))))
         return free
 
     # -- published parameters --------------------------------------------------------------------------
@@ -290,10 +321,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Yield for each latent its place in the pair and exp(-1/2 (delta - mu)^T Sigma (delta - mu)), (n_i, n_j)."""
         _, _, _, F, shift = self._pair(i, j)
         for k in range(len(F)):
-            a, b = Xi - shift[k], Xj
+            middle = np.mean(Xj, axis=0)  # near the data, so that the expanded square loses no digits
+            a, b = Xi - (shift[k] + middle), Xj - middle
             a, b = (a * F[k], b * F[k]) if F.ndim == 2 else (a @ F[k], b @ F[k])
-            middle = b.mean(axis=0)  # near the data, so that the expanded square loses no digits
-            a, b = a - middle, b - middle
             # One product gives the whole exponent: a b - a^2 / 2 - b^2 / 2.
             left = np.column_stack([a, np.einsum("nk,nk->n", a, a) * -0.5, np.ones(len(a))])
             right = np.column_stack([b, np.ones(len(b)), np.einsum("nk,nk->n", b, b) * -0.5])
@@ -341,14 +371,16 @@ class ConvolvedGaussian(MultiOutputKernel):
         """
         gains, shift = self._pair(i, j)[1], self._pair(i, j)[-1]
         d_inputs = np.zeros(np.shape(Xj)) if inputs else None
+        middle = np.mean(Xj, axis=0)
         full = self.covariance_type == "full"
         mass, first = np.zeros(len(shift)), np.zeros(shift.shape)
         second = np.zeros((*shift.shape, shift.shape[1]) if full else shift.shape)
         for k, E in self._exponentials(i, j, Xi, Xj):
             E *= W
-            mass[k], first[k], second[k] = _moments(E, Xi - shift[k], Xj, full)
+            a, b = Xi - (shift[k] + middle), Xj - middle
+            mass[k], first[k], second[k] = _moments(E, a, b, full)
             if inputs:
-                pull = E.T @ (Xi - shift[k]) - E.sum(axis=0)[:, None] * Xj
+                pull = E.T @ a - E.sum(axis=0)[:, None] * b
                 d_inputs += gains[k] * pull @ self._precision(i, j, k)
         entries = self._chain(i, j, mass, first, second)
         return (entries, d_inputs) if inputs else entries
@@ -442,15 +474,3 @@ def _number(index, chosen):
     chosen = np.broadcast_to(chosen, index.shape)
     numbers[chosen] = np.unique(index[chosen], return_inverse=True)[1]
     return numbers
-
-
-def _as_shape(name, value, shape):
-    value = np.asarray(value, dtype=float)
-    try:
-        return np.array(np.broadcast_to(value, shape))
-    except ValueError:
-        raise ValueError(f"Got {name} of shape {value.shape}, but expected {shape} or what broadcasts to it.") from None
-
-
-def _or(given, default):
-    return default if given is None else given

@@ -151,7 +151,7 @@ class TrendFeatures(Features):
 
     def __init__(self, kernel):
         self.kernel = kernel
-        self.n_weights = np.atleast_2d(kernel.slope_scale).shape[1] + 1
+        self.n_weights = kernel.n_features + 1
         self.size = kernel.n_outputs * self.n_weights
 
     def columns(self, i):

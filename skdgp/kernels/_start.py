@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from sklearn.utils import check_random_state
 
+from skdgp._linalg import column_scale
+
 SHARED_VARIANCE = 0.1  # of an output that also has a latent of its own
 
 
@@ -18,7 +20,7 @@ def starting_values(feeds, X, Y, random_state):
     rng = check_random_state(random_state)
     M, P = feeds.shape
     d = X.shape[1]
-    x_scale, y_scale = _scale(X), _scale(Y)
+    x_scale, y_scale = column_scale(X), column_scale(Y)
     shared = feeds.sum(axis=1) > 1
     n_shared = int(shared.sum())
     weight = np.where(shared[:, None], SHARED_VARIANCE, 1.0 - SHARED_VARIANCE) * np.ones((1, P)) * feeds
@@ -38,17 +40,11 @@ def starting_values(feeds, X, Y, random_state):
     }
 
 
-def _scale(Z):
-    """Return the standard deviation of each column, one where a column is constant or not observed."""
-    scale = np.array([np.std(z[np.isfinite(z)]) if np.isfinite(z).any() else 0.0 for z in Z.T])
-    return np.where(scale > 0, scale, 1.0)
-
-
 def _directions(Y, n_latent, rng):
     """Return (n_latent, P) whose squares sum to one over the latents: principal directions, then random ones."""
     P = Y.shape[1]
     seen = np.isfinite(Y)
-    Z = np.where(seen, Y - np.nanmean(np.where(seen.any(axis=0), Y, 0.0), axis=0), 0.0) / _scale(Y)
+    Z = np.where(seen, Y - np.nanmean(np.where(seen.any(axis=0), Y, 0.0), axis=0), 0.0) / column_scale(Y)
     counts = np.maximum(seen.T.astype(float) @ seen, 1.0)
     values, vectors = np.linalg.eigh(Z.T @ Z / counts)
     principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]

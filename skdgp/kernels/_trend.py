@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from sklearn.base import clone
 
-from skdgp.kernels._base import Free, MultiOutputKernel
+from skdgp._linalg import column_scale
+from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._features import TrendFeatures
 
 
@@ -56,30 +56,46 @@ class LinearTrend(MultiOutputKernel):
     @property
     def n_outputs(self):
         """Number of outputs P."""
-        return np.size(self.intercept_scale)
+        return self._value("slope_scale").shape[0]
 
-    def initialize(self, X, Y, random_state):
+    @property
+    def n_features(self):
+        """Number of regressors d."""
+        return self._value("slope_scale").shape[1]
+
+    def _value(self, name):
+        if name == "center":
+            return np.zeros(1) if self.center is None else np.asarray(self.center, dtype=float)
+        if not self.is_given():
+            raise ValueError(
+                "LinearTrend has no values yet: give intercept_scale and slope_scale, or let DependentGPRegressor.fit "
+                "take them from the data."
+            )
+        slope = np.atleast_2d(np.asarray(self.slope_scale, dtype=float))
+        return slope if name == "slope_scale" else as_shape(name, np.ravel(self.intercept_scale), (len(slope),))
+
+    def is_given(self):
+        return self.intercept_scale is not None and self.slope_scale is not None
+
+    def initialize(self, X, Y, random_state, singles=None):
         P, d = Y.shape[1], X.shape[1]
-        y_scale = np.nanstd(Y, axis=0)
-        y_scale = np.where(y_scale > 0, y_scale, 1.0)
-        x_scale = X.std(axis=0)
-        x_scale = np.where(x_scale > 0, x_scale, 1.0)
-        intercept = y_scale[:, None] if self.intercept_scale is None else self.intercept_scale
-        slope = y_scale[:, None] / x_scale if self.slope_scale is None else self.slope_scale
-        center = X.mean(axis=0) if self.center is None else self.center
-        unit = y_scale[:, None] / x_scale
-        slope_bounds, intercept_bounds = self.slope_scale_bounds, self.intercept_scale_bounds
-        if slope_bounds is None:
-            slope_bounds = np.stack([1e-3 * unit, 1e2 * unit], axis=-1)
-        if intercept_bounds is None:
-            intercept_bounds = np.stack([1e-3 * y_scale, 1e2 * y_scale], axis=-1)
-        return LinearTrend(
-            np.broadcast_to(np.ravel(intercept), (P,)).astype(float),
-            np.broadcast_to(slope, (P, d)).astype(float),
-            np.broadcast_to(center, (d,)).astype(float),
-            intercept_scale_bounds=intercept_bounds,
-            slope_scale_bounds=slope_bounds,
-        )
+        unit = column_scale(Y)[:, None] / column_scale(X)
+        intercept, slope = column_scale(Y), unit
+        if singles:
+            intercept = np.concatenate([s._value("intercept_scale") for s in singles])
+            slope = np.concatenate([s._value("slope_scale") for s in singles])
+        given = self.get_params()
+        start = {
+            "intercept_scale": intercept,
+            "slope_scale": slope,
+            "center": X.mean(axis=0),
+            "intercept_scale_bounds": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
+            "slope_scale_bounds": np.multiply.outer(unit, [1e-3, 1e2]),
+        }
+        params = {name: start[name] if given[name] is None else given[name] for name in start}
+        for name, shape in (("intercept_scale", (P,)), ("slope_scale", (P, d)), ("center", (d,))):
+            params[name] = as_shape(name, params[name], shape)
+        return LinearTrend(**params)
 
     def basis(self, i, X):
         """Return (n, d + 1): output i's standardised weights -> its trend at X."""
@@ -103,8 +119,7 @@ class LinearTrend(MultiOutputKernel):
         return TrendFeatures(self)
 
     def _by_entry(self, i, by_intercept, by_slope):
-        intercept = np.zeros(np.shape(np.ravel(self.intercept_scale)))
-        slope = np.zeros(np.shape(np.atleast_2d(self.slope_scale)))
+        intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_features))
         intercept[i], slope[i] = by_intercept, by_slope
         return self.pull_back({"intercept_scale": intercept, "slope_scale": slope})
 
@@ -114,11 +129,8 @@ class LinearTrend(MultiOutputKernel):
     def single(self):
         return LinearTrend()
 
-    def adopt(self, singles):
-        kernel = clone(self)
-        kernel.intercept_scale = np.concatenate([np.ravel(s.intercept_scale) for s in singles])
-        kernel.slope_scale = np.concatenate([np.atleast_2d(s.slope_scale) for s in singles])
-        return kernel
+    def stationary_part(self):
+        return None
 
     def unexplained(self, X, Y):
         basis = np.column_stack([np.ones(len(X)), X])
@@ -130,10 +142,10 @@ class LinearTrend(MultiOutputKernel):
         return residual
 
     def _scales(self, i):
-        return np.ravel(self.intercept_scale)[i], np.atleast_2d(self.slope_scale)[i]
+        return self._value("intercept_scale")[i], self._value("slope_scale")[i]
 
     def _weighted(self, i, X):
-        return (np.asarray(X, dtype=float) - self.center) * self._scales(i)[1]
+        return (np.asarray(X, dtype=float) - self._value("center")) * self._scales(i)[1]
 
     def block(self, i, j, Xi, Xj):
         if i != j:
@@ -160,15 +172,9 @@ class LinearTrend(MultiOutputKernel):
         return self._by_entry(i, 2 * W.sum() * self._scales(i)[0] ** 2, 2 * by_slope)
 
     def _free(self):
-        if self.slope_scale is None or self.intercept_scale is None:
-            raise ValueError("LinearTrend has no shape yet: give its scales, or let DependentGPRegressor.fit.")
-        intercept = np.arange(np.size(self.intercept_scale))
-        slope = np.arange(np.size(self.slope_scale)).reshape(np.shape(self.slope_scale))
+        P, d = self.n_outputs, self.n_features
+        intercept, slope = np.arange(P), np.arange(P * d).reshape(P, d)
         return [
-            Free("intercept_scale", intercept, True, _or(self.intercept_scale_bounds, (1e-5, 1e5))),
-            Free("slope_scale", slope, True, _or(self.slope_scale_bounds, (1e-5, 1e5))),
+            Free("intercept_scale", intercept, True, or_default(self.intercept_scale_bounds, (1e-5, 1e5))),
+            Free("slope_scale", slope, True, or_default(self.slope_scale_bounds, (1e-5, 1e5))),
         ]
-
-
-def _or(given, default):
-    return default if given is None else given

@@ -1,0 +1,57 @@
+"""A problem small enough for naive references: three outputs, each observed at samples of its own."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from skdgp.inference import Data
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+
+def central_difference(function, x, step=1e-3):
+    """Return d function / d x along a new last axis, of fourth order, for a function of a vector x."""
+    x = np.asarray(x, dtype=float)
+    columns = []
+    for unit in step * np.eye(len(x)):
+        near = function(x + unit) - function(x - unit)
+        far = function(x + 2 * unit) - function(x - 2 * unit)
+        columns.append((8 * near - far) / (12 * step))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.fixture(scope="session")
+def differences():
+    return central_difference
+
+
+def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
+    rng = np.random.default_rng(seed)
+    widths = {"spherical": (2 + P, P, 1), "tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))
+    kernel = ConvolvedGaussian(
+        2,
+        covariance_type=kind,
+        amplitude=rng.normal(size=(2 + P, P)) * np.r_[np.ones((2, P)), np.eye(P)],
+        length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (2 + P, P, d)),
+        shear=rng.normal(0, 0.4, (2 + P, P, d * (d - 1) // 2)) if kind == "full" else 0.0,
+        shift=rng.normal(0, 0.3, (2 + P, P, d)) * (np.arange(2 + P) < 2)[:, None, None] * (np.arange(P) > 0)[:, None],
+        shift_bounds=(-2.0, 2.0),
+    )
+    if with_trend:
+        kernel = LinearTrend(rng.uniform(0.5, 1, P), rng.uniform(0.5, 1, (P, d)), rng.normal(size=d)) + kernel
+    X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
+    Y[rng.random(Y.shape) < 0.35] = np.nan  # some outputs are not observed here and there
+    data = Data.from_table(X, Y)
+    noise = rng.uniform(0.05, 0.3, P)
+    K = kernel(data.X) + np.diag(np.repeat(noise, [len(y) for y in data.y]))
+    return SimpleNamespace(kernel=kernel, noise=noise, data=data, X=X, Y=Y, K=K, y=np.concatenate(data.y))
+
+
+@pytest.fixture(params=["diag", "full", "tied", "spherical", "diag without trend"])
+def problem(request):
+    return make_problem(request.param.split()[0], "without" not in request.param)
+
+
+@pytest.fixture
+def one_problem():
+    return make_problem()

@@ -1,0 +1,273 @@
+"""Equations 17 to 20 against references typed from them."""
+
+import pickle
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from threadpoolctl import threadpool_limits
+
+from skdgp.inference import Data, ExactPosterior, _exact, log_likelihood
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+NEW = np.random.default_rng(5).normal(size=(6, 2))
+
+
+def at(problem, theta):
+    """The likelihood as a function of [theta, log noise]."""
+    n = problem.kernel.n_dims
+    return log_likelihood(problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), problem.data)
+
+
+def posterior_of(problem):
+    return ExactPosterior(problem.kernel, problem.noise, problem.data)
+
+
+def cross(problem, Xs):
+    """Covariance of all outputs at Xs, output-major, with the observed values."""
+    return problem.kernel([Xs] * problem.kernel.n_outputs, problem.data.X)
+
+
+class TestData:
+    def test_missing_targets_are_left_out_output_by_output(self):
+        X = np.arange(6.0).reshape(3, 2)
+        Y = np.array([[1.0, np.nan], [2.0, 3.0], [np.nan, 4.0]])
+        data = Data.from_table(X, Y)
+        assert data.n_values == 4
+        np.testing.assert_array_equal(data.X[0], X[:2])
+        np.testing.assert_array_equal(data.X[1], X[1:])
+        np.testing.assert_array_equal(data.y[0], [1, 2])
+        np.testing.assert_array_equal(data.y[1], [3, 4])
+
+
+class TestLikelihood:
+    def test_is_the_density_of_the_observed_values(self, problem):
+        expected = multivariate_normal(cov=problem.K).logpdf(problem.y)
+        assert log_likelihood(problem.kernel, problem.noise, problem.data) == pytest.approx(expected, rel=1e-10)
+        assert posterior_of(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-10)
+
+    def test_gradient(self, problem, differences):
+        value, gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
+        theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)])
+        assert value == pytest.approx(at(problem, theta))
+        assert gradient.shape == theta.shape
+        np.testing.assert_allclose(gradient, differences(lambda t: at(problem, t), theta), rtol=1e-7, atol=1e-8)
+
+    def test_other_hyperparameters_of_the_same_data(self, problem):
+        posterior = posterior_of(problem)
+        other, noise = problem.kernel.clone_with_theta(problem.kernel.theta + 0.1), 2 * problem.noise
+        expected = log_likelihood(other, noise, problem.data, eval_gradient=True)
+        value, gradient = posterior.likelihood_at(other, noise, eval_gradient=True)
+        assert value == expected[0] == posterior.likelihood_at(other, noise)
+        np.testing.assert_array_equal(gradient, expected[1])
+
+    def test_an_output_may_have_a_single_value(self, one_problem):
+        Y = one_problem.Y.copy()
+        Y[1:, 2] = np.nan
+        Y[0, 2] = 1.0
+        data = Data.from_table(one_problem.X, Y)
+        K = one_problem.kernel(data.X) + np.diag(np.repeat(one_problem.noise, [len(y) for y in data.y]))
+        expected = multivariate_normal(cov=K).logpdf(np.concatenate(data.y))
+        assert log_likelihood(one_problem.kernel, one_problem.noise, data) == pytest.approx(expected)
+
+
+class TestPosterior:
+    def test_mean_is_equation_17(self, problem):
+        expected = cross(problem, NEW) @ np.linalg.solve(problem.K, problem.y)
+        np.testing.assert_allclose(posterior_of(problem).predict(NEW), expected.reshape(-1, len(NEW)).T, rtol=1e-9)
+
+    def test_covariance_is_equation_18(self, problem):
+        Ks = cross(problem, NEW)
+        expected = problem.kernel(NEW) - Ks @ np.linalg.solve(problem.K, Ks.T)
+        posterior = posterior_of(problem)
+        np.testing.assert_allclose(posterior.covariance(NEW), expected, rtol=1e-8, atol=1e-10)
+        mean, variance = posterior.predict(NEW, return_variance=True)
+        np.testing.assert_allclose(variance, np.diag(expected).reshape(-1, len(NEW)).T, rtol=1e-8)
+        np.testing.assert_allclose(mean, posterior.predict(NEW), rtol=1e-12)
+
+    def test_knowledge_never_raises_the_variance(self, problem):
+        _, variance = posterior_of(problem).predict(NEW, return_variance=True)
+        prior = problem.kernel.diag(NEW).reshape(-1, len(NEW)).T
+        assert (variance > 0).all()
+        assert (variance < prior).all()
+
+    def test_without_noise_the_observed_values_come_back(self, one_problem):
+        posterior = ExactPosterior(one_problem.kernel, np.full(3, 1e-9), one_problem.data)
+        mean, variance = posterior.predict(one_problem.X, return_variance=True)
+        seen = np.isfinite(one_problem.Y)
+        np.testing.assert_allclose(mean[seen], one_problem.Y[seen], atol=1e-4)
+        assert variance[seen].max() < 1e-7
+        assert variance[~seen].min() > 1e-4
+
+    def test_an_output_learns_from_the_others(self, one_problem):
+        """One latent through equal filters: output 1 is twice output 0, though it was never observed nearby."""
+        kernel = ConvolvedGaussian(1, private_latents=False, amplitude=[[1.0, 2.0]], length_scale=np.ones((1, 2, 2)))
+        Y = np.column_stack([np.sin(one_problem.X[:, 0]), np.full(14, np.nan)])
+        Y[0, 1] = 2 * Y[0, 0]
+        posterior = ExactPosterior(kernel, np.full(2, 1e-6), Data.from_table(one_problem.X, Y))
+        mean = posterior.predict(NEW)
+        np.testing.assert_allclose(mean[:, 1], 2 * mean[:, 0], rtol=1e-3)
+
+    def test_far_away_the_prior_is_left(self):
+        kernel = ConvolvedGaussian(1, amplitude=[[1.0, 0.5], [1, 0], [0, 1]], length_scale=np.ones((3, 2, 1)))
+        data = Data.from_table(np.zeros((1, 1)), np.array([[3.0, -1.0]]))
+        mean, variance = ExactPosterior(kernel, np.full(2, 0.1), data).predict(np.array([[50.0]]), return_variance=True)
+        np.testing.assert_allclose(mean, 0.0, atol=1e-12)
+        np.testing.assert_allclose(variance, [[2.0, 1.25]])
+
+
+class TestGradient:
+    def test_of_the_mean(self, problem, differences):
+        posterior = posterior_of(problem)
+        expected = np.stack([differences(lambda x: posterior.predict(x[None])[0], x) for x in NEW])
+        np.testing.assert_allclose(posterior.gradient(NEW), expected, rtol=1e-7, atol=1e-9)
+
+    def test_variance_is_that_of_difference_quotients(self, problem):
+        posterior, h = posterior_of(problem), 1e-3
+        gradient, variance = posterior.gradient(NEW, return_variance=True)
+        np.testing.assert_allclose(gradient, posterior.gradient(NEW), rtol=1e-12)
+        for a, x in enumerate(NEW):
+            for k, unit in enumerate(h * np.eye(2)):
+                joint = posterior.covariance(np.array([x + unit, x - unit])).reshape(3, 2, 3, 2)
+                for i in range(3):
+                    pair = joint[i, :, i]
+                    quotient = (pair[0, 0] + pair[1, 1] - 2 * pair[0, 1]) / (4 * h**2)
+                    assert variance[a, i, k] == pytest.approx(quotient, rel=1e-4, abs=1e-6)
+
+
+class TestTrendIntegratedOut:
+    """Rasmussen & Williams (2006), equations 2.41 to 2.43 with a prior N(0, B) on the weights."""
+
+    @pytest.fixture
+    def parts(self, one_problem):
+        trend, dependent = one_problem.kernel.k1, one_problem.kernel.k2
+
+        def basis(arrays):
+            """Stacked design matrix of all outputs, block-diagonal."""
+            designs = [np.column_stack([np.ones(len(x)), x - trend.center]) for x in arrays]
+            width = designs[0].shape[1]
+            out = np.zeros((sum(map(len, arrays)), 3 * width))
+            row = 0
+            for i, design in enumerate(designs):
+                out[row : row + len(design), i * width : (i + 1) * width] = design
+                row += len(design)
+            return out
+
+        B = np.diag(np.column_stack([trend.intercept_scale, trend.slope_scale]).ravel() ** 2)
+        sizes = [len(y) for y in one_problem.data.y]
+        Ky = dependent(one_problem.data.X) + np.diag(np.repeat(one_problem.noise, sizes))
+        H = basis(one_problem.data.X)
+        precision = np.linalg.inv(B) + H.T @ np.linalg.solve(Ky, H)
+        return dependent, basis, B, Ky, H, precision
+
+    def test_prediction(self, one_problem, parts):
+        dependent, basis, _, Ky, H, precision = parts
+        y = one_problem.y
+        weights = np.linalg.solve(precision, H.T @ np.linalg.solve(Ky, y))
+        Ks = dependent([NEW] * 3, one_problem.data.X)
+        R = basis([NEW] * 3) - Ks @ np.linalg.solve(Ky, H)
+        mean = Ks @ np.linalg.solve(Ky, y) + R @ weights
+        cov = dependent(NEW) - Ks @ np.linalg.solve(Ky, Ks.T) + R @ np.linalg.solve(precision, R.T)
+        posterior = posterior_of(one_problem)
+        np.testing.assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-8)
+        np.testing.assert_allclose(posterior.covariance(NEW), cov, rtol=1e-8, atol=1e-9)
+
+    def test_likelihood(self, one_problem, parts):
+        _, _, B, Ky, H, _ = parts
+        expected = multivariate_normal(cov=Ky + H @ B @ H.T).logpdf(one_problem.y)
+        assert posterior_of(one_problem).log_marginal_likelihood == pytest.approx(expected)
+
+    def test_trend_alone_is_ridge_regression_and_extrapolates(self):
+        rng = np.random.default_rng(0)
+        X = rng.normal(size=(40, 2))
+        Y = np.column_stack([1 + X @ [2.0, -1.0], X @ [0.5, 3.0]]) + rng.normal(0, 0.1, (40, 2))
+        kernel = LinearTrend(np.full(2, 100.0), np.full((2, 2), 100.0), np.zeros(2))
+        far = np.array([[30.0, -20.0]])
+        mean, variance = ExactPosterior(kernel, np.full(2, 0.01), Data.from_table(X, Y)).predict(far, True)
+        design = np.column_stack([np.ones(40), X])
+        weights = np.linalg.solve(design.T @ design + 0.01 / 100**2 * np.eye(3), design.T @ Y)
+        at_far = np.array([1.0, 30.0, -20.0])
+        np.testing.assert_allclose(mean[0], at_far @ weights, rtol=1e-6)
+        np.testing.assert_allclose(
+            variance[0], 0.01 * at_far @ np.linalg.solve(design.T @ design + 1e-6 * np.eye(3), at_far), rtol=1e-5
+        )
+
+
+class TestTiles:
+    """How the matrix is cut is nobody's business."""
+
+    @pytest.mark.parametrize("tile", [1, 3, 5])
+    @pytest.mark.parametrize("threads", [1, 2])
+    def test_do_not_change_the_results(self, problem, tile, threads, monkeypatch):
+        value, gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
+        posterior = posterior_of(problem)
+        expected = posterior.predict(NEW, True), posterior.covariance(NEW), posterior.gradient(NEW, True)
+        monkeypatch.setattr(_exact, "TILE", tile)
+        monkeypatch.setattr(_exact, "CHUNK_BYTES", 100)
+        with threadpool_limits(threads, user_api="blas"):
+            again, again_gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
+            posterior = posterior_of(problem)
+            got = posterior.predict(NEW, True), posterior.covariance(NEW), posterior.gradient(NEW, True)
+        assert again == pytest.approx(value, rel=1e-12)
+        np.testing.assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
+        for a, b in zip((*got[0], got[1], *got[2]), (*expected[0], expected[1], *expected[2]), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+    def test_the_same_call_gives_the_same_bits_with_threads(self, one_problem, monkeypatch):
+        monkeypatch.setattr(_exact, "TILE", 4)
+        with threadpool_limits(2, user_api="blas"):
+            first, second = (
+                log_likelihood(one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True)
+                for _ in range(2)
+            )
+        assert first[0] == second[0]
+        np.testing.assert_array_equal(first[1], second[1])
+
+
+def peak_memory(function):
+    """Bytes that NumPy held at most while the function ran."""
+    tracemalloc.start()
+    try:
+        function()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.fixture(scope="module")
+def large():
+    rng = np.random.default_rng(0)
+    X, Y = rng.normal(size=(500, 4)), rng.normal(size=(500, 3))
+    kernel = LinearTrend() + ConvolvedGaussian(1)
+    return kernel.initialize(X, Y, 0), np.full(3, 0.3), Data.from_table(X, Y)
+
+
+class TestMemory:
+    def test_of_one_evaluation_is_below_three_matrices(self, large):
+        matrix = 8 * large[2].n_values ** 2
+        used = peak_memory(lambda: log_likelihood(*large, eval_gradient=True))
+        assert matrix <= used < 3 * matrix
+
+    def test_of_predictions_does_not_grow_with_their_number(self, large, monkeypatch):
+        monkeypatch.setattr(_exact, "CHUNK_BYTES", 2**19)
+        kernel, noise, data = large
+        few_data = Data([x[:80] for x in data.X], [y[:80] for y in data.y])
+        posterior = ExactPosterior(kernel, noise, few_data)
+        posterior.predict(np.zeros((2, 4)), True)
+        few, many = np.zeros((300, 4)), np.zeros((3000, 4))
+        results = 2 * 8 * 3 * 2700
+        for call, times in ((posterior.predict, 1), (posterior.gradient, 4)):
+            grown = peak_memory(lambda call=call: call(many, True)) - peak_memory(lambda call=call: call(few, True))
+            assert grown < 2 * times * results
+
+
+def test_pickle_predicts_the_same_bits_and_holds_no_matrix(one_problem):
+    posterior = posterior_of(one_problem)
+    expected = posterior.predict(NEW, True)
+    text = pickle.dumps(posterior)
+    again = pickle.loads(text).predict(NEW, True)
+    for a, b in zip(expected, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    before = posterior_of(one_problem)
+    assert len(pickle.dumps(before)) == len(text)

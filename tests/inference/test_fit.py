@@ -1,0 +1,172 @@
+"""From data to hyperparameters."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from skdgp._progress import listening
+from skdgp.inference import Data, _fit, fit_exact, fit_sparse, log_likelihood
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+OPTIONS = {"optimizer": "fmin_l_bfgs_b", "max_iter": 100, "random_state": 0}
+FITS = {"exact": fit_exact, "sparse": partial(fit_sparse, n_inducing=40)}
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Two dependent outputs drawn from a known prior: length scale .8, noise variances .01 and .09."""
+    rng = np.random.default_rng(1)
+    X = np.sort(rng.uniform(-9, 9, (110, 1)), axis=0)
+    kernel = ConvolvedGaussian(
+        1, amplitude=[[1.0, -0.9], [0.3, 0], [0, 0.3]], length_scale=np.full((3, 2, 1), 0.8), private_latents=True
+    )
+    noise = np.array([0.01, 0.09])
+    K = kernel(X) + np.diag(np.repeat(noise, 110))
+    Y = (np.linalg.cholesky(K) @ rng.normal(size=220)).reshape(2, 110).T
+    Y[rng.random(Y.shape) < 0.2] = np.nan
+    return X, Y, kernel, noise
+
+
+@pytest.mark.parametrize("fit", FITS.values(), ids=FITS.keys())
+class TestFit:
+    def test_is_better_than_the_truth_that_drew_the_data(self, fit, drawn):
+        X, Y, kernel, noise = drawn
+        found = fit(ConvolvedGaussian(1), X, Y, **OPTIONS).posterior
+        truth = log_likelihood(kernel, noise, Data.from_table(X, Y))
+        # More hyperparameters than the truth has: the maximum is above it. The bound may lie a little below.
+        assert found.log_marginal_likelihood > truth - (1.0 if fit is not fit_exact else 0.0)
+
+    def test_recovers_noise_and_coupling(self, fit, drawn):
+        X, Y, _, noise = drawn
+        found = fit(ConvolvedGaussian(1), X, Y, **OPTIONS).posterior
+        np.testing.assert_allclose(found.noise, noise, rtol=0.5)
+        origin = np.zeros((1, 1))
+        size = [found.kernel.block_diag(i, origin)[0] for i in range(2)]
+        assert found.kernel.block(0, 1, origin, origin)[0, 0] / np.sqrt(np.prod(size)) < -0.7
+
+    def test_gradient_vanishes_at_the_end_or_points_out_of_the_bounds(self, fit, drawn):
+        X, Y, *_ = drawn
+        found = fit(ConvolvedGaussian(1, covariance_type="tied"), X, Y, **(OPTIONS | {"max_iter": 300}))
+        posterior = found.posterior
+        _, gradient = posterior.likelihood_at(posterior.kernel, posterior.noise, eval_gradient=True)
+        theta, bounds = posterior.kernel.theta, posterior.kernel.bounds
+        inside = (theta > bounds[:, 0] + 1e-6) & (theta < bounds[:, 1] - 1e-6)
+        assert np.abs(gradient[: len(theta)][inside]).max() < 0.5  # one unit of log likelihood is nothing
+        assert found.n_iter < 300
+
+    def test_never_ends_below_its_start(self, fit, drawn):
+        X, Y, *_ = drawn
+        start = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"optimizer": None})).posterior
+        end = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 1})).posterior
+        assert end.log_marginal_likelihood >= start.log_marginal_likelihood
+
+    def test_value_is_the_likelihood_at_what_was_found(self, fit, drawn):
+        X, Y, *_ = drawn
+        posterior = fit(LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})).posterior
+        again = posterior.likelihood_at(posterior.kernel, posterior.noise)
+        assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
+
+    @pytest.mark.parametrize("threads", [1, 2])
+    def test_seed_decides_and_threads_do_not(self, fit, drawn, threads):
+        X, Y, *_ = drawn
+        X, Y = X[::3], Y[::3]
+        once = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 2})).posterior
+        with threadpool_limits(threads, user_api="blas"):
+            again = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 2})).posterior
+        np.testing.assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
+
+    def test_stages_are_told(self, fit, drawn):
+        X, Y, *_ = drawn
+        stages = []
+        with listening(lambda stage, n, value: stages.append(stage)):
+            found = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 3}))
+        assert len(stages) == found.n_evaluations
+        assert set(stages) == {"output 1", "output 2", "fit"} | ({"bound"} if fit is not fit_exact else set())
+
+    def test_constant_targets_and_single_values_do_not_break_it(self, fit, drawn):
+        X, Y, *_ = drawn
+        Y = Y.copy()
+        Y[:, 1] = np.nan
+        Y[::30, 1] = 0.0
+        posterior = fit(LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})).posterior
+        assert np.isfinite(posterior.predict(X[:3], True)).all()
+
+
+@pytest.mark.parametrize("fit", FITS.values(), ids=FITS.keys())
+class TestGivenKernel:
+    """What a user says of a kernel holds."""
+
+    lengths = np.array([[[0.7], [0.9]], [[0.6], [1.0]], [[1.0], [0.8]]])
+    amplitude = np.array([[1.0, -0.7], [0.4, 0.0], [0.0, 0.5]])
+
+    def test_fixed_values_stay(self, fit, drawn):
+        X, Y, *_ = drawn
+        kernel = ConvolvedGaussian(1, length_scale=self.lengths, length_scale_bounds="fixed")
+        found = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 10})).posterior.kernel
+        np.testing.assert_array_equal(found.length_scale, self.lengths)
+
+    def test_all_fixed(self, fit, drawn):
+        X, Y, _, noise = drawn
+        kernel = ConvolvedGaussian(
+            1,
+            amplitude=self.amplitude,
+            amplitude_bounds="fixed",
+            length_scale=self.lengths,
+            length_scale_bounds="fixed",
+        )
+        posterior = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 30})).posterior
+        assert posterior.kernel == kernel
+        np.testing.assert_allclose(posterior.noise, noise, rtol=0.6)  # the noise is still learned
+
+    def test_bounds_are_kept(self, fit, drawn):
+        X, Y, *_ = drawn
+        kernel = ConvolvedGaussian(1, length_scale_bounds=(0.2, 0.5))
+        found = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 10})).posterior.kernel
+        fed = np.array([[1, 1], [1, 0], [0, 1]], dtype=bool)
+        assert (found.length_scale[fed] >= 0.2 - 1e-12).all()
+        assert (found.length_scale[fed] <= 0.5 + 1e-12).all()
+
+    def test_starting_values_are_where_it_starts(self, fit, drawn):
+        X, Y, *_ = drawn
+        kernel = ConvolvedGaussian(1, amplitude=self.amplitude, length_scale=self.lengths)
+        found = fit(kernel, X, Y, **(OPTIONS | {"optimizer": None})).posterior.kernel
+        np.testing.assert_array_equal(found.amplitude, self.amplitude)
+        np.testing.assert_array_equal(found.length_scale, self.lengths)
+
+    def test_fixed_trend_stays(self, fit, drawn):
+        X, Y, *_ = drawn
+        trend = LinearTrend(
+            [1.0, 2.0], [[0.5], [0.6]], [0.0], intercept_scale_bounds="fixed", slope_scale_bounds="fixed"
+        )
+        found = fit(trend + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})).posterior.kernel
+        np.testing.assert_array_equal(found.k1.intercept_scale, [1.0, 2.0])
+        np.testing.assert_array_equal(found.k1.slope_scale, [[0.5], [0.6]])
+
+
+def test_default_fits_are_good_fits():
+    """The attained likelihood does not hang on the seed."""
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(70, 3))
+    common = np.sin(1.5 * X[:, 0]) + 0.3 * X[:, 1] ** 2
+    Y = np.column_stack([common, -common + 0.5 * np.cos(2 * X[:, 2]), X[:, 1] + 0.2 * common])
+    Y += rng.normal(0, 0.1, Y.shape)
+    values = [
+        fit_exact(
+            LinearTrend() + ConvolvedGaussian(2), X, Y, **(OPTIONS | {"random_state": seed, "max_iter": 60})
+        ).posterior.log_marginal_likelihood
+        for seed in range(3)
+    ]
+    assert np.ptp(values) < 0.03 * abs(np.mean(values)) + 2.0
+
+
+def test_a_rare_output_survives_the_subset_of_the_sparse_start(monkeypatch):
+    monkeypatch.setattr(_fit, "SUBSET", 60)
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(900, 1))
+    Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))
+    Y[:4, 1] = np.cos(X[:4, 0])
+    options = OPTIONS | {"max_iter": 2}
+    posterior = fit_sparse(ConvolvedGaussian(1), X, Y, n_inducing=10, **options).posterior
+    assert np.isfinite(posterior.predict(X[:5], True)).all()

@@ -1,0 +1,164 @@
+"""Maximisation: bounds are kept, the best point is never lost, whatever happens on the way."""
+
+from threading import Event
+
+import numpy as np
+import pytest
+
+from skdgp._progress import listening
+from skdgp.inference import maximize
+
+BOUNDS = np.array([[-5.0, 5.0], [-5.0, 5.0]])
+
+
+def hill(theta):
+    """Highest, with value 3, at (1, -2)."""
+    away = theta - [1.0, -2.0]
+    return 3.0 - away @ away, -2 * away
+
+
+def ridge(theta):
+    """Rosenbrock's valley upside down: highest, with value 0, at (1, 1)."""
+    x, y = theta
+    slope = np.array([-400 * x * (y - x**2) - 2 * (1 - x), 200 * (y - x**2)])
+    return -(100 * (y - x**2) ** 2 + (1 - x) ** 2), -slope
+
+
+def test_finds_the_top():
+    best = maximize(hill, np.array([4.0, 4.0]), BOUNDS)
+    np.testing.assert_allclose(best.theta, [1, -2], atol=1e-4)
+    assert best.value == pytest.approx(3.0)
+    assert best.value == hill(best.theta)[0]
+    assert 0 < best.n_iter <= best.n_evaluations
+    assert not best.interrupted
+
+
+def test_keeps_to_the_bounds():
+    seen = []
+
+    def watched(theta):
+        seen.append(theta.copy())
+        return hill(theta)
+
+    bounds = np.array([[2.0, 3.0], [-1.0, 4.0]])
+    best = maximize(watched, np.array([10.0, -10.0]), bounds)
+    np.testing.assert_allclose(best.theta, [2.0, -1.0])
+    seen = np.array(seen)
+    assert (seen >= bounds[:, 0]).all()
+    assert (seen <= bounds[:, 1]).all()
+
+
+def test_iterations_are_limited():
+    few = maximize(ridge, np.array([-1.2, 1.0]), BOUNDS, max_iter=3)
+    many = maximize(ridge, np.array([-1.2, 1.0]), BOUNDS, max_iter=200)
+    assert few.n_iter == 3
+    assert few.value < many.value
+    np.testing.assert_allclose(many.theta, 1.0, atol=1e-2)
+
+
+@pytest.mark.parametrize("failure", [np.linalg.LinAlgError, "nan", "nan gradient"])
+def test_points_where_nothing_can_be_computed_are_walls(failure):
+    def partly(theta):
+        if theta[0] > 3.0:
+            if failure == "nan":
+                return np.nan, np.zeros(2)
+            if failure == "nan gradient":
+                return 1e9, np.full(2, np.nan)
+            raise failure
+        return hill(theta) if theta[0] <= 3.0 else None
+
+    def eager(theta):
+        value, gradient = partly(theta)
+        return value, gradient * 40  # too steep: the first step lands behind the wall
+
+    best = maximize(eager, np.array([-4.0, 3.0]), BOUNDS)
+    assert np.isfinite(best.value)
+    assert best.theta[0] <= 3.0
+    assert best.value >= hill(np.array([-4.0, 3.0]))[0]
+
+
+def test_a_start_that_fails_says_so_by_its_value():
+    def nowhere(theta):
+        raise np.linalg.LinAlgError
+
+    best = maximize(nowhere, np.zeros(2), BOUNDS)
+    assert best.value == -np.inf
+    np.testing.assert_array_equal(best.theta, 0.0)
+
+
+def test_the_best_point_is_kept_not_the_last():
+    def wander(objective, theta, bounds):
+        for point in ([3.0, 3.0], [1.0, -2.1], [5.0, 5.0]):
+            objective(np.array(point))
+        return np.array([5.0, 5.0]), 0.0
+
+    best = maximize(hill, np.zeros(2), BOUNDS, optimizer=wander)
+    np.testing.assert_array_equal(best.theta, [1.0, -2.1])
+    assert best.n_evaluations == 3
+
+
+def test_a_callable_has_scikit_learns_signature():
+    """As in GaussianProcessRegressor: a minimiser of the negative likelihood, gradient on request."""
+    called = []
+
+    def optimizer(obj_func, initial_theta, bounds):
+        called.append((initial_theta.copy(), bounds.copy()))
+        value, gradient = obj_func(initial_theta)
+        assert obj_func(initial_theta, eval_gradient=False) == value == -hill(initial_theta)[0]
+        np.testing.assert_array_equal(gradient, -hill(initial_theta)[1])
+        return initial_theta, value
+
+    maximize(hill, np.ones(2), BOUNDS, optimizer=optimizer)
+    np.testing.assert_array_equal(called[0][0], 1.0)
+    np.testing.assert_array_equal(called[0][1], BOUNDS)
+
+
+class TestInterrupt:
+    def test_keeps_the_best_point(self):
+        points = []
+
+        def interrupted(theta):
+            if len(points) == 9:
+                raise KeyboardInterrupt
+            points.append((ridge(theta)[0], theta.copy()))
+            return ridge(theta)
+
+        best = maximize(interrupted, np.array([-1.2, 1.0]), BOUNDS)
+        assert best.interrupted
+        value, theta = max(points, key=lambda point: point[0])
+        assert best.value == value
+        np.testing.assert_array_equal(best.theta, theta)
+
+    def test_stops_what_runs_beside(self):
+        stop = Event()
+        calls = []
+
+        def counted(theta):
+            calls.append(theta)
+            if len(calls) == 2:
+                stop.set()
+            return hill(theta)
+
+        best = maximize(counted, np.array([4.0, 4.5]), BOUNDS, stop=stop)
+        assert best.interrupted
+        assert len(calls) == 2
+
+    def test_tells_what_runs_beside(self):
+        stop = Event()
+
+        def interrupted(theta):
+            raise KeyboardInterrupt
+
+        assert maximize(interrupted, np.zeros(2), BOUNDS, stop=stop).interrupted
+        assert stop.is_set()
+
+
+def test_progress_is_told_at_every_evaluation():
+    told = []
+    with listening(lambda *news: told.append(news)):
+        best = maximize(hill, np.array([4.0, 4.0]), BOUNDS, stage="climb")
+    assert [news[0] for news in told] == ["climb"] * best.n_evaluations
+    assert [news[1] for news in told] == list(range(1, best.n_evaluations + 1))
+    values = [news[2] for news in told]
+    assert values == sorted(values)  # the best so far
+    assert values[-1] == best.value

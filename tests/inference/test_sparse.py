@@ -1,0 +1,147 @@
+"""The collapsed bound against its definition, and against what it bounds."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from threadpoolctl import threadpool_limits
+
+from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood
+
+NEW = np.random.default_rng(5).normal(size=(6, 2))
+Z = np.random.default_rng(6).normal(size=(7, 2))
+
+
+def sparse(problem, inputs=Z):
+    return SparsePosterior(problem.kernel, problem.kernel.features(inputs), problem.noise, problem.data)
+
+
+def stacked(features, arrays):
+    """Kfu of all outputs, (N, K), zero where a feature is not felt."""
+    K = np.zeros((sum(map(len, arrays)), features.size))
+    row = 0
+    for i, x in enumerate(arrays):
+        K[row : row + len(x), features.columns(i)] = features.Kfu(i, x)
+        row += len(x)
+    return K
+
+
+def reference(problem, inputs=Z):
+    """Kuu, Kfu, S and Qff of Titsias (2009)."""
+    features = problem.kernel.features(inputs)
+    Kuu, Kfu = features.Kuu(), stacked(features, problem.data.X)
+    S = np.repeat(problem.noise, [len(y) for y in problem.data.y])
+    return features, Kuu, Kfu, S, Kfu @ np.linalg.solve(Kuu, Kfu.T)
+
+
+class TestBound:
+    def test_is_titsias(self, problem):
+        *_, S, Qff = reference(problem)
+        missing = problem.kernel.diag(problem.data.X) - np.diag(Qff)
+        expected = multivariate_normal(cov=Qff + np.diag(S)).logpdf(problem.y) - 0.5 * (missing / S).sum()
+        assert sparse(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-9)
+
+    def test_is_below_the_likelihood_and_rises_to_it(self, problem):
+        exact = log_likelihood(problem.kernel, problem.noise, problem.data)
+        axis = np.linspace(-3.2, 3.2, 12)
+        grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+        bounds = [sparse(problem, inputs).log_marginal_likelihood for inputs in (grid[::24], grid[::6], grid)]
+        assert bounds[0] < bounds[1] < bounds[2] < exact
+        assert exact - bounds[2] < 0.02 * (exact - bounds[0])
+
+    def test_gradient_by_everything(self, problem, differences):
+        """By kernel, noise, and the features' own inputs and widths."""
+        posterior = sparse(problem)
+        features = posterior.features
+        n, P = problem.kernel.n_dims, 3
+
+        def bound(theta):
+            kernel = problem.kernel.clone_with_theta(theta[:n])
+            rebuilt = features.rebuild(kernel, theta[n + P :])
+            return SparsePosterior(kernel, rebuilt, np.exp(theta[n : n + P]), problem.data).log_marginal_likelihood
+
+        theta = np.concatenate([problem.kernel.theta, np.log(problem.noise), features.theta])
+        gradient = posterior.bound_gradient()
+        assert gradient.shape == theta.shape
+        np.testing.assert_allclose(gradient, differences(bound, theta), rtol=1e-5, atol=1e-5)
+
+    def test_at_other_hyperparameters(self, problem, differences):
+        posterior = sparse(problem)
+        n = problem.kernel.n_dims
+        theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)]) + 0.05
+
+        def bound(theta):
+            return posterior.likelihood_at(problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]))
+
+        value, gradient = posterior.likelihood_at(
+            problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), eval_gradient=True
+        )
+        assert value == pytest.approx(bound(theta))
+        np.testing.assert_allclose(gradient, differences(bound, theta), rtol=1e-5, atol=1e-5)
+
+    def test_of_a_trend_alone_is_the_likelihood(self, one_problem):
+        trend = one_problem.kernel.k1
+        posterior = SparsePosterior(trend, trend.features(Z), one_problem.noise, one_problem.data)
+        exact = ExactPosterior(trend, one_problem.noise, one_problem.data)
+        assert posterior.log_marginal_likelihood == pytest.approx(exact.log_marginal_likelihood)
+        np.testing.assert_allclose(posterior.predict(NEW, True), exact.predict(NEW, True), rtol=1e-8)
+
+
+class TestPosterior:
+    def test_mean_and_covariance(self, problem):
+        features, Kuu, Kfu, S, _ = reference(problem)
+        B = Kuu + Kfu.T / S @ Kfu
+        Ks = stacked(features, [NEW] * 3)
+        mean = Ks @ np.linalg.solve(B, Kfu.T @ (problem.y / S))
+        cov = problem.kernel(NEW) - Ks @ (np.linalg.inv(Kuu) - np.linalg.inv(B)) @ Ks.T
+        posterior = sparse(problem)
+        np.testing.assert_allclose(posterior.covariance(NEW), cov, rtol=1e-6, atol=1e-8)
+        found, variance = posterior.predict(NEW, True)
+        np.testing.assert_allclose(found, mean.reshape(3, -1).T, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(variance, np.diag(cov).reshape(3, -1).T, rtol=1e-6)
+        np.testing.assert_allclose(posterior.predict(NEW), found)
+
+    def test_with_many_features_is_the_exact_one(self, problem):
+        axis = np.linspace(-3.5, 3.5, 14)
+        many = sparse(problem, np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2))
+        exact = ExactPosterior(problem.kernel, problem.noise, problem.data)
+        np.testing.assert_allclose(many.predict(NEW), exact.predict(NEW), atol=0.02)
+        np.testing.assert_allclose(many.predict(NEW, True)[1], exact.predict(NEW, True)[1], rtol=0.05, atol=2e-3)
+
+    def test_gradient_of_the_mean(self, problem, differences):
+        posterior = sparse(problem)
+        expected = np.stack([differences(lambda x: posterior.predict(x[None])[0], x) for x in NEW])
+        np.testing.assert_allclose(posterior.gradient(NEW), expected, rtol=1e-6, atol=1e-7)
+
+    def test_variance_of_slopes_is_that_of_difference_quotients(self, problem):
+        posterior, h = sparse(problem), 1e-3
+        _, variance = posterior.gradient(NEW, return_variance=True)
+        for a, x in enumerate(NEW):
+            for k, unit in enumerate(h * np.eye(2)):
+                joint = posterior.covariance(np.array([x + unit, x - unit])).reshape(3, 2, 3, 2)
+                for i in range(3):
+                    pair = joint[i, :, i]
+                    quotient = (pair[0, 0] + pair[1, 1] - 2 * pair[0, 1]) / (4 * h**2)
+                    assert variance[a, i, k] == pytest.approx(quotient, rel=1e-3, abs=1e-4)
+
+
+class TestRows:
+    @pytest.mark.parametrize("threads", [1, 2])
+    def test_how_samples_are_cut_does_not_matter(self, problem, threads, monkeypatch):
+        posterior = sparse(problem)
+        expected = posterior.log_marginal_likelihood, posterior.bound_gradient(), *posterior.predict(NEW, True)
+        monkeypatch.setattr(_sparse, "ROWS", 3)
+        with threadpool_limits(threads, user_api="blas"):
+            again = sparse(problem)
+            got = again.log_marginal_likelihood, again.bound_gradient(), *again.predict(NEW, True)
+        for a, b in zip(got, expected, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)
+
+
+def test_pickle_predicts_the_same_bits(one_problem):
+    posterior = sparse(one_problem)
+    again = pickle.loads(pickle.dumps(posterior))
+    for a, b in zip(posterior.predict(NEW, True), again.predict(NEW, True), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert again.log_marginal_likelihood == posterior.log_marginal_likelihood

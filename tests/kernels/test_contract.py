@@ -1,0 +1,290 @@
+"""What every multi-output kernel promises, over one list of kernels."""
+
+import inspect
+import pickle
+from functools import cache
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+import skdgp.kernels
+from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum
+
+
+def convolved(n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds):
+    """A kernel whose every amplitude, width, shear and, on request, shift is different."""
+    rng = np.random.default_rng(seed)
+    M = n_latent + P * private
+    widths = {"spherical": (M, P, 1), "tied": (M, 1, d)}.get(covariance_type, (M, P, d))
+    feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P) * private])[:M]
+    mu = np.zeros((M, P, d))
+    if shift:
+        mu[:n_latent, 1:] = rng.normal(0, 0.6, (n_latent, P - 1, d))
+    return ConvolvedGaussian(
+        n_latent,
+        private_latents=private,
+        covariance_type=covariance_type,
+        amplitude=rng.normal(0, 1.0, (M, P)) * feeds,
+        length_scale=np.broadcast_to(rng.uniform(0.6, 1.8, widths), (M, P, d)),
+        shear=rng.normal(0, 0.5, (M, P, d * (d - 1) // 2)) if covariance_type == "full" else 0.0,
+        shift=mu,
+        **({"shift_bounds": (-3.0, 3.0)} if shift else {}),
+        **bounds,
+    )
+
+
+def trend(P=3, d=2, seed=1):
+    rng = np.random.default_rng(seed)
+    return LinearTrend(rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, d)), center=rng.normal(size=d))
+
+
+KERNELS = {
+    **{kind: convolved(covariance_type=kind) for kind in ("spherical", "diag", "full", "tied")},
+    **{
+        f"{kind}, shifted": convolved(covariance_type=kind, shift=True)
+        for kind in ("spherical", "diag", "full", "tied")
+    },
+    "full in three regressors": convolved(1, 2, 3, "full", shift=True),
+    "without private latents": convolved(2, private=False, shift=True),
+    "private latents alone": convolved(0, covariance_type="full"),
+    "one output": convolved(1, P=1),
+    "one output, shifts free": convolved(1, P=1, shift=True),
+    "one regressor": convolved(2, d=1, shift=True),
+    "one regressor, full": convolved(1, d=1, covariance_type="full"),
+    "fixed widths": convolved(length_scale_bounds="fixed"),
+    "everything fixed": convolved(amplitude_bounds="fixed", length_scale_bounds="fixed"),
+    "bounds for each entry": convolved(
+        length_scale_bounds=np.stack([np.full((5, 3, 2), 0.1), np.arange(30.0).reshape(5, 3, 2) + 9], axis=-1)
+    ),
+    "trend": trend(),
+    "trend + dependent": trend() + convolved(1, covariance_type="full", shift=True),
+    "dependent + dependent": convolved(1, private=False) + convolved(1, private=False, covariance_type="tied", seed=5),
+    "trend + (dependent + dependent)": trend() + (convolved(1) + convolved(0, seed=8)),
+}
+
+
+def n_features(kernel):
+    if isinstance(kernel, Sum):
+        return n_features(kernel.k1)
+    return np.shape(kernel.slope_scale)[1] if isinstance(kernel, LinearTrend) else kernel.n_features
+
+
+def inputs(kernel, sizes=(4, 3, 5), seed=2):
+    rng = np.random.default_rng(seed)
+    return [rng.normal(0, 1.2, (n, n_features(kernel))) for n in sizes[: kernel.n_outputs]]
+
+
+def central_difference(function, x, step=1e-3):
+    """Return d function / d x along a new last axis, of fourth order, for a function of a vector x."""
+    x = np.asarray(x, dtype=float)
+    columns = []
+    for unit in step * np.eye(len(x)):
+        near = function(x + unit) - function(x - unit)
+        far = function(x + 2 * unit) - function(x - 2 * unit)
+        columns.append((8 * near - far) / (12 * step))
+    return np.stack(columns, axis=-1) if columns else np.empty((*np.shape(function(x)), 0))
+
+
+@cache
+def gradient_by_differences(name):
+    """dK/dtheta at the inputs of a kernel, (N, N, n_theta), by differences of its matrix."""
+    kernel = KERNELS[name]
+    return central_difference(lambda theta: kernel.clone_with_theta(theta)(inputs(kernel)), kernel.theta)
+
+
+def equal(a, b, **tolerance):
+    np.testing.assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
+
+
+def test_every_public_kernel_is_in_the_list():
+    public = {obj for obj in vars(skdgp.kernels).values() if inspect.isclass(obj)} - {MultiOutputKernel}
+    assert public == {type(kernel) for kernel in KERNELS.values()}
+
+
+@pytest.fixture(params=KERNELS)
+def name(request):
+    return request.param
+
+
+@pytest.fixture
+def kernel(name):
+    return KERNELS[name]
+
+
+class TestContract:
+    def test_matrix_is_symmetric_and_swapping_the_inputs_transposes(self, kernel):
+        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+        equal(kernel(X), kernel(X).T)
+        equal(kernel(X, Z), kernel(Z, X).T)
+        equal(kernel(X, X), kernel(X))
+
+    def test_matrix_is_a_covariance(self, kernel):
+        values = np.linalg.eigvalsh(kernel(inputs(kernel, (12, 9, 15))))
+        assert values.min() > -1e-13 * values.max() * len(values)
+
+    def test_diag_is_the_diagonal(self, kernel):
+        X = inputs(kernel)
+        equal(kernel.diag(X), np.diag(kernel(X)))
+
+    def test_matrix_is_output_major_and_its_blocks_are_the_blocks(self, kernel):
+        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+        K = kernel(X, Z)
+        rows, columns = np.cumsum([0, *map(len, X)]), np.cumsum([0, *map(len, Z)])
+        for i, Xi in enumerate(X):
+            for j, Zj in enumerate(Z):
+                equal(K[rows[i] : rows[i + 1], columns[j] : columns[j + 1]], kernel.block(i, j, Xi, Zj))
+
+    def test_one_array_for_each_output_picks_rows_of_the_common_matrix(self, kernel):
+        P = kernel.n_outputs
+        X = np.random.default_rng(4).normal(size=(7, n_features(kernel)))
+        seen = np.random.default_rng(5).random((P, 7)) < 0.6
+        picked = np.flatnonzero(seen.ravel())
+        assert kernel(X).shape == (7 * P, 7 * P)
+        equal(kernel([X[s] for s in seen]), kernel(X)[np.ix_(picked, picked)])
+
+    def test_an_output_without_samples_takes_no_room(self, kernel):
+        X = [np.empty((0, n_features(kernel))), *inputs(kernel)[1:]]
+        assert kernel(X).shape == (sum(map(len, X)),) * 2
+
+    def test_gradient_is_the_derivative_with_respect_to_theta(self, kernel, name):
+        K, gradient = kernel(inputs(kernel), eval_gradient=True)
+        equal(K, kernel(inputs(kernel)))
+        equal(gradient, gradient_by_differences(name), rtol=1e-8, atol=1e-9)
+
+    def test_contraction_is_the_derivative_of_the_weighted_sum(self, kernel, name):
+        X = inputs(kernel)
+        rng = np.random.default_rng(6)
+        edges = np.cumsum([0, *map(len, X)])
+        expected = gradient_by_differences(name)
+        for i, Xi in enumerate(X):
+            for j, Xj in enumerate(X):
+                W = rng.normal(size=(len(Xi), len(Xj)))  # not symmetric, nor square
+                block = expected[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
+                got = kernel.block_gradient(i, j, Xi, Xj, W.copy())
+                equal(got, np.einsum("ab,abt->t", W, block), rtol=1e-8, atol=1e-9)
+
+    def test_diag_gradient_is_the_contraction_of_the_diagonal(self, kernel):
+        for i, Xi in enumerate(inputs(kernel)):
+            w = np.random.default_rng(10).normal(size=len(Xi))
+            expected = kernel.block_gradient(i, i, Xi, Xi, np.diag(w))
+            equal(kernel.diag_gradient(i, Xi, w), expected, atol=1e-12)
+
+    def test_block_derivative_is_the_derivative_along_the_first_input(self, kernel):
+        X = inputs(kernel)
+        origin = np.zeros(n_features(kernel))
+        for i, Xi in enumerate(X):
+            for j, Xj in enumerate(X):
+                found = central_difference(lambda x, i=i, j=j, Xi=Xi, Xj=Xj: kernel.block(i, j, Xi + x, Xj), origin)
+                equal(kernel.block_derivative(i, j, Xi, Xj), np.moveaxis(found, -1, 0), rtol=1e-8, atol=1e-9)
+
+    def test_derivative_diag_is_the_variance_of_the_slopes(self, kernel):
+        origin = np.zeros(n_features(kernel))
+        for i, Xi in enumerate(inputs(kernel)):
+            # d^2 k(x, z) / dx dz at z = x
+            found = central_difference(lambda z, i=i, Xi=Xi: kernel.block_derivative(i, i, Xi, Xi + z), origin)
+            equal(kernel.derivative_diag(i, Xi), np.einsum("kaak->ak", found), rtol=1e-8, atol=1e-9)
+
+    def test_theta_goes_round(self, kernel):
+        theta = kernel.theta + np.random.default_rng(7).uniform(-0.1, 0.1, kernel.n_dims)
+        other = kernel.clone_with_theta(theta)
+        equal(other.theta, theta)
+        equal(kernel.clone_with_theta(kernel.theta)(inputs(kernel)), kernel(inputs(kernel)))
+        if kernel.n_dims:
+            assert not np.allclose(other(inputs(kernel)), kernel(inputs(kernel)))
+
+    def test_cloning_with_another_theta_leaves_the_kernel_alone(self, kernel):
+        before = kernel(inputs(kernel))
+        kernel.clone_with_theta(kernel.theta - 0.05)
+        np.testing.assert_array_equal(kernel(inputs(kernel)), before)
+
+    def test_every_entry_of_theta_matters(self, kernel, name):
+        assert (np.abs(gradient_by_differences(name)).max(axis=(0, 1)) > 1e-6).all()
+
+    def test_bounds_hold_theta(self, kernel):
+        assert kernel.bounds.shape == (kernel.n_dims, 2)
+        assert (kernel.bounds[:, 0] < kernel.theta).all()
+        assert (kernel.theta < kernel.bounds[:, 1]).all()
+
+    def test_hyperparameters_account_for_theta(self, kernel):
+        free = [h for h in kernel.hyperparameters if not h.fixed]
+        assert kernel.n_dims == len(kernel.theta) == sum(h.n_elements for h in free)
+
+    def test_wrong_length_of_theta_is_refused(self, kernel):
+        n = kernel.n_dims
+        if isinstance(kernel, Sum):
+            pytest.skip("scikit-learn's own setter divides theta between the summands")
+        with pytest.raises(ValueError, match=rf"theta of shape \({n + 1},\), but expected \({n},\)"):
+            clone(kernel).theta = np.zeros(n + 1)
+
+    def test_clone_and_parameters_go_round(self, kernel):
+        copy = clone(kernel)
+        assert copy is not kernel
+        assert copy == kernel
+        rebuilt = type(kernel)(**kernel.get_params(deep=False))
+        np.testing.assert_array_equal(rebuilt(inputs(kernel)), kernel(inputs(kernel)))
+        assert clone(kernel).set_params(**kernel.get_params()) == kernel
+
+    def test_kernels_with_other_values_differ(self, kernel):
+        if kernel.n_dims:
+            assert kernel.clone_with_theta(kernel.theta - 0.05) != kernel
+        assert kernel != "a kernel"
+
+    def test_pickle(self, kernel):
+        kernel(inputs(kernel))  # fills whatever is remembered
+        again = pickle.loads(pickle.dumps(kernel))
+        assert again == kernel
+        np.testing.assert_array_equal(again(inputs(kernel)), kernel(inputs(kernel)))
+
+    def test_changing_a_parameter_changes_the_matrix(self, kernel):
+        if kernel.n_dims:
+            copy = clone(kernel)
+            copy(inputs(kernel))  # nothing remembered may outlive the change
+            copy.theta = kernel.theta - 0.05
+            equal(copy(inputs(kernel)), kernel.clone_with_theta(kernel.theta - 0.05)(inputs(kernel)))
+
+    def test_inputs_are_not_written_to(self, kernel):
+        X = inputs(kernel)
+        before = [x.copy() for x in X]
+        W = np.ones((4, 4))
+        kernel(X, eval_gradient=True)
+        kernel.block_derivative(0, 0, X[0], X[0])
+        kernel.block_gradient(0, 0, X[0], X[0], W)
+        np.testing.assert_array_equal(W, 1.0)
+        for x, was in zip(X, before, strict=True):
+            np.testing.assert_array_equal(x, was)
+
+    def test_stationary_kernels_do_not_see_a_common_shift(self, kernel):
+        rng = np.random.default_rng(8)
+        d = n_features(kernel)
+        X = [rng.integers(-16, 16, (n, d)) / 8 for n in (4, 3, 5)[: kernel.n_outputs]]
+        away = np.arange(1, d + 1) * 2.0**30  # exact in binary; a northing in millimetres is as large
+        moved, there = kernel([x + away for x in X]), kernel(X)
+        if kernel.is_stationary():
+            rounded = {"rtol": 1e-6, "atol": 1e-6}  # of 2^30 doubles keep a ten-millionth
+            equal(moved, there, **rounded)
+            W, far = np.eye(4) + 0.1, X[0] + away
+            expected = kernel.block_gradient(0, 0, X[0], X[0], W)
+            equal(kernel.block_gradient(0, 0, far, far, W), expected, **rounded)
+            equal(kernel.block_derivative(0, 0, far, far), kernel.block_derivative(0, 0, X[0], X[0]), **rounded)
+        else:
+            assert not np.allclose(moved, there)
+
+    def test_wrong_number_of_arrays_is_refused(self, kernel):
+        X = inputs(kernel)
+        with pytest.raises(ValueError, match=rf"{len(X) + 1} input arrays.*{len(X)} outputs"):
+            kernel([*X, X[0]])
+
+    @pytest.mark.parametrize("change", [1, -1])
+    def test_wrong_number_of_regressors_is_refused(self, kernel, change):
+        d = n_features(kernel)
+        with pytest.raises(ValueError, match=rf"{d + change}.*{d}"):
+            kernel(np.zeros((5, d + change)))
+
+    def test_a_vector_of_inputs_is_refused(self, kernel):
+        with pytest.raises(ValueError, match=r"\(5,\).*expected"):
+            kernel(np.zeros(5))
+
+    def test_gradient_is_of_the_square_matrix_alone(self, kernel):
+        with pytest.raises(ValueError):  # scikit-learn words it for sums
+            kernel(inputs(kernel), inputs(kernel), eval_gradient=True)

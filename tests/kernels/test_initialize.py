@@ -1,0 +1,194 @@
+"""Kernels without values take them from the data; values that were given stay."""
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+KINDS = ("spherical", "diag", "full", "tied")
+OPEN = {
+    **{kind: ConvolvedGaussian(2, covariance_type=kind) for kind in KINDS},
+    "shifts free": ConvolvedGaussian(2, shift_bounds=None),
+    "shared alone": ConvolvedGaussian(2, private_latents=False),
+    "more shared than outputs": ConvolvedGaussian(5, private_latents=False),
+    "private alone": ConvolvedGaussian(0),
+    "trend": LinearTrend(),
+    "trend + dependent": LinearTrend() + ConvolvedGaussian(1),
+}
+
+
+@pytest.fixture
+def data():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
+    Z = (X - X.mean(axis=0)) / X.std(axis=0)
+    Y = np.column_stack([np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2] + 0.002 * Z[:, 0] ** 2])
+    Y[rng.random(Y.shape) < 0.3] = np.nan
+    return X, Y
+
+
+@pytest.mark.parametrize("kernel", OPEN.values(), ids=OPEN.keys())
+class TestOpenKernels:
+    def test_values_lie_within_their_bounds(self, kernel, data):
+        found = clone(kernel).initialize(*data, 0)
+        assert found.n_outputs == 3
+        assert found.bounds.shape == (found.n_dims, 2)
+        assert np.isfinite(found.theta).all()
+        assert (found.bounds[:, 0] < found.theta).all()
+        assert (found.theta < found.bounds[:, 1]).all()
+
+    def test_variances_are_of_the_size_of_the_outputs(self, kernel, data):
+        X, Y = data
+        found = clone(kernel).initialize(X, Y, 0)
+        for i in range(3):
+            ratio = found.block_diag(i, X).mean() / np.nanvar(Y[:, i])
+            assert 0.05 < ratio < 10
+
+    def test_kernel_that_asked_is_not_changed(self, kernel, data):
+        before = clone(kernel)
+        kernel.initialize(*data, 0)
+        assert kernel == before
+
+    def test_seed_decides(self, kernel, data):
+        first, again, other = (kernel.initialize(*data, seed) for seed in (3, 3, 4))
+        np.testing.assert_array_equal(first.theta, again.theta)
+        if str(kernel).split("(")[0] != "trend" and not isinstance(kernel, LinearTrend):
+            assert not np.array_equal(first.theta, other.theta)
+
+    def test_units_are_followed(self, kernel, data):
+        """Other units of regressors and outputs: the same correlations."""
+        X, Y = data
+        spherical = getattr(kernel, "covariance_type", None) == "spherical"  # one width: one unit for all
+        other_X, other_Y = X * (8.0 if spherical else [8.0, 0.25, 1024.0]), Y * [2.0, 0.5, 64.0]
+        K, other = kernel.initialize(X, Y, 0)(X[:5]), kernel.initialize(other_X, other_Y, 0)(other_X[:5])
+        scale = np.repeat([2.0, 0.5, 64.0], 5)
+        np.testing.assert_allclose(other, K * np.multiply.outer(scale, scale), rtol=1e-9, atol=1e-300)
+
+    @pytest.mark.parametrize("what", ["regressor", "output"])
+    def test_constant_columns_give_finite_values(self, kernel, data, what):
+        X, Y = (array.copy() for array in data)
+        (X if what == "regressor" else Y)[:, 1] = 7.0
+        found = kernel.initialize(X, Y, 0)
+        assert np.isfinite(found.theta).all()
+        assert np.isfinite(found(X[:4])).all()
+
+    def test_what_outputs_found_alone_is_adopted(self, kernel, data):
+        """What outputs found alone is what the joint kernel starts from, and it stays a covariance."""
+        X, Y = data[0], np.nan_to_num(data[1])
+        joint = kernel.initialize(X, Y, 0)
+        singles = [kernel.single().initialize(X, Y[:, i : i + 1], 0) for i in range(3)]
+        assert [single.n_outputs for single in singles] == [1, 1, 1]
+        found = kernel.initialize(X, Y, 0, singles)
+        assert found.n_dims == joint.n_dims
+        for i, single in enumerate(singles):
+            np.testing.assert_allclose(found.block_diag(i, X), single.block_diag(0, X), rtol=1e-6)
+        assert np.linalg.eigvalsh(found(X[:8])).min() > -1e-9 * found.diag(X[:8]).max()
+
+
+class TestGivenValues:
+    def test_stay(self, data):
+        amplitude = [[1.0, 2.0, 3.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+        found = ConvolvedGaussian(1, amplitude=amplitude).initialize(*data, 0)
+        np.testing.assert_array_equal(found.amplitude, amplitude)
+        lengths = np.full((4, 3, 3), 2.5)
+        found = ConvolvedGaussian(1, length_scale=lengths, length_scale_bounds="fixed").initialize(*data, 0)
+        np.testing.assert_array_equal(found.length_scale, lengths)
+        found = LinearTrend(slope_scale=np.full((3, 3), 2.0), center=[1.0, 2.0, 3.0]).initialize(*data, 0)
+        np.testing.assert_array_equal(found.slope_scale, 2.0)
+        np.testing.assert_array_equal(found.center, [1.0, 2.0, 3.0])
+
+    def test_bounds_stay(self, data):
+        found = ConvolvedGaussian(1, length_scale_bounds=(1e-9, 1e9)).initialize(*data, 0)
+        assert found.length_scale_bounds == (1e-9, 1e9)
+
+    @pytest.mark.parametrize(
+        ("kernel", "message"),
+        [
+            (ConvolvedGaussian(1, amplitude=np.ones((3, 2))), r"amplitude of shape \(3, 2\), but expected \(4, 3\)"),
+            (ConvolvedGaussian(1, length_scale=np.ones((4, 3, 2))), r"length_scale of shape \(4, 3, 2\).*\(4, 3, 3\)"),
+            (LinearTrend(intercept_scale=np.ones(2)), "2.*3"),
+            (LinearTrend(slope_scale=np.ones((3, 2))), r"slope_scale.*\(3, 2\).*\(3, 3\)"),
+            (LinearTrend(center=[0.0, 1.0]), r"center.*\(2,\).*\(3,\)"),
+            (LinearTrend(intercept_scale=np.ones(2)) + ConvolvedGaussian(), "2.*3"),
+        ],
+        ids=repr,
+    )
+    def test_of_another_shape_are_refused(self, kernel, message, data):
+        with pytest.raises(ValueError, match=message):
+            kernel.initialize(*data, 0)
+
+
+class TestRefused:
+    X = np.zeros((2, 1))
+
+    @pytest.mark.parametrize(
+        ("parameters", "message"),
+        [
+            ({}, "no values yet: give amplitude and length_scale"),
+            ({"amplitude": [[1.0]], "length_scale": -1.0}, "length_scale that is not positive"),
+            ({"amplitude": [[1.0]], "length_scale": np.nan}, "length_scale"),
+            ({"amplitude": [[np.nan]], "length_scale": 1.0}, "amplitude"),
+            ({"amplitude": np.ones((3, 2)), "length_scale": np.ones((2, 2, 1))}, r"length_scale of shape \(2, 2, 1\)"),
+            ({"amplitude": np.ones((4, 2)), "length_scale": 1.0}, r"amplitude of shape \(4, 2\).*expected \(3, 2\)"),
+            ({"amplitude": [[1.0]], "length_scale": 1.0, "covariance_type": "fully"}, "fully.*spherical"),
+            (
+                {"n_latent": 0, "private_latents": False, "amplitude": [[1.0]], "length_scale": 1.0},
+                "at least one latent",
+            ),
+        ],
+        ids=lambda p: " ".join(p) if isinstance(p, dict) else "",
+    )
+    def test_impossible_parameters(self, parameters, message):
+        parameters = {"n_latent": 1, "private_latents": np.ndim(parameters.get("amplitude")) == 2} | parameters
+        if np.shape(parameters.get("amplitude")) == (1, 1):
+            parameters["private_latents"] = False
+        with pytest.raises(ValueError, match=message):
+            ConvolvedGaussian(**parameters)(self.X)
+
+    @pytest.mark.parametrize("kind", ["tied", "spherical"])
+    def test_values_that_contradict_the_type(self, kind):
+        """A matrix that a round trip of theta would change is not one to start from."""
+        lengths = np.array([[[1.0, 2.0], [3.0, 4.0]]])
+        kernel = ConvolvedGaussian(
+            1, private_latents=False, covariance_type=kind, amplitude=[[1.0, 1.0]], length_scale=lengths
+        )
+        with pytest.raises(ValueError, match=f"length scales that differ.*{kind}"):
+            kernel(np.zeros((2, 2)))
+
+    def test_trend_without_values(self):
+        with pytest.raises(ValueError, match="LinearTrend has no values yet"):
+            LinearTrend()(self.X)
+
+    def test_trend_without_center_is_about_the_origin(self):
+        scales = [1.0, 3.0], [[2.0], [0.5]]
+        X = np.array([[0.4], [-2.0]])
+        np.testing.assert_array_equal(LinearTrend(*scales)(X), LinearTrend(*scales, center=[0.0])(X))
+
+
+class TestSums:
+    """What a scikit-learn user would write, and cannot mean."""
+
+    kernel = ConvolvedGaussian(1, amplitude=np.ones((3, 2)), length_scale=np.ones((3, 2, 1)))
+
+    def test_with_white_noise(self):
+        from sklearn.gaussian_process.kernels import WhiteKernel
+
+        with pytest.raises(TypeError, match=r"WhiteKernel.*noise"):
+            self.kernel + WhiteKernel()
+
+    @pytest.mark.parametrize("other", [1, 0.5, "RBF"])
+    def test_with_what_is_no_kernel(self, other):
+        with pytest.raises(TypeError, match="multi-output kernel"):
+            self.kernel + other
+        with pytest.raises(TypeError):
+            other + self.kernel
+
+    def test_products_and_powers(self):
+        for combine in (lambda k: 2 * k, lambda k: k * 2, lambda k: k * k, lambda k: k**2):
+            with pytest.raises(TypeError, match="can be added, not multiplied"):
+                combine(self.kernel)
+
+    def test_of_kernels_with_different_outputs(self):
+        with pytest.raises(ValueError, match=r"outputs|broadcast"):
+            (LinearTrend(np.ones(3), np.ones((3, 1)), [0.0]) + self.kernel)(np.zeros((2, 1)))

@@ -1,0 +1,108 @@
+"""Tiles on threads: order, errors, Ctrl-C, and BLAS given back."""
+
+import os
+import signal
+import threading
+import time
+from contextvars import ContextVar
+from threading import Event
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+from skdgp._threads import n_threads, thread_map
+
+word = ContextVar("word", default="unset")
+
+
+@pytest.fixture(params=[1, 2, 4])
+def threads(request):
+    with threadpool_limits(request.param, user_api="blas"):
+        if n_threads() != request.param:
+            pytest.skip(f"this BLAS does not run on {request.param} threads")
+        yield request.param
+
+
+def test_one_setting_rules_both():
+    for limit in (1, 2):
+        with threadpool_limits(limit, user_api="blas"):
+            assert n_threads() == limit
+
+
+def test_results_stand_in_the_order_of_the_tasks(threads):
+    def slow_first(task):
+        time.sleep(0.002 * (8 - task))
+        return task**2
+
+    assert thread_map(slow_first, iter(range(8))) == [task**2 for task in range(8)]
+    assert thread_map(slow_first, []) == []
+
+
+def test_as_many_threads_as_blas_may_use(threads):
+    together = threading.Barrier(threads, timeout=10)
+    seen = thread_map(lambda _: (together.wait(), threading.get_ident())[1], range(threads))
+    assert len(set(seen)) == threads
+
+
+def test_blas_is_held_to_one_thread_meanwhile_and_given_back(threads):
+    assert set(thread_map(lambda _: n_threads(), range(4))) == {1}
+    assert n_threads() == threads
+
+
+def test_nested_maps_do_not_multiply_threads(threads):
+    def inner(_):
+        return len(set(thread_map(lambda _: threading.get_ident(), range(4))))
+
+    assert thread_map(inner, range(4)) == [1, 1, 1, 1]
+
+
+def test_errors_come_through_and_blas_is_given_back(threads):
+    def fail(task):
+        if task == 3:
+            raise ArithmeticError("three")
+        return task
+
+    with pytest.raises(ArithmeticError, match="three"):
+        thread_map(fail, range(6))
+    assert n_threads() == threads
+
+
+def test_context_goes_along(threads):
+    token = word.set("said")
+    try:
+        assert thread_map(lambda _: word.get(), range(3)) == ["said"] * 3
+    finally:
+        word.reset(token)
+
+
+class TestInterrupt:
+    """A real Ctrl-C, sent from a thread beside."""
+
+    @staticmethod
+    def press_soon():
+        timer = threading.Timer(0.15, os.kill, (os.getpid(), signal.SIGINT))
+        timer.start()
+        return timer
+
+    def test_without_stop_ends_the_map(self, threads):
+        timer = self.press_soon()
+        started = []
+        with pytest.raises(KeyboardInterrupt):
+            thread_map(lambda task: (started.append(task), time.sleep(0.1)), range(40))
+        timer.join()
+        assert len(started) < 40
+        assert n_threads() == threads
+
+    def test_with_stop_waits_for_what_the_tasks_have(self, threads):
+        if threads == 1:
+            pytest.skip("on one thread the task itself is interrupted")
+        stop = Event()
+        timer = self.press_soon()
+
+        def until_stopped(task):
+            stop.wait(10)
+            return task
+
+        assert thread_map(until_stopped, range(threads), stop) == list(range(threads))
+        timer.join()
+        assert n_threads() == threads

@@ -1,0 +1,46 @@
+"""From words on the command line to an exit code."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import traceback
+
+from skdgp._cli._console import Console
+from skdgp._cli._folder import OutputFolder
+from skdgp._cli._job import run
+from skdgp._cli._parser import build_parser
+from skdgp._cli._source import example_source, file_source
+
+DONE, FAILED, INTERRUPTED = 0, 1, 130
+
+
+def main(argv=None) -> int:
+    """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    options = build_parser().parse_args(argv)
+    console = Console()
+    try:
+        with console, OutputFolder(options.output) as folder:
+            source = example_source() if options.command == "demo" else file_source(options)
+            run(source, options, folder, console, command=shlex.join(["python", "-m", "skdgp", *argv]))
+    except KeyboardInterrupt:
+        print("stopped: no output was written", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output is gone; our files are written
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
+        if options.traceback:
+            traceback.print_exc()
+        print(f"error: {_words(error)}", file=sys.stderr)
+        return FAILED
+    return DONE
+
+
+def _words(error: Exception) -> str:
+    """Return the message on one line; the system's own errors with the name of the file."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or ''}: {error.strerror}".removeprefix(": ")
+    return " ".join(str(error).split()) or type(error).__name__

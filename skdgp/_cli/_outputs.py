@@ -1,0 +1,209 @@
+"""The three files of a job: the model, the numbers, the report."""
+
+from __future__ import annotations
+
+import json
+import math
+from argparse import Namespace
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from skdgp._cli._evaluation import Evaluation, Loads, grouped
+from skdgp._cli._source import Source
+from skdgp._model_file import dump_model, model_bunch, software_versions
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A fitted model, what it was fitted on and how it did."""
+
+    source: Source
+    options: Namespace
+    command: str
+    pipeline: Pipeline
+    loads: Loads
+    train: dict[str, pd.DataFrame]
+    n_samples: int
+    n_available: int
+    n_values: int
+    seconds: float
+    widened: np.ndarray
+    interrupted: bool
+    evaluations: list[Evaluation]
+    messages: list[str]
+
+    @property
+    def regressor(self):
+        """The last step of the pipeline."""
+        return self.pipeline[-1]
+
+
+def writers(outcome: Outcome) -> dict[str, Callable[[Path], object]]:
+    """Return what writes each file."""
+    metrics = json.dumps(_plain(metrics_of(outcome)), indent=1, allow_nan=False) + "\n"
+    page = render_report(report_of(outcome))
+    model = model_bunch(
+        outcome.pipeline,
+        outcome.source.aircraft,
+        options=_options(outcome),
+        fit=_fit_facts(outcome),
+        flights=list(outcome.train),
+    )
+    return {
+        "report.html": lambda path: path.write_text(page, encoding="utf-8"),
+        "metrics.json": lambda path: path.write_text(metrics, encoding="utf-8"),
+        "model.joblib": lambda path: dump_model(path, model),
+    }
+
+
+def metrics_of(outcome: Outcome) -> dict:
+    """Return every number of the report, for other programs; docs/identification.md describes the keys."""
+    return {
+        "format": FORMAT,
+        "created": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "command": outcome.command,
+        "versions": software_versions(),
+        "aircraft": outcome.source.aircraft.to_dict(),
+        "options": _options(outcome),
+        "held_out": outcome.source.held_out,
+        "fit": _fit_facts(outcome) | {"flights": {name: len(table) for name, table in outcome.train.items()}},
+        "test": {evaluation.name: _flight_metrics(evaluation) for evaluation in outcome.evaluations},
+        "messages": outcome.messages,
+    }
+
+
+def report_of(outcome: Outcome) -> ReportContent:
+    """Return what the report shows."""
+    return ReportContent(
+        title=outcome.source.title,
+        train=[FlightRecord(name=name, table=table) for name, table in outcome.train.items()],
+        test=[_result(evaluation) for evaluation in outcome.evaluations],
+        model=_model_summary(outcome),
+        aircraft=_aircraft_facts(outcome.source.aircraft),
+        messages=outcome.messages,
+        command=outcome.command,
+    )
+
+
+def _options(outcome) -> dict:
+    chosen = vars(outcome.options)
+    names = ("inference", "regressors", "trend", "seed", "restarts", "horizons")
+    return {
+        "samples": outcome.n_samples,
+        "thrust": outcome.loads.thrust,
+        "external_forces": outcome.loads.external_forces,
+        **{name: chosen[name] for name in names},
+        "latents": outcome.regressor.n_latent,
+        "max_iter": outcome.regressor.max_iter,
+    }
+
+
+def _fit_facts(outcome) -> dict:
+    regressor = outcome.regressor
+    return {
+        "samples": outcome.n_samples,
+        "samples_available": outcome.n_available,
+        "values": outcome.n_values,
+        "regressors": list(outcome.pipeline["regressorselector"].regressors_),
+        "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
+        "iterations": int(regressor.n_iter_),
+        "evaluations": int(regressor.n_evaluations_),
+        "seconds": round(outcome.seconds, 3),
+        "interrupted": outcome.interrupted,
+        "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
+        "noise_widened": _by_coefficient(outcome.widened),
+    }
+
+
+def _by_coefficient(values) -> dict[str, float]:
+    return dict(zip(COEFFICIENTS, map(float, values), strict=True))
+
+
+def _flight_metrics(evaluation: Evaluation) -> dict:
+    return {
+        "samples": len(evaluation.table),
+        "every_nth_sample_with_std": evaluation.std_step,
+        "coefficients": {against: table.to_dict("index") for against, table in evaluation.scores.items()},
+        "means": {against: grouped(table).to_dict("index") for against, table in evaluation.scores.items()},
+        "states": {against: table.to_dict("records") for against, table in evaluation.states.items()},
+    }
+
+
+def _result(evaluation: Evaluation) -> FlightResult:
+    return FlightResult(
+        name=evaluation.name,
+        time=evaluation.table["time"].to_numpy(float),
+        measured=evaluation.measured,
+        mean=evaluation.mean,
+        std=evaluation.std,
+        measured_std=evaluation.measured_std,
+        truth=evaluation.truth,
+        table=evaluation.table,
+        replay=evaluation.replay,
+        replay_errors=evaluation.states.get("measured"),
+        metrics={against: table.to_dict("list") for against, table in evaluation.scores.items()},
+    )
+
+
+def _model_summary(outcome) -> ModelSummary:
+    regressor = outcome.regressor
+    return ModelSummary(
+        n_samples=outcome.n_samples,
+        n_available=outcome.n_available,
+        regressors=outcome.pipeline["regressorselector"].regressors_,
+        n_latent=regressor.n_latent,
+        n_private=len(COEFFICIENTS) if regressor.private_latents else 0,
+        kernel=f"convolved Gaussian, widths {regressor.covariance_type}",
+        trend=regressor.trend or "none",
+        inference=regressor.inference,
+        log_marginal_likelihood=regressor.log_marginal_likelihood_value_,
+        n_iter=regressor.n_iter_,
+        fit_seconds=outcome.seconds,
+        noise_std=regressor.noise_variance_**0.5,
+        correlation=regressor.output_correlation(),
+        versions=software_versions(),
+        extra=_remarks(outcome),
+    )
+
+
+def _remarks(outcome) -> dict[str, str]:
+    loads = [outcome.loads.thrust or "none", *outcome.loads.external_forces]
+    remarks = {"Thrust, other loads": ", ".join(loads)}
+    widened = [f"{name} {value:.2f}" for name, value in _by_coefficient(outcome.widened).items() if value > 1.005]
+    if widened:
+        remarks["Noise"] = f"widened to what rows not learned from show: {', '.join(widened)} times"
+    steps = {evaluation.std_step for evaluation in outcome.evaluations} - {1}
+    if steps:
+        remarks["Bands"] = f"computed at every {max(steps)}th sample, interpolated between"
+    if outcome.interrupted:
+        remarks["Fit"] = "interrupted; the best so far was kept"
+    return remarks
+
+
+def _aircraft_facts(aircraft) -> dict[str, str]:
+    return {
+        "Aircraft": aircraft.name,
+        "Mass": f"{aircraft.mass:g} kg",
+        "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, {aircraft.chord:.4g} m",
+    }
+
+
+def _plain(value):
+    """Return the value as JSON knows it: what is not a finite number is null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

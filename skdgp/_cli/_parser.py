@@ -1,0 +1,175 @@
+"""The words of the command line."""
+
+from __future__ import annotations
+
+import argparse
+
+DESCRIPTION = """\
+Learn an aircraft's six aerodynamic coefficients from flight logs.
+
+  python -m skdgp demo                                       simulated example flights, nothing else needed
+  python -m skdgp identify a.csv b.csv --aircraft uav.json   your own
+"""
+
+IDENTIFY = """\
+Learn the coefficients CX CY CZ Cl Cm Cn from the flights TRAIN, and try the model on other flights.
+
+ 1. Inverse dynamics: forces and moments from accelerations and rates, less thrust and other known loads, over
+    rho V^2 S / 2.
+ 2. A dependent Gaussian process learns all six at once from --samples rows spread over the flights.
+ 3. On flights it has not seen its coefficients are compared with the measured ones and flown: integrated from
+    the measured state, which is taken anew every --horizons seconds.
+
+Writes into DIR, all or none:
+  report.html    tables and pictures; open it in a browser, print it
+  metrics.json   the same numbers for other programs
+  model.joblib   the model: skdgp.identification.load_model reads it
+"""
+
+TABLES = """\
+flight tables:
+  CSV or Parquet, one row per sample, SI units and radians (or units in the header, as in "alpha [deg]"):
+  time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force, what accelerometers read),
+  elevator, aileron, rudder (or elevon_left, elevon_right), throttle, and thrust_x, thrust_y, thrust_z
+  (or propeller_speed, with a propeller in the aircraft's file). For the replay also phi, theta, psi,
+  v_north, v_east, v_down. A column "flight" tells several flights in one file apart.
+
+aircraft file:
+  {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
+   "wing_area": 1.3, "span": 2.6, "chord": 0.55}
+  kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or TOML.
+
+examples:
+  python -m skdgp identify train.csv --aircraft uav.json --test test.csv -o results
+  python -m skdgp identify mon.parquet tue.parquet --aircraft uav.toml -o results    (holds out the last flight)
+  python -m skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
+
+Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing is written.
+"""
+
+DEMO = """\
+Do what identify does on the example flights: a simulated delta-wing UAV of 45 kg in turbulence, whose true
+coefficients are known. Two flights to learn from, one to be tested on. About a minute on two cores.
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of ``python -m skdgp``."""
+    parser = _parser(argparse.ArgumentParser, prog="python -m skdgp", description=DESCRIPTION)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    identify = _parser(
+        commands.add_parser, "identify", help="learn a model from flight logs", description=IDENTIFY, epilog=TABLES
+    )
+    _add_flights(identify)
+    _add_model(identify, samples=None, said="755; all with --inference sparse")
+    identify.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the outputs")
+    demo = _parser(commands.add_parser, "demo", help="the same on simulated example flights", description=DEMO)
+    _add_model(demo, samples=400, said="400")
+    demo.add_argument(
+        "-o", "--output", metavar="DIR", default="skdgp-demo", help="folder for the outputs (default: %(default)s)"
+    )
+    demo.set_defaults(thrust="auto", external_forces=[])
+    return parser
+
+
+def _parser(make, *args, **kwargs):
+    return make(*args, formatter_class=argparse.RawDescriptionHelpFormatter, **kwargs)
+
+
+def _add_flights(parser):
+    parser.add_argument("train", nargs="+", metavar="TRAIN", help="flights to learn from")
+    parser.add_argument("--aircraft", required=True, metavar="FILE", help="the aircraft, JSON or TOML")
+    parser.add_argument(
+        "--test",
+        nargs="+",
+        default=[],
+        metavar="TEST",
+        help="flights to try the model on (default: the last training flight, or the last quarter of a single one, "
+        "is held out)",
+    )
+    parser.add_argument(
+        "--thrust",
+        choices=["auto", "columns", "propeller", "none"],
+        default="auto",
+        help="what tells the propulsion: thrust columns, the aircraft's propeller, or there is none (default: auto, "
+        "columns where they stand, else the propeller)",
+    )
+    parser.add_argument(
+        "--external-forces",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
+    )
+
+
+def _add_model(parser, *, samples, said):
+    group = parser.add_argument_group("model")
+    group.add_argument(
+        "--samples",
+        type=_samples,
+        default=samples,
+        metavar="N|all",
+        help=f"rows to learn from, spread over the flights; time grows with the cube (default: {said})",
+    )
+    group.add_argument(
+        "--inference", choices=["auto", "exact", "sparse"], default="auto", help="how the posterior is had"
+    )
+    group.add_argument(
+        "--regressors",
+        type=_regressors,
+        default="classical",
+        metavar="SET",
+        help="classical (alpha, beta, rates, controls: what a simulator knows), paper (accelerations too), or columns "
+        "such as alpha,beta,q_hat,elevator (default: classical)",
+    )
+    group.add_argument(
+        "--trend",
+        choices=["linear", "constant", "none"],
+        default="linear",
+        help="what the process is added to: linear goes on where there were no data (default: linear)",
+    )
+    group.add_argument(
+        "--latents", type=_at_least(0), default=None, metavar="M", help="latent processes that the outputs share"
+    )
+    group.add_argument("--max-iter", type=_at_least(1), default=None, metavar="N", help="iterations of the fit")
+    group.add_argument(
+        "--restarts", type=_at_least(0), default=0, metavar="N", help="further starting points of the fit (default: 0)"
+    )
+    group.add_argument("--seed", type=_at_least(0), default=0, help="of the starting values (default: 0)")
+    group.add_argument("--n-jobs", type=int, default=None, metavar="N", help="processes for the restarts")
+    parser.add_argument(
+        "--horizons",
+        nargs="+",
+        type=_seconds,
+        default=[2.0, 10.0],
+        metavar="S",
+        help="seconds from restart to restart of the replay (default: 2 10)",
+    )
+    parser.add_argument("--traceback", action="store_true", help="on an error also show where it arose")
+
+
+def _at_least(lowest):
+    def integer(text):
+        value = int(text)
+        if value < lowest:
+            raise argparse.ArgumentTypeError(f"got {text}, but expected {lowest} or more")
+        return value
+
+    return integer
+
+
+def _samples(text):
+    return text if text == "all" else _at_least(2)(text)
+
+
+def _regressors(text):
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    return text if text in ("classical", "paper") else names
+
+
+def _seconds(text):
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"got {text}, but expected seconds > 0")
+    return value

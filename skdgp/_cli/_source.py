@@ -1,0 +1,146 @@
+"""Where flights and aircraft come from, and what is held out when no test flight is named."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from skdgp.datasets import load_example_flights
+from skdgp.dynamics import Aircraft
+from skdgp.io import FlightReadError, read_flight
+from skdgp.preprocessing._selector import REGRESSOR_SETS
+
+HELD_OUT = 0.25
+"""Share of a single flight that is held out, at its end."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Flights by name, to learn from and to be tested on, and their aircraft."""
+
+    aircraft: Aircraft
+    train: dict[str, pd.DataFrame]
+    test: dict[str, pd.DataFrame]
+    title: str
+    held_out: str | None = None
+
+
+def file_source(options) -> Source:
+    """Read the files that the options name.
+
+    Raises
+    ------
+    ValueError, OSError
+        What the readers raise; or if two files hold a flight of the same name.
+    """
+    aircraft = read_aircraft(options.aircraft)
+    train, test = read_named(options.train), read_named(options.test)
+    held_out = None
+    if not test:
+        train, test, held_out = hold_out(train)
+    for name in train.keys() & test.keys():
+        warnings.warn(
+            f"Flight {name!r} is both learned from and tested on: its errors say nothing about other flights.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return Source(aircraft, train, test, f"{aircraft.name}: aerodynamic coefficients", held_out)
+
+
+def example_source() -> Source:
+    """Return the example flights."""
+    data = load_example_flights()
+    return Source(data.aircraft, _by_flight(data.train), _by_flight(data.test), "Example flights: a simulated UAV")
+
+
+def read_aircraft(path) -> Aircraft:
+    """Read an aircraft by the suffix of its file."""
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
+    readers = {".json": Aircraft.from_json, ".toml": Aircraft.from_toml}
+    if path.suffix.lower() not in readers:
+        raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
+    return readers[path.suffix.lower()](path)
+
+
+def read_named(paths) -> dict[str, pd.DataFrame]:
+    """Read files into one table for each flight."""
+    flights, owner = {}, {}
+    for path in paths:
+        for name, table in _by_flight(read_flight(path)).items():
+            if name in flights:
+                raise FlightReadError(
+                    f"Got flight {name!r} in {owner[name]} and in {path}, but expected each once: rename one of the "
+                    "files, or tell the flights apart by a column 'flight'."
+                )
+            flights[name], owner[name] = table, path
+    return flights
+
+
+def hold_out(flights):
+    """Return flights to learn from, those held out, and words for what was held out."""
+    last = list(flights)[-1]
+    if len(flights) > 1:
+        kept = {name: table for name, table in flights.items() if name != last}
+        return kept, {last: flights[last]}, f"the last flight, {last}"
+    table = flights[last]
+    split = round((1 - HELD_OUT) * len(table))
+    parts = {"first three quarters": table.iloc[:split], "last quarter": table.iloc[split:]}
+    first, rest = (
+        {f"{last}, {words}": part.assign(flight=f"{last}, {words}").reset_index(drop=True)}
+        for words, part in parts.items()
+    )
+    return first, rest, f"the last quarter of the only flight, {last}"
+
+
+def columns_read(table: pd.DataFrame, regressors) -> list[str]:
+    """Return the measured columns that regressors are made from, of those that stand in the table."""
+    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
+    needed = {"airspeed"}
+    for name in (str(name).removesuffix("_hat") for name in names):
+        needed |= {name} if name in table else {name.removesuffix("_dot")}
+    if {"elevator", "aileron"} & set(names):
+        needed |= {"elevon_left", "elevon_right"}
+    return [name for name in table.columns if name in needed]
+
+
+def complete_rows(table: pd.DataFrame, regressors) -> pd.DataFrame:
+    """Return the rows in which every column that regressors are made from was sampled; warn of the others.
+
+    Raises
+    ------
+    ValueError
+        If no row is left.
+    """
+    columns = columns_read(table, regressors)
+    holes = ~np.isfinite(table[columns].to_numpy(dtype=float))
+    bad = holes.any(axis=1)
+    if not bad.any():
+        return table
+    found = {name: int(count) for name, count in zip(columns, holes.sum(axis=0), strict=True) if count}
+    name = table["flight"].iloc[0]
+    if bad.all():
+        raise ValueError(
+            f"Flight {name!r} has no row in which all of {columns} were sampled (missing, by rows: {found}): bring "
+            "slow sensors to the clock of the others, drop columns that are empty, or name other --regressors."
+        )
+    warnings.warn(
+        f"Flight {name!r}: {int(bad.sum())} of {len(table)} rows are left out, because regressors are missing there "
+        f"(by rows: {found}). Bring slow sensors to the clock of the others if these are many.",
+        UserWarning,
+        stacklevel=2,
+    )
+    return table[~bad].reset_index(drop=True)
+
+
+def _by_flight(table) -> dict[str, pd.DataFrame]:
+    """Return one table for each flight, in their order."""
+    if "flight" not in table:
+        return {"flight": table}
+    table = table.assign(flight=table["flight"].astype(str))
+    return {name: part.reset_index(drop=True) for name, part in table.groupby("flight", sort=False)}

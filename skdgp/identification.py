@@ -1,0 +1,181 @@
+"""From flights to a model of the aircraft: the pipeline that learns it, and the file that keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import brentq
+from sklearn.base import clone
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from skdgp._model_file import ModelFileError, load_model, save_model
+from skdgp._regressor import DependentGPRegressor
+from skdgp.dynamics import Aircraft
+from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+
+__all__ = ["ModelFileError", "calibrate_noise", "load_model", "make_identification_pipeline", "save_model"]
+
+CALIBRATION_ROWS = 1500
+DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
+
+
+def make_identification_pipeline(
+    aircraft: Aircraft,
+    *,
+    regressors: str | Sequence[str] = "classical",
+    cutoff: float | str | dict | None = "auto",
+    mixer=None,
+    regressor=None,
+    memory=None,
+) -> Pipeline:
+    """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
+
+    ========================== ========================================================================================
+    ``flightsmoother``         sensor noise out, rates of change in, flight by flight, without delay
+    ``elevonsplitter``         elevons into elevator and aileron; tables that hold these already pass
+    ``ratenondimensionalizer`` p b / 2V, q c / 2V, ... with the aircraft's span and chord
+    ``regressorselector``      the columns that are learned from
+    ``standardscaler``         each to mean zero and variance one
+    ``dependentgpregressor``   all six coefficients at once
+    ========================== ========================================================================================
+
+    The names are those of the steps, so ``dependentgpregressor__n_latent`` is a parameter for ``GridSearchCV``. Fit it
+    on whole flights at their full rate, and choose the rows to learn from in the targets
+    (:func:`skdgp.model_selection.thin_targets`). In cross-validation hold out flights: ``groups=table["flight"]``.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its span and chord make rates non-dimensional.
+    regressors : {"classical", "paper"} or list of str, default="classical"
+        As for :class:`skdgp.preprocessing.RegressorSelector`.
+    cutoff : float, "auto", dict or None, default="auto"
+        As for :class:`skdgp.preprocessing.FlightSmoother`.
+    mixer : transformer or "passthrough", optional
+        What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
+        elevator or an aileron.
+    regressor : estimator, optional
+        By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will do: a linear model
+        for comparison.
+    memory : str or joblib.Memory, optional
+        Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
+
+    Returns
+    -------
+    sklearn.pipeline.Pipeline
+        ``predict(table)`` gives (n, 6), ``predict(table, return_std=True)`` also the standard deviations.
+
+    Raises
+    ------
+    TypeError
+        If ``aircraft`` is not an Aircraft.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.dynamics import Aircraft
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat", "elevator"], cutoff=None)
+    >>> [name for name, step in model.steps][-1]
+    'dependentgpregressor'
+    >>> t = np.arange(0, 4, 0.1)
+    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t),
+    ...                        "elevator": 0.02 * np.sin(3 * t), "aileron": 0.0})
+    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.6 * flight.elevator})
+    >>> mean, std = model.fit(flight, Y).predict(flight, return_std=True)
+    >>> mean.shape, std.shape
+    ((40, 2), (40, 2))
+    """
+    if not isinstance(aircraft, Aircraft):
+        raise TypeError(
+            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
+            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
+        )
+    pipeline = make_pipeline(
+        FlightSmoother(cutoff=cutoff, derivatives=_derivatives(regressors)),
+        ElevonSplitter(),
+        RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
+        RegressorSelector(regressors),
+        StandardScaler(),
+        DependentGPRegressor() if regressor is None else clone(regressor),
+        memory=memory,
+    )
+    return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
+
+
+def _derivatives(regressors):
+    """Every rate of change of the named sets, so that a search may choose among them; of a list what it names."""
+    if isinstance(regressors, str):
+        return list(DIFFERENTIATED)
+    named = {str(name).removesuffix("_hat") for name in regressors}
+    return [name for name in DIFFERENTIATED if f"{name}_dot" in named]
+
+
+def calibrate_noise(pipeline: Pipeline, flight: pd.DataFrame, Y: pd.DataFrame) -> np.ndarray:
+    r"""Widen the noise of a fitted pipeline to what measurements that it did not learn from show.
+
+    The likelihood sees a few hundred rows. At others of the same flights the residuals may be larger than it believes:
+    gusts that no sensor feels differ from minute to minute. With residual e and standard deviation s of the function,
+    the noise variance of each output becomes the larger of what it was and what makes
+
+    .. math:: \frac{1}{n} \sum \frac{e^2}{s^2 + \sigma^2} = 1.
+
+    The function and its standard deviation stay as they are; only ``include_noise=True`` gives wider bands.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Fitted, ends in a :class:`skdgp.DependentGPRegressor`. Its ``noise_variance_`` is changed.
+    flight : DataFrame (n, ...)
+        Whole flights at their full rate.
+    Y : DataFrame or array (n, P)
+        Measured coefficients; NaN where they were learned from, or not observed. At most 1500 rows are used, spread.
+
+    Returns
+    -------
+    ndarray (P,)
+        By what factor the standard deviation of the noise grew, 1 where it did not.
+
+    Examples
+    --------
+    >>> from skdgp.model_selection import thin_targets
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.dynamics import Aircraft
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> t = np.arange(0, 40, 0.1)
+    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
+    >>> gusts = np.random.default_rng(0).normal(0, np.where(np.arange(400) % 8 == 4, 0.01, 0.03))
+    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha + gusts})
+    >>> model = make_identification_pipeline(glider, regressors=["alpha"], cutoff=None, mixer="passthrough")
+    >>> learned = thin_targets(Y, 50)                  # by chance the calm moments
+    >>> factor = calibrate_noise(model.fit(flight, learned), flight, Y.mask(learned.notna()))
+    >>> bool(2 < factor[0] < 4)
+    True
+    """
+    Y = np.asarray(Y, dtype=float).reshape(len(flight), -1)
+    rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
+    rows = rows[:: max(1, -(-len(rows) // CALIBRATION_ROWS))]
+    regressor = pipeline[-1]
+    factor = np.ones(Y.shape[1])
+    if len(rows):
+        mean, std = regressor.predict(pipeline[:-1].transform(flight)[rows], return_std=True)
+        squares = (Y[rows] - mean.reshape(len(rows), -1)) ** 2
+        variances = std.reshape(len(rows), -1) ** 2
+        noise = np.array(regressor.noise_variance_)
+        for i, (e2, s2) in enumerate(zip(squares.T, variances.T, strict=True)):
+            seen = np.isfinite(e2)
+            if seen.any():
+                factor[i] = np.sqrt(_noise_that_fits(e2[seen], s2[seen], noise[i]) / noise[i])
+        regressor.noise_variance_ = noise * factor**2
+    return factor
+
+
+def _noise_that_fits(squares, variances, noise) -> float:
+    """Return the noise variance, at least the given one, at which mean(squares / (variances + noise)) is 1 or less."""
+    if np.mean(squares / (variances + noise)) <= 1:
+        return noise
+    upper = squares.mean() + noise
+    return brentq(lambda trial: np.mean(squares / (variances + trial)) - 1, noise, upper)

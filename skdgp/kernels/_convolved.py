@@ -119,8 +119,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
         feeds = self._who_feeds(P)
         M = len(feeds)
-        if not (lengths > 0).all():
-            raise ValueError("Got a length_scale that is not positive; expected lengths > 0.")
+        if not (lengths > 0).all() or not np.isfinite(w).all():
+            raise ValueError("Got a length_scale that is not positive or an amplitude that is not finite.")
         lengths = as_shape("length_scale", lengths, (M, P, d))
         self._check_ties(lengths, feeds)
         return {
@@ -175,7 +175,11 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def initialize(self, X, Y, random_state, singles=None):
         params = self.get_params()
-        start = starting_values(self._who_feeds(Y.shape[1]), X, Y, random_state)
+        feeds = self._who_feeds(Y.shape[1])
+        for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
+            if params[name] is not None:
+                params[name] = as_shape(name, params[name], shape)
+        start = starting_values(feeds, X, Y, random_state)
         if singles:
             start |= self._from_singles(start["amplitude"], singles)
         axis = TIED_AXIS.get(self.covariance_type)
@@ -187,17 +191,7 @@ class ConvolvedGaussian(MultiOutputKernel):
                 params[name] = value
         if self.covariance_type == "full" and singles and np.array_equal(self.shear, 0.0):
             params["shear"] = start["shear"]
-        kernel = ConvolvedGaussian(**params)
-        for what, got, want in (
-            ("outputs", kernel.n_outputs, Y.shape[1]),
-            ("regressors", kernel.n_features, X.shape[1]),
-        ):
-            if got != want:
-                raise ValueError(
-                    f"The kernel is for {got} {what}, but the data have {want}: the last axis of amplitude counts "
-                    "outputs, that of length_scale regressors; leave them None to take them from the data."
-                )
-        return kernel
+        return ConvolvedGaussian(**params)
 
     def _from_singles(self, w, singles):
         """Return values from fits of each output alone, (M, P, ...).
@@ -321,7 +315,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Yield for each latent its place in the pair and exp(-1/2 (delta - mu)^T Sigma (delta - mu)), (n_i, n_j)."""
         _, _, _, F, shift = self._pair(i, j)
         for k in range(len(F)):
-            middle = np.mean(Xj, axis=0)  # near the data, so that the expanded square loses no digits
+            middle = _middle(Xj)
             a, b = Xi - (shift[k] + middle), Xj - middle
             a, b = (a * F[k], b * F[k]) if F.ndim == 2 else (a @ F[k], b @ F[k])
             # One product gives the whole exponent: a b - a^2 / 2 - b^2 / 2.
@@ -371,7 +365,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         """
         gains, shift = self._pair(i, j)[1], self._pair(i, j)[-1]
         d_inputs = np.zeros(np.shape(Xj)) if inputs else None
-        middle = np.mean(Xj, axis=0)
+        middle = _middle(Xj)
         full = self.covariance_type == "full"
         mass, first = np.zeros(len(shift)), np.zeros(shift.shape)
         second = np.zeros((*shift.shape, shift.shape[1]) if full else shift.shape)
@@ -443,6 +437,11 @@ def _widened(kernel, width):
         arrays[name] = np.concatenate([value, extra.get(name, np.zeros((M, M, *value.shape[2:])))], axis=1)
     covariance_type = "full" if kernel.covariance_type == "full" else "diag"
     return ConvolvedGaussian(covariance_type=covariance_type, **arrays)
+
+
+def _middle(X):
+    """Return a point near the data: taken away, so that the expanded square loses no digits."""
+    return np.mean(X, axis=0) if len(X) else 0.0
 
 
 def _moments(G, a, b, full):

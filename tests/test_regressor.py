@@ -1,0 +1,449 @@
+"""DependentGPRegressor: what it says about the data it was given."""
+
+import importlib
+import inspect
+import pkgutil
+from collections import Counter
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import BaseEstimator, clone
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF
+from sklearn.utils.estimator_checks import check_estimator
+
+import skdgp
+from skdgp import DependentGPRegressor
+from skdgp._progress import listening
+from skdgp.inference import Data, ExactPosterior
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+
+def make_data(n=40, seed=0):
+    """Two dependent outputs of two regressors, in units far from one, some of the second not observed."""
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n, 2)) * [1.0, 30.0] + [0.0, 200.0]
+    z = (X - [0.0, 200.0]) / [1.0, 30.0]
+    common = np.sin(1.5 * z[:, 0]) + 0.5 * z[:, 1]
+    Y = np.column_stack([1e-2 * common + 3.0, -50 * common + 10 * np.cos(z[:, 1])])
+    Y += rng.normal(0, [3e-4, 2.0], Y.shape)
+    Y[rng.random(n) < 0.3, 1] = np.nan
+    return X, Y
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_data()
+
+
+@pytest.fixture(scope="module")
+def new():
+    return make_data(6, seed=9)[0]
+
+
+@pytest.fixture(scope="module", params=["exact", "sparse"])
+def model(request, data):
+    return DependentGPRegressor(inference=request.param, n_inducing=30, random_state=0, max_iter=25).fit(*data)
+
+
+class TestScikitLearnContract:
+    @pytest.mark.parametrize(
+        "estimator",
+        [
+            DependentGPRegressor(max_iter=5),
+            DependentGPRegressor(max_iter=5, inference="sparse", n_inducing=8, n_latent=1),
+            DependentGPRegressor(max_iter=5, trend="constant", covariance_type="full", n_latent=1),
+        ],
+        ids=["exact", "sparse", "full"],
+    )
+    @pytest.mark.filterwarnings("ignore")
+    def test_check_estimator(self, estimator):
+        results = check_estimator(estimator, on_skip=None, on_fail=None)
+        failed = [(r["check_name"], r["exception"]) for r in results if r["status"] in ("failed", "xfail")]
+        assert failed == []
+        skipped = {r["check_name"] for r in results if r["status"] == "skipped"}
+        assert skipped <= {"check_array_api_input"}
+        passed = Counter(r["status"] for r in results)["passed"]
+        assert passed >= 50  # none vanished: scikit-learn 1.6 has as many
+
+    def test_no_estimator_of_the_package_goes_unchecked(self):
+        """Who is found here is held to check_estimator here or in tests/preprocessing."""
+        found = set()
+        for module in pkgutil.walk_packages(skdgp.__path__, "skdgp."):
+            if module.name.endswith("__main__"):
+                continue
+            for name, obj in vars(importlib.import_module(module.name)).items():
+                own = inspect.isclass(obj) and obj.__module__.startswith("skdgp")
+                if own and issubclass(obj, BaseEstimator) and not inspect.isabstract(obj) and not name.startswith("_"):
+                    found.add(name)
+        assert found == {
+            "DependentGPRegressor",
+            "ElevonSplitter",
+            "FlightSmoother",
+            "RateNondimensionalizer",
+            "RegressorSelector",
+        }
+
+    def test_constructor_stores_and_fit_leaves_the_arguments(self, data):
+        kernel = ConvolvedGaussian(1)
+        model = DependentGPRegressor(kernel, max_iter=2, random_state=0)
+        before = clone(model).get_params()
+        model.fit(*data)
+        assert model.kernel is kernel
+        assert kernel.amplitude is None
+        assert {k: v for k, v in model.get_params().items() if k != "kernel"} == {
+            k: v for k, v in before.items() if k != "kernel"
+        }
+
+    def test_every_parameter_and_attribute_is_documented(self, model):
+        text = inspect.getdoc(DependentGPRegressor)
+        for name in inspect.signature(DependentGPRegressor).parameters:
+            assert f"\n{name} : " in text, name
+        for name in [name for name in vars(model) if name.endswith("_") and not name.startswith("_")]:
+            assert name in text, name
+
+
+class TestShapesAndNames:
+    @pytest.mark.parametrize("shape", [(40,), (40, 1), (40, 2)])
+    def test_predictions_are_shaped_like_the_targets(self, data, new, shape):
+        X, Y = data
+        y = Y[:, 0].reshape(shape) if shape != (40, 2) else Y
+        model = DependentGPRegressor(max_iter=2, random_state=0).fit(X, y)
+        rest = shape[1:]
+        P = shape[1] if rest else 1
+        mean, std = model.predict(new, return_std=True)
+        assert mean.shape == std.shape == (6, *rest)
+        mean, cov = model.predict(new, return_cov=True)
+        assert mean.shape == (6, *rest)
+        assert cov.shape == (6 * P, 6 * P)
+        slope, slope_std = model.predict_gradient(new, return_std=True)
+        assert slope.shape == slope_std.shape == (6, *rest, 2)
+        assert model.sample_y(new, 5).shape == (6, *rest, 5)
+        assert model.noise_variance_.shape == (P,)
+
+    def test_a_column_is_a_vector(self, data, new):
+        X, Y = data
+        vector, column = (DependentGPRegressor(max_iter=5, random_state=0).fit(X, y) for y in (Y[:, 0], Y[:, :1]))
+        np.testing.assert_array_equal(vector.predict(new), column.predict(new)[:, 0])
+
+    def test_tables_keep_their_names(self, data, new):
+        X, Y = (
+            pd.DataFrame(array, columns=names)
+            for array, names in zip(data, (["alpha", "q"], ["CZ", "Cm"]), strict=True)
+        )
+        model = DependentGPRegressor(max_iter=2).fit(X, Y)
+        assert list(model.feature_names_in_) == ["alpha", "q"]
+        assert model.output_names_ == ["CZ", "Cm"]
+        assert model.output_correlation().output_names == ["CZ", "Cm"]
+        assert DependentGPRegressor(max_iter=2).fit(X, Y["Cm"].dropna().reindex(X.index)).output_names_ == ["Cm"]
+
+    def test_names_where_there_are_none(self, data):
+        X, Y = data
+        assert DependentGPRegressor(max_iter=2).fit(X, Y).output_names_ == ["y0", "y1"]
+        assert DependentGPRegressor(max_iter=2).fit(X, pd.DataFrame(Y)).output_names_ == ["y0", "y1"]
+        assert not hasattr(DependentGPRegressor(max_iter=2).fit(X, Y), "feature_names_in_")
+
+    def test_tables_and_arrays_give_the_same_model(self, data, new):
+        X, Y = data
+        arrays = DependentGPRegressor(max_iter=5, random_state=0).fit(X, Y).predict(new)
+        tables = (
+            DependentGPRegressor(max_iter=5, random_state=0)
+            .fit(pd.DataFrame(X), pd.DataFrame(Y))
+            .predict(pd.DataFrame(new))
+        )
+        np.testing.assert_array_equal(arrays, tables)
+
+    def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
+        X, Y = data
+        more_X, more_Y = np.r_[X, X[:9] + 5.0], np.r_[Y, np.full((9, 2), np.nan)]
+        here, there = (
+            DependentGPRegressor(max_iter=5, random_state=0).fit(*both).predict(new)
+            for both in (data, (more_X, more_Y))
+        )
+        np.testing.assert_array_equal(here, there)
+
+
+class TestPrediction:
+    def test_posterior_of_equations_17_and_18(self, data, new):
+        """The regressor is its kernel, its noise and the normalised targets: nothing else."""
+        X, Y = data
+        model = DependentGPRegressor(max_iter=10, random_state=0).fit(X, Y)
+        center, scale = np.nanmean(Y, axis=0), np.nanstd(Y, axis=0)
+        posterior = ExactPosterior(
+            model.kernel_, model.noise_variance_ / scale**2, Data.from_table(X, (Y - center) / scale)
+        )
+        mean, variance = posterior.predict(new, return_variance=True)
+        got, std = model.predict(new, return_std=True)
+        np.testing.assert_allclose(got, mean * scale + center, rtol=1e-9)
+        np.testing.assert_allclose(std, np.sqrt(variance) * scale, rtol=1e-7)
+
+    def test_one_output_with_a_given_kernel_is_scikit_learns(self, new):
+        X, Y = make_data(25)
+        kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[1.2, 35.0]]], amplitude_bounds="fixed")
+        kernel.length_scale_bounds = "fixed"
+        model = DependentGPRegressor(kernel, trend="constant").fit(X, Y[:, 0])
+        theirs = GaussianProcessRegressor(
+            RBF([1.2, 35.0]), alpha=model.noise_variance_[0] / Y[:, 0].var(), optimizer=None, normalize_y=True
+        ).fit(X, Y[:, 0])
+        for mine, other in zip(model.predict(new, return_std=True), theirs.predict(new, return_std=True), strict=True):
+            np.testing.assert_allclose(mine, other, rtol=1e-6)
+        assert model.log_marginal_likelihood_value_ == pytest.approx(theirs.log_marginal_likelihood_value_)
+
+    def test_std_covariance_and_noise_agree(self, model, new):
+        mean, std = model.predict(new, return_std=True)
+        again, cov = model.predict(new, return_cov=True)
+        np.testing.assert_allclose(again, mean)
+        np.testing.assert_allclose(model.predict(new), mean)
+        np.testing.assert_allclose(np.sqrt(np.diag(cov)).reshape(2, -1).T, std, rtol=1e-4)
+        np.testing.assert_allclose(cov, cov.T, rtol=1e-9, atol=1e-12 * cov.max())
+        assert np.linalg.eigvalsh(cov).min() > -1e-9 * cov.max()
+        _, noisy = model.predict(new, return_std=True, include_noise=True)
+        np.testing.assert_allclose(noisy**2 - std**2, np.broadcast_to(model.noise_variance_, std.shape), rtol=1e-6)
+        _, noisy_cov = model.predict(new, return_cov=True, include_noise=True)
+        np.testing.assert_allclose(noisy_cov - cov, np.diag(np.repeat(model.noise_variance_, 6)), atol=1e-9 * cov.max())
+
+    def test_one_sample_at_a_time_or_all_at_once(self, model, new):
+        mean, std = model.predict(new, return_std=True)
+        for a, x in enumerate(new):
+            one = model.predict(x[None], return_std=True)
+            np.testing.assert_allclose(one[0][0], mean[a], rtol=1e-8)
+            np.testing.assert_allclose(one[1][0], std[a], rtol=1e-6)
+
+    def test_many_samples_in_bounded_memory(self, model):
+        assert np.isfinite(model.predict(np.random.default_rng(0).normal(size=(5000, 2)), return_std=True)).all()
+
+    def test_it_learned_something(self, model, data):
+        X, Y = make_data(200, seed=4)
+        seen = np.isfinite(Y)
+        error = (model.predict(X) - Y) / np.nanstd(Y, axis=0)
+        assert np.sqrt(np.mean(error[seen] ** 2)) < 0.25
+        _, std = model.predict(X, return_std=True, include_noise=True)
+        inside = np.abs(model.predict(X) - Y) < 1.96 * std
+        assert 0.85 < inside[seen].mean() <= 1.0
+
+    def test_noise_is_recovered(self, model):
+        np.testing.assert_allclose(np.sqrt(model.noise_variance_), [3e-4, 2.0], rtol=0.6)
+
+    def test_uncertainty_grows_away_from_the_data(self, model):
+        _, near = model.predict([[0.0, 200.0]], return_std=True)
+        _, far = model.predict([[6.0, 400.0]], return_std=True)
+        assert (far > 3 * near).all()
+
+    def test_linear_trend_goes_on_where_the_mean_gives_up(self):
+        rng = np.random.default_rng(0)
+        X = rng.uniform(0, 1, (40, 1))
+        Y = np.column_stack([3 * X[:, 0] + 1, -2 * X[:, 0]]) + rng.normal(0, 0.02, (40, 2))
+        far = [[3.0]]
+        linear, constant = (
+            DependentGPRegressor(n_latent=1, trend=trend, random_state=0, max_iter=25).fit(X, Y)
+            for trend in ("linear", "constant")
+        )
+        mean, std = linear.predict(far, return_std=True)
+        assert (np.abs(mean - [10.0, -6.0]) < 3 * std + 0.5).all()
+        assert np.abs(mean - [10.0, -6.0]).max() < np.abs(constant.predict(far) - [10.0, -6.0]).max()
+
+
+class TestGradient:
+    def test_is_the_slope_of_the_mean(self, model, new):
+        slope = model.predict_gradient(new)
+        for k, h in enumerate([1e-3, 3e-2]):
+            step = np.eye(2)[k] * h
+            expected = (model.predict(new + step) - model.predict(new - step)) / (2 * h)
+            np.testing.assert_allclose(slope[:, :, k], expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+
+    def test_std_is_that_of_difference_quotients(self, model, new):
+        slope, std = model.predict_gradient(new, return_std=True)
+        np.testing.assert_allclose(slope, model.predict_gradient(new), rtol=1e-9)
+        x = new[0]
+        for k, h in enumerate([3e-3, 1e-1]):
+            step = np.eye(2)[k] * h
+            _, cov = model.predict([x + step, x - step], return_cov=True)
+            for i in range(2):
+                pair = cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+                quotient = np.sqrt(pair[0, 0] + pair[1, 1] - 2 * pair[0, 1]) / (2 * h)
+                assert std[0, i, k] == pytest.approx(quotient, rel=0.02)
+
+
+class TestSamples:
+    def test_moments_are_the_posterior(self, model, new):
+        draws = model.sample_y(new[:3], 20000, random_state=1)
+        mean, cov = model.predict(new[:3], return_cov=True)
+        stacked = draws.swapaxes(0, 1).reshape(6, -1)  # output-major, as the covariance
+        size = np.sqrt(np.diag(cov))
+        np.testing.assert_allclose(stacked.mean(axis=1) / size, mean.T.ravel() / size, atol=0.04)
+        scale = np.multiply.outer(size, size)
+        np.testing.assert_allclose(np.cov(stacked) / scale, cov / scale, atol=0.05)
+
+    def test_seed_decides(self, model, new):
+        first, again, other = (model.sample_y(new, 2, random_state=seed) for seed in (0, 0, 1))
+        np.testing.assert_array_equal(first, again)
+        assert not np.array_equal(first, other)
+
+
+class TestLikelihood:
+    def test_at_the_fitted_values(self, model):
+        assert model.log_marginal_likelihood() == model.log_marginal_likelihood_value_
+        assert model.log_marginal_likelihood(model.theta_) == pytest.approx(model.log_marginal_likelihood_value_)
+        value, gradient = model.log_marginal_likelihood(eval_gradient=True)
+        assert value == pytest.approx(model.log_marginal_likelihood_value_)
+        assert gradient.shape == model.theta_.shape
+
+    def test_gradient(self, model):
+        theta = model.theta_ + 0.05
+        _, gradient = model.log_marginal_likelihood(theta, eval_gradient=True)
+        for k in range(0, len(theta), 7):
+            step = 1e-3 * np.eye(len(theta))[k]
+            ends = [model.log_marginal_likelihood(theta + sign * step) for sign in (1, -1)]
+            assert gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=0.01, abs=0.01)
+
+    def test_wrong_length(self, model):
+        n = len(model.theta_)
+        with pytest.raises(ValueError, match=rf"\({n - 1},\), but expected \({n},\).*2 noise variances"):
+            model.log_marginal_likelihood(model.theta_[:-1])
+
+    def test_restarts_never_lower_it(self, data):
+        options = {"n_latent": 1, "max_iter": 8, "random_state": 0}
+        once = DependentGPRegressor(**options).fit(*data)
+        more = DependentGPRegressor(n_restarts_optimizer=2, **options).fit(*data)
+        assert more.log_marginal_likelihood_value_ >= once.log_marginal_likelihood_value_
+        assert more.n_evaluations_ >= once.n_evaluations_
+
+    def test_optimizer_none_keeps_the_kernel(self, data):
+        kernel = ConvolvedGaussian(
+            1, amplitude=[[0.8, -0.8], [0.5, 0], [0, 0.5]], length_scale=np.broadcast_to([1.0, 30.0], (3, 2, 2))
+        )
+        model = DependentGPRegressor(kernel, optimizer=None, trend="constant").fit(*data)
+        np.testing.assert_array_equal(model.kernel_.amplitude, kernel.amplitude)
+        np.testing.assert_array_equal(model.kernel_.length_scale, kernel.length_scale)
+        assert model.n_iter_ == 0
+
+
+class TestInvariance:
+    """Units are the user's affair."""
+
+    @pytest.mark.parametrize("trend", ["linear", "constant", None])
+    def test_units_of_the_outputs(self, data, new, trend):
+        X, Y = data
+        scale = np.array([2.0**12, 2.0**-7])  # exact in binary
+        here = DependentGPRegressor(max_iter=8, random_state=0, trend=trend).fit(X, Y).predict(new, return_std=True)
+        there = (
+            DependentGPRegressor(max_iter=8, random_state=0, trend=trend)
+            .fit(X, Y * scale)
+            .predict(new, return_std=True)
+        )
+        for mine, other in zip(here, there, strict=True):
+            np.testing.assert_allclose(other, mine * scale, rtol=1e-6)
+
+    def test_origin_of_the_outputs(self, data, new):
+        X, Y = data
+        away, size = np.array([64.0, -512.0]), np.nanstd(Y, axis=0)
+        here = DependentGPRegressor(max_iter=20, random_state=0).fit(X, Y).predict(new)
+        there = DependentGPRegressor(max_iter=20, random_state=0).fit(X, Y + away).predict(new)
+        np.testing.assert_allclose((there - away) / size, here / size, atol=0.05)
+
+    @pytest.mark.parametrize("covariance_type", ["diag", "tied", "full"])
+    def test_units_and_origin_of_the_regressors(self, data, new, covariance_type):
+        X, Y = data
+        options = {"max_iter": 20, "random_state": 0, "n_latent": 1, "covariance_type": covariance_type}
+        here = DependentGPRegressor(**options).fit(X, Y).predict(new)
+        other = [2.0**10, 2.0**-6], [2.0**20, -(2.0**15)]
+        there = DependentGPRegressor(**options).fit(X * other[0] + other[1], Y).predict(new * other[0] + other[1])
+        np.testing.assert_allclose(there / np.nanstd(Y, axis=0), here / np.nanstd(Y, axis=0), atol=0.05)
+
+    def test_normalisation_of_outputs_is_not_needed(self, data, new):
+        X, Y = data
+        plain = DependentGPRegressor(max_iter=40, random_state=0, normalize_y=False).fit(X, Y)
+        scaled = DependentGPRegressor(max_iter=40, random_state=0).fit(X, Y)
+        size = np.nanstd(Y, axis=0)
+        np.testing.assert_allclose(plain.predict(new) / size, scaled.predict(new) / size, atol=0.2)
+
+    def test_order_of_samples_and_outputs(self, data, new):
+        X, Y = data
+        kernel = ConvolvedGaussian(
+            1, amplitude=[[0.8, -0.8], [0.5, 0], [0, 0.5]], length_scale=np.broadcast_to([1.0, 30.0], (3, 2, 2))
+        )
+        model = DependentGPRegressor(kernel, optimizer=None, trend="constant")
+        here = clone(model).fit(X, Y).predict(new, return_std=True)
+        order = np.random.default_rng(0).permutation(len(X))
+        turned = clone(model).set_params(kernel=kernel.clone_with_theta(kernel.theta * 1.0))
+        turned.kernel.amplitude = np.array([[-0.8, 0.8], [0.5, 0], [0, 0.5]])
+        for mine, other in zip(
+            here, turned.fit(X[order], Y[order][:, ::-1]).predict(new, return_std=True), strict=True
+        ):
+            np.testing.assert_allclose(other[:, ::-1], mine, rtol=1e-7)
+
+    def test_seed_decides(self, data, new):
+        first, again = (DependentGPRegressor(max_iter=5, random_state=7).fit(*data) for _ in range(2))
+        np.testing.assert_array_equal(first.theta_, again.theta_)
+        np.testing.assert_array_equal(first.predict(new), again.predict(new))
+        np.random.seed(0)  # noqa: NPY002 - the global state is neither read nor moved
+        before = np.random.get_state()[1].copy()  # noqa: NPY002
+        DependentGPRegressor(max_iter=2, random_state=7).fit(*data)
+        np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+class TestCoupling:
+    def test_is_found(self, data):
+        """The second output is the first, turned over, and something of its own."""
+        found = DependentGPRegressor(n_latent=1, trend="constant", random_state=0).fit(*data).output_correlation()
+        assert found.correlation.shape == (2, 2)
+        assert found["shift"].shape == (2, 2, 2)
+        np.testing.assert_array_equal(np.diag(found.correlation), 1.0)
+        assert found.correlation[0, 1] < -0.6
+
+    def test_trend_does_not_count(self, data):
+        model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=5).fit(*data)
+        np.testing.assert_array_equal(model.output_correlation().correlation, np.eye(2))
+
+    def test_users_own_trend_does_not_count(self, data):
+        kernel = LinearTrend() + ConvolvedGaussian(0)
+        model = DependentGPRegressor(kernel, trend="constant", random_state=0, max_iter=5).fit(*data)
+        np.testing.assert_array_equal(model.output_correlation().correlation, np.eye(2))
+
+
+def test_sharing_helps_where_an_output_is_rarely_observed():
+    """One output observed on a fifth of the samples: dependent beats independent by half of the error at least."""
+    ratios = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        X = np.sort(rng.uniform(0, 10, (75, 1)), axis=0)
+        common = np.sin(2 * X[:, 0]) + np.cos(3.1 * X[:, 0])
+        truth = np.column_stack([common, -2 * common + 0.1 * X[:, 0]])
+        Y = truth + rng.normal(0, 0.1, truth.shape)
+        Y[np.arange(75) % 5 != 0, 1] = np.nan
+        errors = []
+        for n_latent in (1, 0):
+            model = DependentGPRegressor(n_latent=n_latent, random_state=0, max_iter=60).fit(X, Y)
+            errors.append(np.sqrt(np.mean((model.predict(X)[:, 1] - truth[:, 1]) ** 2)))
+        ratios.append(errors[0] / errors[1])
+    assert np.median(ratios) < 0.5
+
+
+class TestInterrupted:
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    @pytest.mark.parametrize("restarts", [0, 2])
+    @pytest.mark.parametrize("at", [1, 40, "last stage"])
+    def test_ctrl_c_keeps_the_best_so_far(self, data, new, inference, restarts, at):
+        heard = []
+
+        def press(stage, n, value):
+            heard.append((stage, value))
+            last = {"exact": "fit", "sparse": "bound"}[inference]
+            if len(heard) == at or (at == "last stage" and sum(s == last for s, _ in heard) == 3):
+                raise KeyboardInterrupt
+
+        model = DependentGPRegressor(
+            inference=inference, n_inducing=20, n_restarts_optimizer=restarts, random_state=0, max_iter=60
+        )
+        with listening(press), pytest.warns(ConvergenceWarning, match=r"interrupted.*kept") as caught:
+            model.fit(*data)
+        assert len([w for w in caught if w.category is ConvergenceWarning]) == 1
+        assert caught[0].filename == __file__  # where fit was called
+        assert np.isfinite(model.predict(new, return_std=True)).all()
+        pressed = at if isinstance(at, int) else max(k for k, (s, _) in enumerate(heard) if s != "output") + 1
+        assert len(heard) <= pressed + 4  # what still had to start did so once
+        if at == "last stage":
+            best = max(value for stage, value in heard if stage == heard[-1][0])
+            assert model.log_marginal_likelihood_value_ == pytest.approx(best)

@@ -1,0 +1,290 @@
+"""What users do wrong: each gets what was got, what was expected, what to do."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import sparse
+from sklearn.exceptions import NotFittedError
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from sklearn.utils._param_validation import InvalidParameterError
+
+from skdgp import DependentGPRegressor, _regressor
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+
+@pytest.fixture
+def X():
+    return np.random.default_rng(0).normal(size=(30, 2))
+
+
+@pytest.fixture
+def Y(X):
+    noise = np.random.default_rng(1).normal(0, 0.1, (30, 2))
+    return np.column_stack([np.sin(X[:, 0]), X[:, 1] - np.sin(X[:, 0])]) + noise
+
+
+def quick(**more):
+    return DependentGPRegressor(**({"n_latent": 1, "max_iter": 3, "random_state": 0} | more))
+
+
+@pytest.fixture
+def tables(X, Y):
+    return pd.DataFrame(X, columns=["alpha", "q"]), pd.DataFrame(Y, columns=["CZ", "Cm"])
+
+
+class TestRegressors:
+    @pytest.mark.parametrize(
+        ("bad", "message"), [(np.nan, "contains NaN"), (np.inf, "infinity"), (-np.inf, "infinity")]
+    )
+    def test_that_are_not_finite(self, X, Y, bad, message):
+        fitted = quick().fit(X, Y)
+        X = X.copy()
+        X[3, 1] = bad
+        with pytest.raises(ValueError, match=f"Input X.*{message}"):
+            quick().fit(X, Y)
+        with pytest.raises(ValueError, match=f"Input X.*{message}"):
+            fitted.predict(X)
+
+    def test_that_are_words(self, tables):
+        X, Y = tables
+        with pytest.raises(ValueError, match="could not convert string to float"):
+            quick().fit(X.assign(flight="one"), Y)
+
+    @pytest.mark.parametrize("shape", [(30,), (30, 2, 1)])
+    def test_of_another_dimension(self, X, Y, shape):
+        with pytest.raises(ValueError, match=r"(?i)expected 2D array|dim 3"):
+            quick().fit(np.zeros(shape), Y)
+
+    def test_that_are_sparse(self, X, Y):
+        with pytest.raises(TypeError, match=r"(?i)sparse"):
+            quick().fit(sparse.csr_matrix(X), Y)
+
+    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y"])
+    def test_of_another_number_at_prediction(self, X, Y, call):
+        with pytest.raises(ValueError, match="X has 3 features, but DependentGPRegressor is expecting 2"):
+            getattr(quick().fit(X, Y), call)(np.zeros((4, 3)))
+
+    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y"])
+    def test_by_other_names_or_in_another_order(self, tables, call):
+        X, Y = tables
+        ask = getattr(quick().fit(X, Y), call)
+        with pytest.raises(ValueError, match="same order"):
+            ask(X[["q", "alpha"]])
+        with pytest.raises(ValueError, match=r"(?s)unseen at fit time.*beta"):
+            ask(X.rename(columns={"alpha": "beta"}))
+        with pytest.warns(UserWarning, match="does not have valid feature names"):
+            ask(X.to_numpy())
+
+    def test_that_are_constant_or_repeat_each_other_do_no_harm(self, X, Y):
+        more = np.column_stack([X, np.full(30, 7.0), X[:, 0]])
+        assert np.isfinite(quick().fit(more, Y).predict(more, return_std=True)).all()
+
+    def test_of_any_size(self, X, Y):
+        """1e-30 to 1e30: the units decide nothing."""
+        here = quick().fit(X, Y).predict(X)
+        scale = [2.0**-100, 2.0**100]
+        np.testing.assert_allclose(quick().fit(X * scale, Y).predict(X * scale), here, atol=0.05)
+
+    def test_more_of_them_than_samples(self):
+        rng = np.random.default_rng(0)
+        X, Y = rng.normal(size=(5, 12)), rng.normal(size=(5, 2))
+        assert np.isfinite(quick().fit(X, Y).predict(X, return_std=True)).all()
+
+
+class TestTargets:
+    def test_none(self, X):
+        with pytest.raises(ValueError, match="requires y"):
+            quick().fit(X, None)
+
+    @pytest.mark.parametrize("bad", [np.inf, -np.inf])
+    def test_that_are_infinite(self, X, Y, bad):
+        Y[3, 1] = bad
+        with pytest.raises(ValueError, match="Input y contains infinity"):
+            quick().fit(X, Y)
+
+    def test_that_are_words(self, X):
+        with pytest.raises(ValueError, match="convert string"):
+            quick().fit(X, np.array(["up"] * 30))
+
+    def test_of_another_length(self, X, Y):
+        with pytest.raises(ValueError, match=r"inconsistent numbers of samples: \[30, 29\]"):
+            quick().fit(X, Y[:-1])
+        with pytest.raises(ValueError, match=r"inconsistent numbers of samples: \[30, 2\]"):
+            quick().fit(X, Y.T)
+
+    @pytest.mark.parametrize("shape", [(30, 0), (30, 2, 2)])
+    def test_of_another_dimension(self, X, shape):
+        with pytest.raises(ValueError, match=r"0 feature|dim 3|\(n, P\)"):
+            quick().fit(X, np.zeros(shape))
+
+    def test_of_integers_and_nullable_numbers(self, X, Y):
+        whole = (10 * Y).round()
+        expected = quick().fit(X, whole).predict(X)
+        np.testing.assert_array_equal(quick().fit(X, whole.astype(int)).predict(X), expected)
+        nullable = pd.DataFrame(whole).astype("Float64")
+        np.testing.assert_array_equal(quick().fit(X, nullable).predict(X), expected)
+        nullable.iloc[0, 0] = pd.NA
+        assert np.isfinite(quick().fit(X, nullable).predict(X)).all()
+
+    def test_never_observed(self, tables):
+        X, Y = tables
+        with pytest.raises(ValueError, match=r"fewer than two samples.*'Cm': 0.*Leave these columns out"):
+            quick().fit(X, Y.assign(Cm=np.nan))
+
+    def test_observed_once(self, tables):
+        X, Y = tables
+        Y.loc[1:, "Cm"] = np.nan
+        with pytest.raises(ValueError, match=r"'Cm': 1"):
+            quick().fit(X, Y)
+
+    def test_observed_twice_is_enough(self, tables):
+        X, Y = tables
+        Y.loc[2:, "Cm"] = np.nan
+        assert np.isfinite(quick().fit(X, Y).predict(X, return_std=True)).all()
+
+    def test_nothing_observed_at_all(self, X):
+        with pytest.raises(ValueError, match="fewer than two samples"):
+            quick().fit(X, np.full((30, 2), np.nan))
+
+    def test_one_sample(self, X, Y):
+        with pytest.raises(ValueError, match="minimum of 2 is required"):
+            quick().fit(X[:1], Y[:1])
+
+    def test_one_sample_once_the_missing_ones_are_gone(self, X, Y):
+        Y[1:] = np.nan
+        with pytest.raises(ValueError, match="fewer than two samples"):
+            quick().fit(X, Y)
+
+    def test_that_are_constant(self, tables):
+        X, Y = tables
+        with pytest.warns(UserWarning, match=r"\['Cm'\] are constant.*nothing can be learned.*check the log") as caught:
+            model = quick().fit(X, Y.assign(Cm=3.0))
+        assert caught[0].filename == __file__
+        np.testing.assert_allclose(model.predict(X)[:, 1], 3.0, atol=1e-6)
+
+    def test_of_very_different_and_very_large_sizes(self, X, Y):
+        here = quick().fit(X, Y).predict(X)
+        scale = np.array([2.0**-300, 2.0**300])
+        np.testing.assert_allclose(quick().fit(X, Y * scale).predict(X) / scale, here, atol=0.05)
+
+    def test_exactly_linear_or_noise_free(self, X):
+        Y = np.column_stack([X[:, 0] + X[:, 1], np.sin(X[:, 0])])
+        mean, std = quick(max_iter=30).fit(X, Y).predict(X, return_std=True)
+        np.testing.assert_allclose(mean, Y, atol=0.01)
+        assert std.max() < 0.05
+
+
+class TestRows:
+    def test_repeated(self, tables):
+        X, Y = tables
+        twice = pd.concat([X, X], ignore_index=True), pd.concat([Y, Y], ignore_index=True)
+        with pytest.warns(UserWarning, match=r"30 of 60 samples repeat.*drop repeated rows") as caught:
+            quick().fit(*twice)
+        assert caught[0].filename == __file__
+
+    def test_repeated_regressors_with_other_targets_are_measurements(self, X, Y):
+        quick().fit(np.r_[X, X], np.r_[Y, Y + 0.01])
+
+    def test_of_tables_that_do_not_match(self, tables):
+        X, Y = tables
+        with pytest.warns(UserWarning, match=r"indices of X and y differ.*y\.loc\[X\.index\]"):
+            quick().fit(X, Y[::-1])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            quick().fit(X, Y.loc[X.index])
+            quick().fit(X.to_numpy(), Y[::-1])  # an array has no index to compare
+
+
+class TestParameters:
+    @pytest.mark.parametrize(
+        ("parameters", "message"),
+        [
+            ({"kernel": RBF()}, "kernel.*MultiOutputKernel.*Got RBF"),
+            ({"kernel": RBF() + ConvolvedGaussian()}, "kernel.*MultiOutputKernel"),
+            ({"kernel": ConvolvedGaussian}, "kernel.*MultiOutputKernel"),
+            ({"n_latent": -1}, "n_latent"),
+            ({"n_latent": 1.5}, "n_latent"),
+            ({"covariance_type": "diagonal"}, "covariance_type.*'diag'"),
+            ({"trend": "Linear"}, "trend.*'linear'"),
+            ({"inference": "approximate"}, "inference.*'sparse'"),
+            ({"n_inducing": 0}, "n_inducing"),
+            ({"optimizer": "adam"}, "optimizer.*fmin_l_bfgs_b"),
+            ({"max_iter": 0}, "max_iter"),
+            ({"n_restarts_optimizer": -1}, "n_restarts_optimizer"),
+            ({"normalize_y": "yes"}, "normalize_y"),
+            ({"random_state": "seed"}, "random_state"),
+        ],
+        ids=lambda p: ", ".join(p) if isinstance(p, dict) else "",
+    )
+    def test_out_of_range(self, X, Y, parameters, message):
+        with pytest.raises(InvalidParameterError, match=f"(?s){message}"):
+            quick(**parameters).fit(X, Y)
+
+    def test_no_latent_at_all(self, X, Y):
+        with pytest.raises(ValueError, match=r"at least one latent.*raise n_latent, or set private_latents=True"):
+            quick(n_latent=0, private_latents=False).fit(X, Y)
+
+    def test_white_noise_in_the_kernel(self):
+        with pytest.raises(TypeError, match=r"WhiteKernel.*noise_variance_"):
+            ConvolvedGaussian() + WhiteKernel()
+
+    @pytest.mark.parametrize(
+        ("kernel", "message"),
+        [
+            (ConvolvedGaussian(1, length_scale=np.ones((3, 2, 5))), r"length_scale of shape \(3, 2, 5\)"),
+            (ConvolvedGaussian(1, amplitude=np.ones((4, 3))), r"amplitude of shape \(4, 3\)"),
+            (LinearTrend(slope_scale=np.ones((3, 2))) + ConvolvedGaussian(), r"slope_scale of shape \(3, 2\)"),
+            (ConvolvedGaussian(1, length_scale_bounds="free"), "length_scale_bounds='free'.*'fixed'"),
+            (ConvolvedGaussian(1, length_scale_bounds=(2.0, 1.0)), "length_scale_bounds"),
+            (ConvolvedGaussian(1, length_scale_bounds=(-1.0, 1.0)), "length_scale_bounds"),
+        ],
+        ids=["regressors", "outputs", "trend", "word", "order", "sign"],
+    )
+    def test_kernel_of_another_shape(self, X, Y, kernel, message):
+        with pytest.raises(ValueError, match=message):
+            quick(kernel=kernel, trend="constant").fit(X, Y)
+
+
+class TestQuestions:
+    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y", "score", "output_correlation"])
+    def test_before_fit(self, X, Y, call):
+        arguments = {"score": (X, Y), "output_correlation": ()}.get(call, (X,))
+        with pytest.raises(NotFittedError, match="not fitted yet"):
+            getattr(quick(), call)(*arguments)
+
+    def test_likelihood_and_theta_before_fit(self):
+        with pytest.raises(NotFittedError, match="not fitted yet"):
+            quick().log_marginal_likelihood()
+        with pytest.raises(NotFittedError, match="not fitted yet"):
+            _ = quick().theta_
+
+    def test_std_and_covariance_at_once(self, X, Y):
+        with pytest.raises(ValueError, match="return_std=True and return_cov=True.*at most one"):
+            quick().fit(X, Y).predict(X, return_std=True, return_cov=True)
+
+    def test_coupling_of_a_trend_alone(self, X, Y):
+        model = quick(kernel=LinearTrend(), trend="constant").fit(X, Y)
+        with pytest.raises(ValueError, match="no stationary part"):
+            model.output_correlation()
+
+
+class TestMemory:
+    def test_exact_inference_on_a_long_log_is_refused_before_it_starts(self):
+        X = np.random.default_rng(0).normal(size=(400_000, 2))
+        with pytest.raises(ValueError, match=r"400000 observed values needs about 2384 GiB.*sparse.*thin_targets"):
+            quick(inference="exact").fit(X, X[:, 0])
+
+    def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
+        monkeypatch.setattr(_regressor, "_physical_memory", lambda: 1e4)
+        with pytest.raises(ValueError, match="Exact inference on 60 observed values"):
+            quick(inference="exact").fit(X, Y)
+        quick(inference="sparse", n_inducing=5).fit(X, Y)
+
+    def test_auto_chooses_by_the_number_of_values(self, X, Y, monkeypatch):
+        assert quick().fit(X, Y).inference_ == "exact"
+        monkeypatch.setattr(_regressor, "EXACT_LIMIT", 59)
+        assert quick(n_inducing=5).fit(X, Y).inference_ == "sparse"
+        Y[0] = np.nan
+        assert quick(n_inducing=5).fit(X, Y).inference_ == "exact"

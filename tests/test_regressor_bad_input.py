@@ -261,7 +261,7 @@ class TestQuestions:
             _ = quick().theta_
 
     def test_std_and_covariance_at_once(self, X, Y):
-        with pytest.raises(ValueError, match="return_std=True and return_cov=True.*at most one"):
+        with pytest.raises(ValueError, match=r"return_std=True and return_cov=True.*at most one"):
             quick().fit(X, Y).predict(X, return_std=True, return_cov=True)
 
     def test_coupling_of_a_trend_alone(self, X, Y):

@@ -1,6 +1,7 @@
 """Aircraft aerodynamics from flight logs with dependent Gaussian processes, as ordinary scikit-learn."""
 
 from skdgp._regressor import DependentGPRegressor
+from skdgp.identification import make_identification_pipeline
 
-__all__ = ["DependentGPRegressor"]
+__all__ = ["DependentGPRegressor", "make_identification_pipeline"]
 __version__ = "0.1.0"

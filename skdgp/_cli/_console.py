@@ -9,6 +9,7 @@ import threading
 import time
 import warnings
 from contextlib import contextmanager
+from pathlib import Path
 
 SHOWN = (UserWarning, RuntimeWarning)
 CLEAR = "\r\x1b[K"
@@ -34,7 +35,7 @@ class Console:
         warnings.simplefilter("ignore")
         for category in SHOWN:
             warnings.simplefilter("always", category)
-        warnings.showwarning = lambda message, *args, **kwargs: self.warn(str(message))
+        warnings.showwarning = self._show
         if self._live:
             self._ticker = threading.Thread(target=self._tick, daemon=True)
             self._ticker.start()
@@ -51,6 +52,10 @@ class Console:
             self._ticker.join()
             self._write(CLEAR)
 
+    def _show(self, message, category, filename, lineno, file=None, line=None):
+        where = f" ({Path(filename).name}, line {lineno})" if issubclass(category, RuntimeWarning) else ""
+        self.warn(str(message) + where)
+
     def stage(self, words: str) -> None:
         """Say what is being done from now on."""
         with self._lock:
@@ -65,7 +70,8 @@ class Console:
             else:
                 self._detail = f"all outputs together · {n_evaluations} evaluations"
                 if abs(log_likelihood) < float("inf"):
-                    self._detail += f" · log likelihood {log_likelihood:.1f}"
+                    words = "bound on the log likelihood" if stage == "bound" else "log likelihood"
+                    self._detail += f" · {words} {log_likelihood:.1f}"
 
     def warn(self, message: str) -> None:
         """Print a warning the first time, and keep it for the report."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,10 +39,10 @@ class Loads:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Predictions of one flight, (n, 6) each, and their scores.
+    """Predictions of one flight, (n, 6) each, and how they replay.
 
-    ``std`` is of the function, ``measured_std`` of a new measurement; both computed at every ``std_step``-th row
-    and interpolated between. ``scores`` and ``states`` map "measured" and, where it is known, "truth" to tables.
+    ``std`` is of the function, ``measured_std`` of a new measurement: computed at ``rows``, interpolated between.
+    ``states`` maps "measured" and, where it is known, "truth" to the errors of the replay.
     """
 
     name: str
@@ -51,37 +52,40 @@ class Evaluation:
     mean: np.ndarray
     std: np.ndarray
     measured_std: np.ndarray
-    std_step: int
-    scores: dict[str, pd.DataFrame]
+    rows: np.ndarray
     replay: pd.DataFrame | None
     states: dict[str, pd.DataFrame]
 
 
 def evaluate(pipeline, aircraft, name: str, table: pd.DataFrame, *, loads: Loads, horizons) -> Evaluation:
-    """Predict a flight, replay it, and score both."""
+    """Predict a flight and replay it."""
     measured = aerodynamic_coefficients(table, aircraft, **loads.keywords()).to_numpy()
-    truth = _truth(table)
     regressors, regressor = pipeline[:-1].transform(table), pipeline[-1]
     mean = regressor.predict(regressors)
     step = -(-len(table) // STD_ROWS)
     rows = np.arange(step // 2, len(table), step)
-    some = regressor.predict(regressors[rows], return_std=True)[1]
-    std = _between(len(table), rows, some)
-    noise = regressor.noise_variance_
-    scores = {"measured": _scores(measured, mean, np.sqrt(some**2 + noise), rows)}
-    if truth is not None:
-        scores["truth"] = _scores(truth, mean, some, rows)
-    measured_std = np.sqrt(std**2 + noise)
+    std = _between(len(table), rows, regressor.predict(regressors[rows], return_std=True)[1])
+    measured_std = np.sqrt(std**2 + regressor.noise_variance_)
     flown = _replay(name, table, aircraft, mean, measured_std, loads, horizons)
-    return Evaluation(
-        name, table, measured, truth, mean, std, measured_std, step, scores, flown, _state_errors(flown, table)
-    )
+    states = _state_errors(flown, table)
+    return Evaluation(name, table, measured, _truth(table), mean, std, measured_std, rows, flown, states)
 
 
-def grouped(scores: pd.DataFrame) -> pd.DataFrame:
+def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
+    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it.
+
+    What needs a standard deviation is taken over the rows where that was computed.
+    """
+    pairs = {"measured": ("measured", "measured_std"), "truth": ("truth", "std")}
+    if any(evaluation.truth is None for evaluation in evaluations):
+        del pairs["truth"]
+    return {against: _scores(evaluations, *names) for against, names in pairs.items()}
+
+
+def grouped(table: pd.DataFrame) -> pd.DataFrame:
     """Return the means of the scores over the longitudinal, the lateral and all coefficients."""
     groups = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
-    return pd.DataFrame({group: scores.loc[list(members)].mean() for group, members in groups.items()}).T
+    return pd.DataFrame({group: table.loc[list(members)].mean() for group, members in groups.items()}).T
 
 
 def _truth(table) -> np.ndarray | None:
@@ -93,14 +97,17 @@ def _between(n, rows, values) -> np.ndarray:
     return np.column_stack([np.interp(np.arange(n), rows, column) for column in values.T])
 
 
-def _scores(y, mean, std, rows) -> pd.DataFrame:
-    """Return coefficients by metrics; those that need a standard deviation over the rows where it was computed."""
-    if np.isnan(y[rows]).all(axis=0).any():
-        warnings.warn("Some coefficients have no measured value to be scored against.", UserWarning, stacklevel=2)
-    raw = {"multioutput": "raw_values"}
-    columns = {metric.__name__: metric(y, mean, **raw) for metric in (median_relative_error, normalized_rmse)}
+def _scores(evaluations, of, std) -> pd.DataFrame:
+    def joined(name, some):
+        parts = [getattr(one, name)[one.rows] if some else getattr(one, name) for one in evaluations]
+        return np.concatenate(parts)
+
+    columns = {}
+    for metric in (median_relative_error, normalized_rmse):
+        columns[metric.__name__] = metric(joined(of, False), joined("mean", False), multioutput="raw_values")
     for metric in (negative_log_predictive_density, interval_coverage):
-        columns[metric.__name__] = metric(y[rows], mean[rows], std, **raw)
+        values = (joined(name, True) for name in (of, "mean", std))
+        columns[metric.__name__] = metric(*values, multioutput="raw_values")
     return pd.DataFrame(columns, index=list(COEFFICIENTS))
 
 

@@ -72,7 +72,11 @@ def _pipeline(source, options, table):
         n_jobs=options.n_jobs,
         random_state=options.seed,
     )
-    for name, value in (("n_latent", options.latents), ("max_iter", options.max_iter)):
+    for name, value in (
+        ("n_latent", options.latents),
+        ("max_iter", options.max_iter),
+        ("n_inducing", options.inducing),
+    ):
         if value is not None:
             regressor.set_params(**{name: value})
     return make_identification_pipeline(

@@ -14,6 +14,12 @@ from skdgp._cli._parser import build_parser
 from skdgp._cli._source import example_source, file_source
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
+OPTIONS = {
+    "thrust=None": "--thrust none",
+    "thin_targets(": "--samples 755",
+    "inference='sparse'": "--inference sparse",
+}
+"""What remedies of the library are called here."""
 
 
 def main(argv=None) -> int:
@@ -23,6 +29,7 @@ def main(argv=None) -> int:
     console = Console()
     try:
         with console, OutputFolder(options.output) as folder:
+            console.stage("flying the example flights" if options.command == "demo" else "reading")
             source = example_source() if options.command == "demo" else file_source(options)
             run(source, options, folder, console, command=shlex.join(["python", "-m", "skdgp", *argv]))
     except KeyboardInterrupt:
@@ -40,7 +47,9 @@ def main(argv=None) -> int:
 
 
 def _words(error: Exception) -> str:
-    """Return the message on one line; the system's own errors with the name of the file."""
+    """Return the message on one line, its remedies as options; the system's own errors with the name of the file."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or ''}: {error.strerror}".removeprefix(": ")
-    return " ".join(str(error).split()) or type(error).__name__
+    words = " ".join(str(error).split()) or type(error).__name__
+    options = [option for code, option in OPTIONS.items() if code in words]
+    return f"{words} On the command line: {', '.join(options)}." if options else words

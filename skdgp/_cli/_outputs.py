@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._cli._evaluation import Evaluation, Loads, grouped
+from skdgp._cli._evaluation import Evaluation, Loads, grouped, scores
 from skdgp._cli._source import Source
 from skdgp._model_file import dump_model, model_bunch, software_versions
 from skdgp._vocabulary import COEFFICIENTS
@@ -78,6 +78,7 @@ def metrics_of(outcome: Outcome) -> dict:
         "held_out": outcome.source.held_out,
         "fit": _fit_facts(outcome) | {"flights": {name: len(table) for name, table in outcome.train.items()}},
         "test": {evaluation.name: _flight_metrics(evaluation) for evaluation in outcome.evaluations},
+        "test_together": _score_metrics(outcome.evaluations),
         "messages": outcome.messages,
     }
 
@@ -103,6 +104,7 @@ def _options(outcome) -> dict:
         "thrust": outcome.loads.thrust,
         "external_forces": outcome.loads.external_forces,
         **{name: chosen[name] for name in names},
+        "inducing": outcome.regressor.n_inducing,
         "latents": outcome.regressor.n_latent,
         "max_iter": outcome.regressor.max_iter,
     }
@@ -114,6 +116,7 @@ def _fit_facts(outcome) -> dict:
         "samples": outcome.n_samples,
         "samples_available": outcome.n_available,
         "values": outcome.n_values,
+        "inference": regressor.inference_,
         "regressors": list(outcome.pipeline["regressorselector"].regressors_),
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
@@ -132,10 +135,17 @@ def _by_coefficient(values) -> dict[str, float]:
 def _flight_metrics(evaluation: Evaluation) -> dict:
     return {
         "samples": len(evaluation.table),
-        "every_nth_sample_with_std": evaluation.std_step,
-        "coefficients": {against: table.to_dict("index") for against, table in evaluation.scores.items()},
-        "means": {against: grouped(table).to_dict("index") for against, table in evaluation.scores.items()},
+        "samples_with_std": len(evaluation.rows),
+        **_score_metrics([evaluation]),
         "states": {against: table.to_dict("records") for against, table in evaluation.states.items()},
+    }
+
+
+def _score_metrics(evaluations) -> dict:
+    tables = scores(evaluations)
+    return {
+        "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
+        "means": {against: grouped(table).to_dict("index") for against, table in tables.items()},
     }
 
 
@@ -151,7 +161,7 @@ def _result(evaluation: Evaluation) -> FlightResult:
         table=evaluation.table,
         replay=evaluation.replay,
         replay_errors=evaluation.states.get("measured"),
-        metrics={against: table.to_dict("list") for against, table in evaluation.scores.items()},
+        metrics={against: table.to_dict("list") for against, table in scores([evaluation]).items()},
     )
 
 
@@ -165,7 +175,7 @@ def _model_summary(outcome) -> ModelSummary:
         n_private=len(COEFFICIENTS) if regressor.private_latents else 0,
         kernel=f"convolved Gaussian, widths {regressor.covariance_type}",
         trend=regressor.trend or "none",
-        inference=regressor.inference,
+        inference=regressor.inference_,
         log_marginal_likelihood=regressor.log_marginal_likelihood_value_,
         n_iter=regressor.n_iter_,
         fit_seconds=outcome.seconds,
@@ -179,12 +189,21 @@ def _model_summary(outcome) -> ModelSummary:
 def _remarks(outcome) -> dict[str, str]:
     loads = [outcome.loads.thrust or "none", *outcome.loads.external_forces]
     remarks = {"Thrust, other loads": ", ".join(loads)}
+    if len(outcome.evaluations) > 1:
+        means = grouped(scores(outcome.evaluations)["measured"])
+        remarks["All test flights"] = "; ".join(
+            f"{group} {100 * row.median_relative_error:.1f} % median relative error, NRMSE {row.normalized_rmse:.3f}, "
+            f"{100 * row.interval_coverage:.1f} % in the 95 % band"
+            for group, row in means.iterrows()
+        )
     widened = [f"{name} {value:.2f}" for name, value in _by_coefficient(outcome.widened).items() if value > 1.005]
     if widened:
         remarks["Noise"] = f"widened to what rows not learned from show: {', '.join(widened)} times"
-    steps = {evaluation.std_step for evaluation in outcome.evaluations} - {1}
-    if steps:
-        remarks["Bands"] = f"computed at every {max(steps)}th sample, interpolated between"
+    step = max(-(-len(evaluation.table) // len(evaluation.rows)) for evaluation in outcome.evaluations)
+    if step > 1:
+        remarks["Bands"] = f"computed at one row in {step}, interpolated between"
+    if any(evaluation.truth is not None for evaluation in outcome.evaluations):
+        remarks["Truth"] = "contains what gusts did that no sensor felt; of the bands only the measured ones know it"
     if outcome.interrupted:
         remarks["Fit"] = "interrupted; the best so far was kept"
     return remarks

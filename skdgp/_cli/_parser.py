@@ -49,7 +49,7 @@ Ctrl-C during the fit keeps the best model so far and goes on; a second one stop
 
 DEMO = """\
 Do what identify does on the example flights: a simulated delta-wing UAV of 45 kg in turbulence, whose true
-coefficients are known. Two flights to learn from, one to be tested on. About a minute on two cores.
+coefficients are known. Two flights to learn from, one to be tested on. Half a minute on two cores.
 """
 
 
@@ -64,7 +64,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_model(identify, samples=None, said="755; all with --inference sparse")
     identify.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the outputs")
     demo = _parser(commands.add_parser, "demo", help="the same on simulated example flights", description=DEMO)
-    _add_model(demo, samples=400, said="400")
+    _add_model(demo, samples=250, said="250")
     demo.add_argument(
         "-o", "--output", metavar="DIR", default="skdgp-demo", help="folder for the outputs (default: %(default)s)"
     )
@@ -113,7 +113,14 @@ def _add_model(parser, *, samples, said):
         help=f"rows to learn from, spread over the flights; time grows with the cube (default: {said})",
     )
     group.add_argument(
-        "--inference", choices=["auto", "exact", "sparse"], default="auto", help="how the posterior is had"
+        "--inference",
+        choices=["auto", "exact", "sparse"],
+        default="auto",
+        help="exact conditions on every row learned from; sparse on inducing variables, so that it can learn from all "
+        "rows of a long flight (default: auto, exact up to about a thousand rows)",
+    )
+    group.add_argument(
+        "--inducing", type=_at_least(1), default=None, metavar="N", help="inducing inputs of sparse inference"
     )
     group.add_argument(
         "--regressors",

@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from skdgp._cli._evaluation import Evaluation, grouped
+from skdgp._cli._evaluation import Evaluation, grouped, scores
 from skdgp._cli._outputs import Outcome
 from skdgp.plotting._style import display_unit
 
 SHOWN_STATES = ("v_east", "p", "r")
+FILES = (("report", "report.html"), ("numbers", "metrics.json"), ("model", "model.joblib"))
+MARGIN, WIDTH = 16, 11
 
 
 def summary(outcome: Outcome, folder: Path) -> str:
-    """Return the summary as text."""
+    """Return the summary as text: a table for all test flights together, and a line or a table for each."""
+    tested = outcome.evaluations
     lines = [_fit_line(outcome)]
-    for evaluation in outcome.evaluations:
-        lines += ["", *_scores(evaluation), *_states(evaluation)]
-    lines += ["", *(f"{words:<8}{folder / name}" for words, name in _FILES)]
+    if len(tested) == 1:
+        lines += ["", f"flight {tested[0].name}", *_score_table(tested), "", *_states(tested[0])]
+    else:
+        lines += ["", f"{len(tested)} test flights together", *_score_table(tested), ""]
+        for evaluation in tested:
+            lines += [f"flight {evaluation.name}", _row("all", _means([evaluation], "all")), *_states(evaluation)]
+    lines += ["", *(f"{words:<9}{folder / name}" for words, name in FILES)]
     return "\n".join(lines)
-
-
-_FILES = (
-    ("report", "report.html"),
-    ("numbers", "metrics.json"),
-    ("model", "model.joblib"),
-)
 
 
 def _fit_line(outcome) -> str:
@@ -37,42 +38,43 @@ def _fit_line(outcome) -> str:
     )
 
 
-def _scores(evaluation: Evaluation) -> list[str]:
-    against = list(evaluation.scores)
-    head = f"{'flight ' + evaluation.name:<40}"
-    lines = [head.rstrip(), " " * 14 + "".join(f"{'against ' + name:^36}" for name in against).rstrip()]
-    lines.append(" " * 14 + "".join(f"{'median':>11}{'NRMSE':>11}{'in 95 %':>11}   " for _ in against).rstrip())
-    lines.append(" " * 14 + "".join(f"{'rel. error':>11}{'':>11}{'band':>11}   " for _ in against).rstrip())
-    tables = list(evaluation.scores.values())
-    means = [grouped(scores) for scores in tables]
-    for name in tables[0].index:
-        lines.append(_row(name, [scores.loc[name] for scores in tables]))
-    lines.append("")
-    for name in means[0].index:
-        lines.append(_row(name, [scores.loc[name] for scores in means]))
-    return lines
+def _score_table(evaluations: Sequence[Evaluation]) -> list[str]:
+    tables = scores(evaluations)
+    above = [f"{'against measured':>{3 * WIDTH}}", f"{'against truth':>{2 * WIDTH}}"][: len(tables)]
+    lines = [" " * MARGIN + "".join(above)]
+    for words in (("median", "NRMSE", "in 95 %"), ("rel. error", "", "band")):
+        cells = [f"{word:>{WIDTH}}" for word in (*words, *words[:2] * (len(tables) - 1))]
+        lines.append(" " * MARGIN + "".join(cells).rstrip())
+    names = tables["measured"].index
+    lines += [_row(name, [table.loc[name] for table in tables.values()]) for name in names]
+    return [*lines, "", *(_row(group, _means(evaluations, group)) for group in ("longitudinal", "lateral", "all"))]
+
+
+def _means(evaluations, group):
+    return [grouped(table).loc[group] for table in scores(evaluations).values()]
 
 
 def _row(name, rows) -> str:
-    cells = "".join(
-        f"{_percent(row.median_relative_error):>11}{row.normalized_rmse:>11.3f}{_percent(row.interval_coverage):>11}   "
-        for row in rows
-    )
-    return f"  {name:<12}{cells}".rstrip()
+    """Return errors and coverage against measured; of truth the errors alone, as it holds what no band knows: gusts."""
+    measured, *truth = rows
+    cells = [_percent(measured.median_relative_error), f"{measured.normalized_rmse:.3f}"]
+    cells.append(_percent(measured.interval_coverage))
+    for row in truth:
+        cells += [_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}"]
+    return f"  {name:<{MARGIN - 2}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells)
 
 
 def _states(evaluation: Evaluation) -> list[str]:
     if not evaluation.states:
         return []
-    errors = evaluation.states["measured"]
-    lines = ["", "  replayed, median absolute error"]
-    for horizon, part in errors.groupby("horizon"):
-        part = part.set_index("state")
+    lines = []
+    for horizon, part in evaluation.states["measured"].groupby("horizon"):
+        median = part.set_index("state")["median"]
         cells = []
-        for state in (name for name in SHOWN_STATES if name in part.index):
+        for state in (name for name in SHOWN_STATES if name in median):
             factor, unit = display_unit(state)
-            cells.append(f"{state} {factor * part['median'][state]:.3g} {unit}")
-        lines.append(f"  every {horizon:>4g} s  " + ",  ".join(cells))
+            cells.append(f"{state} {factor * median[state]:.3g} {unit}")
+        lines.append(f"  replayed over {horizon:g} s, median error: {', '.join(cells)}")
     return lines
 
 

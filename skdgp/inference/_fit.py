@@ -79,8 +79,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     """
     random_state = check_random_state(random_state)
     data = Data.from_table(X, Y)
-    share = min(1.0, SUBSET / data.n_values)
-    rows = np.sort(random_state.permutation(len(X))[: max(2, int(share * len(X)))])
+    rows = _some_rows(Y, random_state)
     first = fit_exact(
         kernel, X[rows], Y[rows], optimizer=optimizer, max_iter=max_iter, random_state=random_state, spread=spread
     )
@@ -103,6 +102,19 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     bounds = np.concatenate([_bounds(kernel, noise_bounds), features.bounds])
     best = maximize(bound, theta, bounds, optimizer=optimizer, max_iter=max_iter, stage="bound")
     return Fit(rebuilt(best.theta), best.n_iter, first.n_evaluations + best.n_evaluations, best.interrupted)
+
+
+def _some_rows(Y, random_state):
+    """Return rows with about SUBSET observed values, every output among them as often as its share allows."""
+    seen = np.isfinite(Y)
+    order = random_state.permutation(len(Y))
+    quota = SUBSET // Y.shape[1]
+    chosen = order[: max(2, SUBSET * len(Y) // seen.sum())]
+    for output in seen.T:
+        lacking = min(quota, output.sum()) - output[chosen].sum()
+        rest = np.setdiff1d(order, chosen, assume_unique=True)
+        chosen = np.concatenate([chosen, rest[output[rest]][: max(lacking, 0)]])
+    return np.sort(chosen)
 
 
 def _centres(X, n_inducing, random_state):

@@ -26,7 +26,7 @@ class LinearTrend(MultiOutputKernel):
         Prior standard deviation of the slopes, unit of the output per unit of the regressor. None: from the
         data.
     center : array (d,) or None
-        Where the intercept is. None: mean of the data.
+        Where the intercept is. None: the mean of the data it is initialized with, else the origin.
     intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
         Bounds; None: from the data.
 

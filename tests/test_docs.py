@@ -1,0 +1,146 @@
+"""The pages say what is true: their code runs, their names exist, their links lead somewhere."""
+
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skdgp._vocabulary import CHANNELS
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
+
+
+def blocks(page, language="python"):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
+    """In one namespace, in an empty folder; what a page writes, it writes there."""
+    code = blocks(page)
+    if not code:
+        pytest.skip("the page shows no code")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names = {}
+    for number, block in enumerate(code, start=1):
+        exec(compile(block, f"{page.name}, block {number}", "exec"), names)
+    if "matplotlib" in page.read_text(encoding="utf-8"):
+        plt = pytest.importorskip("matplotlib.pyplot")
+        plt.close("all")
+
+
+def test_most_pages_show_code():
+    assert sum(bool(blocks(page)) for page in PAGES) >= 7
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_between_pages_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+        if "://" not in target and not target.startswith("mailto:"):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_skdgp_names_on_the_page_exist(page):
+    """Every dotted name in backticks that begins with skdgp."""
+    for name in set(re.findall(r"`(skdgp(?:\.\w+)+)[`(]", page.read_text(encoding="utf-8"))):
+        module, _, attribute = name.rpartition(".")
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            assert hasattr(importlib.import_module(module), attribute), f"{page.name} speaks of {name}"
+
+
+class TestNotation:
+    page = ROOT / "docs" / "notation.md"
+
+    @pytest.fixture
+    def rows(self):
+        """Cells of each table row, by heading."""
+        found, heading = {}, None
+        for line in self.page.read_text(encoding="utf-8").splitlines():
+            if line.startswith("## "):
+                heading = line[3:]
+            elif line.startswith("|") and not set(line) <= set("|-: "):
+                found.setdefault(heading, []).append([c.strip() for c in re.split(r"(?<!\\)\|", line)[1:-1]])
+        return {heading: cells[1:] for heading, cells in found.items()}
+
+    @pytest.mark.parametrize("name", CHANNELS)
+    def test_every_word_of_the_vocabulary_has_its_unit_and_meaning(self, rows, name):
+        (row,) = [row for row in rows["Columns of a flight table"] if row[0] == f"`{name}`"]
+        assert row[1] == (CHANNELS[name].unit or "-")
+        assert row[2] == CHANNELS[name].meaning
+
+    def test_there_is_no_word_that_the_vocabulary_lacks(self, rows):
+        assert [row[0].strip("`") for row in rows["Columns of a flight table"]] == list(CHANNELS)
+
+    def test_every_code_name_exists(self, rows):
+        from skdgp import DependentGPRegressor
+        from skdgp.dynamics import Aircraft
+        from skdgp.inference import Data, ExactPosterior
+        from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
+        from skdgp.kernels._features import Features
+
+        x = np.linspace(0, 1, 8)[:, None]
+        fitted = DependentGPRegressor(max_iter=1).fit(x, np.hstack([x, x**2]))
+        things = {
+            "DependentGPRegressor": fitted,
+            "ConvolvedGaussian": fitted.kernel_.stationary_part(),
+            "LinearTrend": fitted.kernel_.k1,
+            "ExactPosterior": fitted.posterior_,
+            "MultiOutputKernel": MultiOutputKernel,
+            "Features": Features,
+            "Data": Data,
+            "Aircraft": Aircraft,
+        }
+        assert isinstance(things["ConvolvedGaussian"], ConvolvedGaussian)
+        assert isinstance(things["LinearTrend"], LinearTrend)
+        assert isinstance(things["ExactPosterior"], ExactPosterior)
+        named = re.findall(r"`([A-Z]\w+)\.(\w+)`", self.page.read_text(encoding="utf-8"))
+        assert len(named) > 30
+        for thing, name in named:
+            fields = getattr(things[thing], "__annotations__", {})
+            assert hasattr(things[thing], name) or name in fields, f"{thing}.{name}"
+
+    def test_shapes_are_as_stated(self):
+        from skdgp import DependentGPRegressor
+
+        rng = np.random.default_rng(0)
+        n, d, P = 12, 3, 2
+        M = 2 + P
+        X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
+        for kind, A in (("diag", (M, P, d)), ("full", (M, P, d, d))):
+            model = DependentGPRegressor(n_latent=2, max_iter=1, covariance_type=kind, random_state=0).fit(X, Y)
+            kernel, trend = model.kernel_.stationary_part(), model.kernel_.k1
+            assert kernel.A.shape == A
+            assert kernel.v.shape == kernel.amplitude.shape == (M, P)
+            assert kernel.mu.shape == kernel.length_scale.shape == (M, P, d)
+            assert trend.intercept_scale.shape == (P,)
+            assert trend.slope_scale.shape == (P, d)
+            assert trend.center.shape == (d,)
+            assert model.posterior_.L.shape == (n * P, n * P)
+            assert model.posterior_.alpha.shape == (n * P,)
+            assert model.predict_gradient(X).shape == (n, P, d)
+            assert kernel.features(X[:5]).Z.shape == (M, 5, d)
+        assert np.shape(kernel.shear) == (M, P, d * (d - 1) // 2)
+
+
+def test_every_part_of_the_house_is_on_its_page():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    parts = {path.name.removesuffix(".py") for path in (ROOT / "skdgp").iterdir() if not path.name.startswith("__pyc")}
+    missing = [part for part in parts if f"`{part}`" not in text]
+    assert missing == []
+
+
+def test_every_public_estimator_and_kernel_is_on_a_page():
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    for module in ("skdgp", "skdgp.kernels", "skdgp.inference", "skdgp.preprocessing", "skdgp.dynamics"):
+        for name in importlib.import_module(module).__all__:
+            obj = getattr(importlib.import_module(module), name)
+            if inspect.isclass(obj) and name not in ("Fit", "Optimum", "Sum"):
+                assert name in text, f"{module}.{name} is on no page"

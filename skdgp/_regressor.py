@@ -415,7 +415,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def theta_(self):
         """Fitted hyperparameters, as ``log_marginal_likelihood`` takes them."""
         check_is_fitted(self, "kernel_")
-        return np.concatenate([self.kernel_.theta, np.log(self.noise_variance_ / self._scale**2)])
+        return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
     def output_correlation(self):
         """Say which outputs are coupled, how strongly, and with what shift.

@@ -141,8 +141,8 @@ def test_a_real_ctrl_c_keeps_the_best_so_far(threads, tmp_path):
         from skdgp._progress import listening
 
         rng = np.random.default_rng(0)
-        X = rng.normal(size=(300, 6))
-        Y = np.column_stack([np.sin(X @ rng.normal(size=6)) + 0.1 * rng.normal(size=300) for _ in range(2)])
+        X = rng.normal(size=(150, 6))
+        Y = np.column_stack([np.sin(X @ rng.normal(size=6)) + 0.1 * rng.normal(size=150) for _ in range(2)])
 
         def tell(stage, n, value):
             if stage == "fit" and n == 3:

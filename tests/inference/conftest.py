@@ -25,6 +25,19 @@ def differences():
     return central_difference
 
 
+@pytest.fixture(scope="session")
+def assert_gradient():
+    """Return a check of a gradient along random directions: a wrong entry shows in every one of them."""
+
+    def check(gradient, function, x, *, rtol, atol, n_directions=8):
+        assert gradient.shape == np.shape(x)
+        for direction in np.random.default_rng(0).choice([-1.0, 1.0], (n_directions, len(x))):
+            slope = central_difference(lambda t, way=direction: function(x + t[0] * way), [0.0])[0]
+            np.testing.assert_allclose(gradient @ direction, slope, rtol=rtol, atol=atol)
+
+    return check
+
+
 def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
     rng = np.random.default_rng(seed)
     widths = {"spherical": (2 + P, P, 1), "tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))

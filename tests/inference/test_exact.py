@@ -47,12 +47,11 @@ class TestLikelihood:
         assert log_likelihood(problem.kernel, problem.noise, problem.data) == pytest.approx(expected, rel=1e-10)
         assert posterior_of(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-10)
 
-    def test_gradient(self, problem, differences):
+    def test_gradient(self, problem, assert_gradient):
         value, gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)])
         assert value == pytest.approx(at(problem, theta))
-        assert gradient.shape == theta.shape
-        np.testing.assert_allclose(gradient, differences(lambda t: at(problem, t), theta), rtol=1e-7, atol=1e-8)
+        assert_gradient(gradient, lambda t: at(problem, t), theta, rtol=1e-7, atol=1e-7)
 
     def test_other_hyperparameters_of_the_same_data(self, problem):
         posterior = posterior_of(problem)

@@ -69,7 +69,8 @@ class TestFit:
         assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
 
     @pytest.mark.parametrize("threads", [1, 2])
-    def test_seed_decides_and_threads_do_not(self, fit, drawn, threads):
+    def test_seed_decides_and_threads_do_not(self, fit, drawn, threads, monkeypatch):
+        monkeypatch.setattr(_fit, "SINGLE_ITERATIONS", 3)
         X, Y, *_ = drawn
         X, Y = X[::3], Y[::3]
         once = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 2})).posterior

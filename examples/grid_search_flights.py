@@ -3,8 +3,9 @@
     python examples/grid_search_flights.py
 
 Raw flight tables go into the search, so that smoothing is chosen like everything else and nothing of the held-out
-flight leaks into the fit. The scorers use the predicted standard deviations: a model that is wrong and says so is
-better than one that is wrong and sure. Needs matplotlib: pip install "skdgp[plot]".
+flight leaks into the fit. Rows that are not observed, NaN, are neither learned from nor scored. The scorers use the
+predicted standard deviations: a model that is wrong and says so is better than one that is wrong and sure. Needs
+matplotlib: pip install "skdgp[plot]".
 """
 
 import argparse
@@ -36,9 +37,9 @@ WORDS = {
 SHOWN = {"neg_normalized_rmse": "RMSE / std of the flight", "log_predictive_density": "log predictive density"}
 
 
-def four_flights():
-    """Two days of the two training flights: the same plans, other gusts."""
-    days = [load_example_flights(random_state=day) for day in (0, 1)]
+def flights_of(n_days):
+    """The two training flights of some days: the same plans, other gusts."""
+    days = [load_example_flights(random_state=day) for day in range(n_days)]
     tables = [day.train.assign(flight=day.train["flight"].astype(str) + f" {k + 1}") for k, day in enumerate(days)]
     return pd.concat(tables, ignore_index=True), days[0].aircraft
 
@@ -65,11 +66,12 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=200, help="rows to learn from and score (default: %(default)s)")
     parser.add_argument("--max-iter", type=int, default=30, help="iterations of each fit (default: %(default)s)")
+    parser.add_argument("--days", type=int, default=2, help="two flights of each (default: %(default)s)")
     parser.add_argument("--n-jobs", type=int, default=2, help="fits side by side (default: %(default)s)")
     parser.add_argument("--output", default="grid_search.png", help="the picture (default: %(default)s)")
     options = parser.parse_args(arguments)
 
-    flights, aircraft = four_flights()
+    flights, aircraft = flights_of(options.days)
     targets = thin_targets(aerodynamic_coefficients(flights, aircraft), options.samples)
 
     model = make_identification_pipeline(aircraft)

@@ -1,0 +1,539 @@
+"""``python -m skdgp``: exit codes, outputs all or none, Ctrl-C, and what it says meanwhile."""
+
+import io
+import json
+import os
+import re
+import runpy
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp._cli import _job, _outputs, main
+from skdgp._cli._console import CLEAR, Console
+from skdgp._cli._folder import OutputFolder
+from skdgp._cli._parser import build_parser
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.datasets import load_example_flights
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification import load_model
+from skdgp.metrics import interval_coverage, median_relative_error
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+PAGE = Path(__file__).parents[1] / "docs" / "identification.md"
+OUTPUTS = {"model.joblib", "metrics.json", "report.html"}
+QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1"]
+ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """Return a folder of short flights and their aircraft, as an engineer would have them."""
+    folder = tmp_path_factory.mktemp("flights")
+    data = load_example_flights()
+    data.aircraft.to_json(folder / "uav.json")
+    measured = [name for name in data.train if not name.endswith("_true")]
+    for name, table in data.train.groupby("flight", observed=True):
+        table[measured].iloc[1000:1700].to_csv(folder / f"{name}.csv", index=False)
+    data.test.iloc[900:1400].to_csv(folder / "test.csv", index=False)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def in_folder(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+@pytest.fixture(scope="session")
+def identified(folder, tmp_path_factory):
+    """Return what a whole run in a process of its own wrote and said."""
+    output = tmp_path_factory.mktemp("results") / "deep" / "er"
+    arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
+    done = process(*arguments, *QUICK, "--horizons", "1", "-o", output, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return output, done, json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail)
+
+
+def process(*arguments, cwd, **options):
+    command = [sys.executable, "-m", "skdgp", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False, **options)
+
+
+def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json"):
+    return main(["identify", *train, "--aircraft", aircraft, "-o", str(output), *QUICK, *arguments])
+
+
+class TestIdentify:
+    def test_writes_three_files_and_nothing_else(self, identified):
+        assert {path.name for path in identified[0].iterdir()} == OUTPUTS
+
+    def test_is_silent_in_a_pipe(self, identified):
+        assert identified[1].stderr == ""
+        assert "\r" not in identified[1].stdout
+        assert "\x1b" not in identified[1].stdout
+
+    def test_prints_the_numbers_it_wrote(self, identified):
+        output, done, metrics = identified
+        (name,) = metrics["test"]
+        row = re.search(r"^ +CZ +(.*)$", done.stdout, flags=re.MULTILINE)[1].split()
+        of = metrics["test"][name]["coefficients"]
+        assert float(row[0]) == round(100 * of["measured"]["CZ"]["median_relative_error"], 1)
+        assert float(row[2]) == round(of["measured"]["CZ"]["normalized_rmse"], 3)
+        assert float(row[3]) == round(100 * of["measured"]["CZ"]["interval_coverage"], 1)
+        assert float(row[-1]) == round(of["truth"]["CZ"]["normalized_rmse"], 3)
+        assert all(str(output / name) in done.stdout for name in OUTPUTS)
+
+    def test_metrics_say_how_they_came_about(self, identified, folder):
+        _, _, metrics = identified
+        assert metrics["format"] == 1
+        assert metrics["command"].startswith("python -m skdgp identify lateral.csv latlon.csv --aircraft uav.json")
+        assert {"skdgp", "scikit-learn", "numpy", "scipy", "pandas", "python"} <= set(metrics["versions"])
+        assert Aircraft.from_dict(metrics["aircraft"]) == Aircraft.from_json(folder / "uav.json")
+        assert metrics["held_out"] is None
+        assert metrics["messages"] == []
+        assert metrics["options"]["latents"] == 1
+        assert metrics["options"]["max_iter"] == 3
+
+    def test_metrics_say_how_the_fit_went(self, identified):
+        fit = identified[2]["fit"]
+        assert fit["samples"] == 40
+        assert fit["samples_available"] == 1400
+        assert fit["values"] == 240
+        assert fit["flights"] == {"lateral": 700, "latlon": 700}
+        assert fit["inference"] == "exact"
+        assert fit["iterations"] <= 3
+        assert fit["seconds"] > 0
+        assert fit["interrupted"] is False
+        assert "q_hat" in fit["regressors"]
+        assert set(fit["noise_std"]) == set(fit["noise_widened"]) == set(COEFFICIENTS)
+        assert np.isfinite(fit["log_marginal_likelihood"])
+
+    def test_metrics_score_every_coefficient_against_measured_and_truth(self, identified):
+        (flight,) = identified[2]["test"].values()
+        assert flight["samples"] == 500
+        for against in ("measured", "truth"):
+            assert list(flight["coefficients"][against]) == list(COEFFICIENTS)
+            assert set(flight["means"][against]) == {"longitudinal", "lateral", "all"}
+            errors = [flight["coefficients"][against][name]["median_relative_error"] for name in ("CY", "Cl", "Cn")]
+            assert flight["means"][against]["lateral"]["median_relative_error"] == pytest.approx(np.mean(errors))
+
+    def test_metrics_score_the_states(self, identified):
+        (flight,) = identified[2]["test"].values()
+        for against in ("measured", "truth"):
+            states = {row["state"]: row for row in flight["states"][against]}
+            assert {"v_east", "p", "r"} <= set(states)
+            assert {row["horizon"] for row in states.values()} == {1.0}
+            assert 0 < states["p"]["median"] < 1
+            assert 0 <= states["p"]["coverage"] <= 1
+
+    def test_the_model_gives_the_numbers_again(self, identified, folder):
+        output, _, metrics = identified
+        model = load_model(output / "model.joblib")
+        assert model.flights == ["lateral", "latlon"]
+        assert model.fit["log_marginal_likelihood"] == metrics["fit"]["log_marginal_likelihood"]
+        table = pd.read_csv(folder / "test.csv")
+        loads = {name: model.options[name] for name in ("thrust", "external_forces")}
+        Y = aerodynamic_coefficients(table, model.aircraft, **loads)
+        mean, std = model.pipeline.predict(table, return_std=True, include_noise=True)
+        of = next(iter(metrics["test"].values()))["coefficients"]["measured"]
+        error = median_relative_error(Y, mean, multioutput="raw_values")
+        inside = interval_coverage(Y, mean, std, multioutput="raw_values")
+        np.testing.assert_allclose(error, [of[name]["median_relative_error"] for name in COEFFICIENTS], rtol=1e-9)
+        np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9)
+
+    def test_the_report_shows_the_flights(self, identified):
+        page = (identified[0] / "report.html").read_text(encoding="utf-8")
+        assert "two_altitudes" in page
+        assert "python -m skdgp identify lateral.csv" in page
+        assert page.count("<svg") > 10
+
+    def test_holds_out_the_last_flight(self, tmp_path, capsys):
+        assert identify(output=tmp_path, train=["lateral.csv", "latlon.csv"]) == 0
+        metrics = json.loads((tmp_path / "metrics.json").read_text())
+        assert metrics["held_out"] == "the last flight, latlon"
+        assert list(metrics["fit"]["flights"]) == ["lateral"]
+        assert list(metrics["test"]) == ["latlon"]
+        assert "warning: No test flight was named: the last flight, latlon, is held out" in capsys.readouterr().err
+        assert "No test flight was named" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+    def test_holds_out_the_end_of_a_single_flight(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        assert identify(output=tmp_path) == 0
+        metrics = json.loads((tmp_path / "metrics.json").read_text())
+        assert list(metrics["fit"]["flights"].values()) == [525]
+        assert [flight["samples"] for flight in metrics["test"].values()] == [175]
+        assert "truth" not in next(iter(metrics["test"].values()))["coefficients"]
+
+    def test_all_samples_of_sparse_inference(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        options = ["--samples", "all", "--inference", "sparse", "--inducing", "8", "--max-iter", "2", "--trend", "none"]
+        assert identify(*options, "--test", "test.csv", output=tmp_path) == 0
+        fit = json.loads((tmp_path / "metrics.json").read_text())["fit"]
+        assert fit["inference"] == "sparse"
+        assert fit["samples"] == fit["samples_available"] == 700
+        assert set(fit["noise_widened"].values()) == {1.0}
+
+    def test_rows_without_regressors_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        table = pd.read_csv(folder / "latlon.csv")
+        table.loc[100:109, "alpha"] = np.nan
+        table.to_csv(tmp_path / "holes.csv", index=False)
+        assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "holes.csv")]) == 0
+        assert "10 of 700 rows are left out" in capsys.readouterr().err
+        assert json.loads((tmp_path / "out" / "metrics.json").read_text())["fit"]["flights"] == {"latlon": 690}
+
+    def test_a_log_without_attitude_is_scored_but_not_replayed(self, tmp_path, folder, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
+        assert identify("--test", str(tmp_path / "bare.csv"), output=tmp_path / "out") == 0
+        assert "is not replayed: it lacks ['phi']" in capsys.readouterr().err
+        (flight,) = json.loads((tmp_path / "out" / "metrics.json").read_text())["test"].values()
+        assert flight["states"] == {}
+        assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0
+
+    def test_several_test_flights_are_scored_together_too(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        assert identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path) == 0
+        metrics = json.loads((tmp_path / "metrics.json").read_text())
+        apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
+        together = metrics["test_together"]["coefficients"]
+        assert len(apart) == 2
+        shares = np.average([one["interval_coverage"] for one in apart], weights=[700, 500])
+        assert together["measured"]["CY"]["interval_coverage"] == pytest.approx(shares)
+        assert "truth" not in together  # the lateral flight does not know it
+        assert "2 test flights together" in capsys.readouterr().out
+
+    def test_testing_on_what_was_learned_is_remarked_on(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        assert identify("--test", "latlon.csv", output=tmp_path) == 0
+        assert "'latlon' is both learned from and tested on" in capsys.readouterr().err
+
+
+class TestBadInput:
+    """Each: exit code 1, one line that says what to do, no traceback, no folder made."""
+
+    @pytest.fixture
+    def refused(self, folder, tmp_path, capsys):
+        def check(message, *arguments, **options):
+            assert identify(*arguments, output=tmp_path / "new" / "out", **options) == 1
+            error = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+            assert len(error) == 1
+            assert re.search(message, error[0])
+            assert error[0].startswith("error: ")
+            assert not (tmp_path / "new").exists()
+
+        return check
+
+    def test_a_missing_flight(self, refused):
+        refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
+
+    def test_a_missing_test_flight(self, refused):
+        refused("Got nowhere.csv, but there is no such file", "--test", "nowhere.csv")
+
+    def test_an_unknown_suffix(self, refused, folder):
+        (folder / "flight.mat").write_bytes(b"MATLAB")
+        refused("suffix '.mat', but expected one of", train=["flight.mat"])
+
+    def test_missing_columns(self, refused, folder, tmp_path):
+        pd.read_csv(folder / "latlon.csv").drop(columns=["ax", "q"]).to_csv(tmp_path / "few.csv", index=False)
+        refused("lacks the columns 'ax'.*'q'", train=[str(tmp_path / "few.csv")])
+
+    def test_no_row_is_complete(self, refused, folder, tmp_path):
+        pd.read_csv(folder / "latlon.csv").assign(beta=np.nan).to_csv(tmp_path / "empty.csv", index=False)
+        refused("no row in which all of .*'beta': 525", train=[str(tmp_path / "empty.csv")])
+
+    def test_two_flights_of_one_name(self, refused, folder, tmp_path):
+        pd.read_csv(folder / "latlon.csv").to_csv(tmp_path / "copy.csv", index=False)
+        refused("'latlon' in latlon.csv and in .*copy.csv", train=["latlon.csv", str(tmp_path / "copy.csv")])
+
+    def test_nothing_tells_the_thrust(self, refused, folder, tmp_path):
+        table = pd.read_csv(folder / "latlon.csv")
+        gone = [name for name in table if name.startswith(("thrust", "propeller"))]
+        table.drop(columns=gone).to_csv(tmp_path / "glider.csv", index=False)
+        refused("Nothing tells the thrust.*On the command line: --thrust none", train=[str(tmp_path / "glider.csv")])
+
+    def test_external_forces_that_are_not_there(self, refused):
+        refused("lacks the columns 'tether_x'", "--external-forces", "tether")
+
+    def test_regressors_that_are_not_there(self, refused):
+        refused("lacks the columns 'flaps'", "--regressors", "alpha,flaps")
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"mass": -1}, "Got mass=-1, but expected"),
+            ({"inertia": [[1, 0, 9], [0, 1, 0], [9, 0, 1]]}, "not positive definite"),
+            ({"weight": 3.0}, "unknown key 'weight'"),
+        ],
+    )
+    def test_a_wrong_aircraft(self, refused, folder, tmp_path, change, message):
+        values = json.loads((folder / "uav.json").read_text()) | change
+        (tmp_path / "wrong.json").write_text(json.dumps(values))
+        refused(message, aircraft=str(tmp_path / "wrong.json"))
+
+    @pytest.mark.parametrize(
+        ("name", "content", "message"),
+        [("a.json", "{", "not a JSON file"), ("a.toml", "=", "not a TOML file"), ("a.yaml", "", "json or .toml")],
+    )
+    def test_no_aircraft_at_all(self, refused, tmp_path, name, content, message):
+        (tmp_path / name).write_text(content)
+        refused(message, aircraft=str(tmp_path / name))
+
+    def test_a_missing_aircraft(self, refused):
+        refused("Got none.json as the aircraft, but there is no such file", aircraft="none.json")
+
+    def test_an_output_folder_that_is_a_file_is_noticed_before_anything_is_read(self, folder, capsys):
+        assert identify(output=folder / "uav.json", train=["nowhere.csv"]) == 1
+        assert "nothing can be written there (it is a file)" in capsys.readouterr().err
+
+    def test_an_output_folder_under_a_file(self, folder, capsys):
+        assert identify(output=folder / "uav.json" / "out") == 1
+        assert "nothing can be written there" in capsys.readouterr().err
+
+    def test_a_traceback_on_request(self, capsys):
+        assert identify("--traceback", train=["nowhere.csv"]) == 1
+        assert "Traceback" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            [],
+            ["identify"],
+            ["identify", "latlon.csv", "-o", "out"],
+            ["identify", "latlon.csv", "--aircraft", "uav.json"],
+            ["demo", "--samples", "1"],
+            ["demo", "--samples", "some"],
+            ["demo", "--horizons", "-2"],
+            ["demo", "--inference", "magic"],
+            ["land"],
+        ],
+    )
+    def test_wrong_usage_is_two(self, arguments, capsys):
+        with pytest.raises(SystemExit) as error:
+            main(arguments)
+        assert error.value.code == 2
+        assert "usage: python -m skdgp" in capsys.readouterr().err
+
+
+class TestInterrupt:
+    def test_keeps_the_best_so_far(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "; ".join(content.messages))
+        monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
+        assert identify("--test", "test.csv", "--max-iter", "50", output=tmp_path) == 0
+        metrics = json.loads((tmp_path / "metrics.json").read_text())
+        assert metrics["fit"]["interrupted"] is True
+        assert np.isfinite(metrics["fit"]["log_marginal_likelihood"])
+        assert load_model(tmp_path / "model.joblib").fit["interrupted"] is True
+        said = capsys.readouterr()
+        assert "The fit was interrupted" in said.err
+        assert "brumby: interrupted in" in said.out
+        assert "The fit was interrupted" in (tmp_path / "report.html").read_text()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+    def test_a_second_time_stops(self, tmp_path, monkeypatch, capsys):
+        def render(content):
+            signal.raise_signal(signal.SIGINT)
+
+        monkeypatch.setattr(_outputs, "render_report", render)
+        monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
+        assert identify("--test", "test.csv", output=tmp_path / "new") == 130
+        assert not (tmp_path / "new").exists()
+        assert capsys.readouterr().err.endswith("stopped: no output was written\n")
+
+    def test_twice_within_the_fit_stops(self, tmp_path, monkeypatch):
+        def progress(self, stage, n_evaluations, log_likelihood):
+            if stage == "fit" and n_evaluations == 1:
+                self.interrupts += 1  # the first one
+            interrupting(lambda *_: None, "fit", 1)(self, stage, n_evaluations, log_likelihood)
+
+        monkeypatch.setattr(Console, "progress", progress)
+        assert identify("--test", "test.csv", output=tmp_path / "new") == 130
+        assert not (tmp_path / "new").exists()
+
+    def test_before_there_is_a_model_stops(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(_job, "aerodynamic_coefficients", lambda *a, **k: signal.raise_signal(signal.SIGINT))
+        assert identify("--test", "test.csv", output=tmp_path / "new") == 130
+        assert not (tmp_path / "new").exists()
+
+    def test_the_real_thing(self, folder, tmp_path):
+        pty = pytest.importorskip("pty")
+        ours, theirs = pty.openpty()
+        arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
+        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "500", "--max-iter", "5000", "-o", tmp_path]
+        with subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=theirs) as job:
+            os.close(theirs)
+            seen = b""
+            while b"each alone" not in seen:
+                seen += os.read(ours, 4096)
+            job.send_signal(signal.SIGINT)
+            out, _ = job.communicate(timeout=60)
+            os.close(ours)
+        assert job.returncode == 0
+        assert b"interrupted in" in out
+        assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
+        assert b"evaluations" in seen
+
+
+def interrupting(original, stage, n):
+    """Return a progress listener that is pressed Ctrl-C at the n-th evaluation of a stage."""
+
+    def progress(self, now, n_evaluations, log_likelihood):
+        original(self, now, n_evaluations, log_likelihood)
+        if now == stage and n_evaluations == n:
+            signal.raise_signal(signal.SIGINT)
+
+    return progress
+
+
+class TestFolder:
+    def test_all_or_none(self, tmp_path):
+        def fail(path):
+            raise RuntimeError("disk full")
+
+        (tmp_path / "a").write_text("old")
+        with pytest.raises(RuntimeError, match="disk full"), OutputFolder(tmp_path) as folder:
+            folder.write({"a": lambda path: path.write_text("new"), "b": fail})
+        assert [path.name for path in tmp_path.iterdir()] == ["a"]
+        assert (tmp_path / "a").read_text() == "old"
+
+    def test_writes_all(self, tmp_path):
+        with OutputFolder(tmp_path / "x" / "y") as folder:
+            folder.write({name: lambda path, name=name: path.write_text(name) for name in "abc"})
+        assert {path.name: path.read_text() for path in (tmp_path / "x" / "y").iterdir()} == {
+            name: name for name in "abc"
+        }
+
+    def test_a_folder_that_was_there_stays(self, tmp_path):
+        with pytest.raises(RuntimeError), OutputFolder(tmp_path / "new"):  # noqa: PT012
+            (tmp_path / "new" / "mine").write_text("")
+            raise RuntimeError
+        assert (tmp_path / "new" / "mine").exists()
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class TestConsole:
+    def test_one_line_rewritten(self):
+        stream = Terminal()
+        with Console(stream) as console:
+            console.stage("fit")
+            for k in range(6):
+                console.progress(f"output {k + 1}", 10, -5.0)
+            wait_for(stream, "6 outputs, each alone · 60 evaluations")
+            console.progress("fit", 7, 123.456)
+            wait_for(stream, "all outputs together · 7 evaluations · log likelihood 123.5")
+        assert "\n" not in stream.getvalue()
+        assert stream.getvalue().endswith(CLEAR)
+
+    def test_never_longer_than_the_terminal(self, monkeypatch):
+        monkeypatch.setenv("COLUMNS", "30")
+        stream = Terminal()
+        with Console(stream) as console:
+            console.stage("x" * 200)
+            wait_for(stream, "x" * 29)
+        assert max(len(line) for line in stream.getvalue().split(CLEAR)) == 29
+
+    def test_nothing_but_warnings_in_a_pipe(self):
+        stream = io.StringIO()
+        with Console(stream) as console:
+            console.stage("fit")
+            console.progress("fit", 1, 0.0)
+            console.warn("look\n out")
+            console.warn("look out")
+        assert stream.getvalue() == "warning: look out\n"
+        assert console.messages == ["look out"]
+
+    def test_no_log_likelihood_before_there_is_one(self):
+        stream = Terminal()
+        with Console(stream) as console:
+            console.stage("fit")
+            console.progress("fit", 1, -np.inf)
+            wait_for(stream, "1 evaluations")
+        assert "likelihood" not in stream.getvalue()
+
+
+def wait_for(stream, text):
+    for _ in range(100):
+        if text in stream.getvalue():
+            return
+        signal.sigtimedwait([], 0.05)
+    pytest.fail(f"{text!r} was never shown")
+
+
+def test_help_teaches_every_option(capsys):
+    for command in ("identify", "demo"):
+        with pytest.raises(SystemExit) as end:
+            main([command, "--help"])
+        assert end.value.code == 0
+        words = capsys.readouterr().out
+        parser = next(action for action in build_parser()._actions if action.dest == "command").choices[command]
+        for action in parser._actions:
+            assert action.help, action.dest
+            assert all(option in words for option in action.option_strings)
+
+
+def test_demo_is_honest(tmp_path, capsys):
+    assert main(["demo", "--samples", "100", "-o", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == ""
+    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
+    (flight,) = json.loads((tmp_path / "metrics.json").read_text())["test"].values()
+    means = flight["means"]
+    assert 0.90 <= means["measured"]["all"]["interval_coverage"] <= 0.99
+    assert means["truth"]["all"]["normalized_rmse"] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("identify_example_flights", ["--samples", "50"]),
+        ("grid_search_flights", ["--samples", "48", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
+    ],
+)
+def test_examples_draw(name, arguments, tmp_path, capsys):
+    if not EXAMPLES.is_dir():
+        pytest.skip("the examples are not beside the tests")
+    picture = tmp_path / "picture.png"
+    runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]([*arguments, "--output", str(picture)])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert str(picture) in capsys.readouterr().out
+
+
+def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
+    if not PAGE.is_file():
+        pytest.skip("the documentation is not beside the tests")
+    monkeypatch.chdir(tmp_path)
+    names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}
+    for ours, theirs in names.items():
+        (tmp_path / f"{theirs}.csv").write_bytes((folder / f"{ours}.csv").read_bytes())
+    (tmp_path / "uav.json").write_bytes((folder / "uav.json").read_bytes())
+    blocks = re.findall(r"```(\w+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert {"sh", "python", "json"} == {language for language, _ in blocks}
+    space = {}
+    for language, block in blocks:
+        if language == "sh":
+            for line in block.splitlines():
+                assert main([*shlex.split(line)[3:], *QUICK]) == 0, line
+        elif language == "python":
+            exec(compile(block, str(PAGE), "exec"), space)
+    assert (tmp_path / "skdgp-demo" / "report.html").is_file()
+
+
+def test_the_page_describes_the_metrics(identified):
+    page = PAGE.read_text(encoding="utf-8")
+    described = json.loads(re.search(r"```json\n(.*?)```", page, re.DOTALL)[1])
+    assert list(described) == list(identified[2])
+    assert list(described["fit"]) == list(identified[2]["fit"])
+    (flight,) = described["test"].values()
+    assert list(flight) == list(next(iter(identified[2]["test"].values())))
+    assert list(flight["coefficients"]["measured"]["CX"]) == list(
+        next(iter(identified[2]["test"].values()))["coefficients"]["measured"]["CX"]
+    )

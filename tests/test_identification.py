@@ -1,0 +1,277 @@
+"""The pipeline from flights to coefficients, and the file that keeps it."""
+
+import json
+import pickle
+import subprocess
+import sys
+
+import joblib
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut, cross_validate
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._model_file import MAGIC
+from skdgp.dynamics import Aircraft
+from skdgp.identification import ModelFileError, calibrate_noise, load_model, save_model
+from skdgp.metrics import SCORERS
+from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+
+AIRCRAFT = Aircraft(name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+QUICK = DependentGPRegressor(n_latent=1, max_iter=3, random_state=0)
+
+
+def flights(n=300, names=("a", "b"), seed=0):
+    """Return flights of a delta wing, and two coefficients that depend on their non-dimensional regressors."""
+    rng = np.random.default_rng(seed)
+    tables = []
+    for k, name in enumerate(names):
+        t = np.arange(n) * 0.05
+        table = pd.DataFrame({"time": t, "flight": name, "airspeed": 20 + 2 * np.sin(0.3 * t + k)})
+        for j, column in enumerate(["alpha", "beta", "p", "q", "r", "rudder", "elevon_left", "elevon_right"]):
+            table[column] = 0.1 * np.sin((0.7 + 0.31 * j) * t + k + j) + 0.002 * rng.normal(size=n)
+        tables.append(table.assign(throttle=0.5 + 0.1 * np.sin(t), ax=0.5, ay=0.1, az=-9.8))
+    table = pd.concat(tables, ignore_index=True)
+    q_hat = table["q"] * AIRCRAFT.chord / (2 * table["airspeed"])
+    elevator = (table["elevon_left"] + table["elevon_right"]) / 2
+    Y = pd.DataFrame({"CZ": -0.1 - 4 * table["alpha"], "Cm": 0.02 - 0.5 * table["alpha"] - 8 * q_hat - 0.6 * elevator})
+    return table, Y + rng.normal(0, [0.01, 0.003], Y.shape)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    table, Y = flights()
+    learned = thin_targets(Y, 60)
+    model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=QUICK).fit(table, learned)
+    return model, table, Y, learned
+
+
+class TestPipeline:
+    def test_is_the_steps_in_a_row(self):
+        table, Y = flights()
+        by_hand = make_pipeline(
+            FlightSmoother(cutoff=3.0, derivatives=["alpha", "beta", "p", "q", "r"]),
+            ElevonSplitter(),
+            RateNondimensionalizer(span=2.6, chord=0.55),
+            RegressorSelector("classical"),
+            StandardScaler(),
+            LinearRegression(),
+        )
+        model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=LinearRegression())
+        np.testing.assert_array_equal(model.fit(table, Y).predict(table), by_hand.fit(table, Y).predict(table))
+
+    def test_by_default_ends_in_the_dependent_process(self):
+        model = make_identification_pipeline(AIRCRAFT)
+        assert type(model[-1]) is DependentGPRegressor
+        assert model[-1].get_params() == DependentGPRegressor().get_params()
+        assert model.set_params(dependentgpregressor__n_latent=5)[-1].n_latent == 5
+
+    def test_learns_what_elevons_and_rates_do(self, fitted):
+        model, table, Y, _ = fitted
+        assert list(model["regressorselector"].regressors_) == [
+            *("alpha", "beta", "p_hat", "q_hat", "r_hat", "alpha_dot_hat", "beta_dot_hat"),
+            *("elevator", "aileron", "rudder", "throttle"),
+        ]
+        error = Y - model.predict(table)
+        assert (error.std() < [0.015, 0.005]).all()
+
+    def test_gives_means_and_deviations(self, fitted):
+        model, table, *_ = fitted
+        mean, std = model.predict(table, return_std=True)
+        assert mean.shape == std.shape == (600, 2)
+        noisy = model.predict(table, return_std=True, include_noise=True)[1]
+        assert (noisy > std).all()
+
+    def test_the_paper_s_regressors_need_no_other_step(self):
+        table, Y = flights()
+        model = make_identification_pipeline(AIRCRAFT, regressors="paper", cutoff=3.0, regressor=LinearRegression())
+        model.fit(table, Y)
+        assert {"ax", "p_dot_hat", "q_dot_hat", "r_dot_hat"} <= set(model["regressorselector"].regressors_)
+
+    def test_a_list_of_regressors_asks_for_no_other_column(self):
+        table, Y = flights()
+        table = table.drop(columns=["beta", "p", "r", "throttle"])
+        model = make_identification_pipeline(
+            AIRCRAFT,
+            regressors=["alpha", "q_hat", "alpha_dot_hat", "elevator"],
+            cutoff=3.0,
+            regressor=LinearRegression(),
+        )
+        assert model.fit(table, Y).predict(table).shape == (600, 2)
+
+    def test_an_aircraft_without_elevator_passes_without_the_mixer(self):
+        table, Y = flights()
+        table = table.assign(aileron=0.0).drop(columns=["elevon_left", "elevon_right"])
+        model = make_identification_pipeline(AIRCRAFT, mixer="passthrough", cutoff=3.0, regressor=LinearRegression())
+        assert "elevator" not in model.fit(table, Y)["regressorselector"].regressors_
+
+    def test_clones_and_pickles(self, fitted):
+        model, table, *_ = fitted
+        assert repr(clone(model).get_params()) == repr(model.get_params())
+        again = pickle.loads(pickle.dumps(model))
+        np.testing.assert_array_equal(again.predict(table), model.predict(table))
+
+    def test_leaves_the_given_regressor_alone(self):
+        given = LinearRegression()
+        make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=given).fit(*flights())
+        assert not hasattr(given, "coef_")
+
+    def test_is_judged_on_flights_it_has_not_seen(self):
+        table, Y = flights(names=("a", "b", "c"))
+        model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=QUICK)
+        found = cross_validate(
+            *(model, table, thin_targets(Y, 90)), groups=table["flight"], cv=LeaveOneGroupOut(), scoring=SCORERS
+        )
+        assert found["test_interval_coverage"].shape == (3,)
+        assert (found["test_neg_normalized_rmse"] > -0.6).all()
+
+    def test_a_grid_reaches_every_step(self, tmp_path):
+        table, Y = flights()
+        model = make_identification_pipeline(AIRCRAFT, regressor=QUICK, memory=str(tmp_path))
+        grid = {
+            "flightsmoother__cutoff": [2.0, 4.0],
+            "regressorselector__regressors": ["classical", "paper"],
+            "dependentgpregressor__trend": ["linear"],
+        }
+        search = GridSearchCV(model, grid, scoring=SCORERS["log_predictive_density"], cv=LeaveOneGroupOut())
+        search.fit(table, thin_targets(Y, 40), groups=table["flight"])
+        assert np.isfinite(search.cv_results_["mean_test_score"]).all()
+
+    def test_refuses_what_is_no_aircraft(self):
+        with pytest.raises(TypeError, match=r"Got dict for aircraft, but expected .*Aircraft.from_json"):
+            make_identification_pipeline({"span": 2.6, "chord": 0.55})
+
+
+class TestCalibration:
+    def test_finds_the_noise_that_the_samples_did_not_show(self):
+        table, Y = flights()
+        rng = np.random.default_rng(1)
+        learned = thin_targets(Y, 100)
+        rough = Y + rng.normal(0, [0.04, 0.0], Y.shape)
+        model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=QUICK).fit(table, learned)
+        mean, std = model.predict(table, return_std=True)
+        before = model[-1].noise_variance_.copy()
+        rest = rough.mask(learned.notna())
+        factor = calibrate_noise(model, table, rest)
+        np.testing.assert_allclose(model[-1].noise_variance_, before * factor**2)
+        assert np.sqrt(model[-1].noise_variance_[0]) == pytest.approx(np.hypot(0.04, 0.01), rel=0.1)
+        assert factor[0] > 3
+        noisy = model.predict(table, return_std=True, include_noise=True)[1]
+        squares = ((rest - mean) / noisy) ** 2
+        assert squares["CZ"].mean() == pytest.approx(1, rel=1e-6)
+        again = model.predict(table, return_std=True)
+        np.testing.assert_array_equal(again[0], mean)
+        np.testing.assert_array_equal(again[1], std)
+
+    def test_never_narrows(self, fitted):
+        model, table, Y, _ = fitted
+        model = pickle.loads(pickle.dumps(model))
+        perfect = pd.DataFrame(model.predict(table), columns=Y.columns)
+        before = model[-1].noise_variance_.copy()
+        assert (calibrate_noise(model, table, perfect) == 1).all()
+        np.testing.assert_array_equal(model[-1].noise_variance_, before)
+
+    def test_nothing_left_to_compare_with_changes_nothing(self, fitted):
+        model, table, Y, _ = fitted
+        assert (calibrate_noise(pickle.loads(pickle.dumps(model)), table, Y * np.nan) == 1).all()
+
+    def test_an_output_that_was_not_measured_keeps_its_noise(self, fitted):
+        model, table, Y, _ = fitted
+        model = pickle.loads(pickle.dumps(model))
+        factor = calibrate_noise(model, table, pd.DataFrame({"CZ": Y["CZ"] + 1.0, "Cm": np.nan}))
+        assert factor[0] > 2
+        assert factor[1] == 1
+
+
+@pytest.fixture
+def model_file(fitted, tmp_path):
+    return save_model(tmp_path / "model.joblib", fitted[0], AIRCRAFT, options={"thrust": None})
+
+
+def change_closing(path, **changes):
+    data = path.read_bytes()
+    start = data.rindex(MAGIC)
+    closing = json.loads(data[start + len(MAGIC) :]) | changes
+    path.write_bytes(data[:start] + MAGIC + json.dumps(closing).encode() + b"\n")
+
+
+class TestModelFile:
+    def test_holds_what_was_saved(self, model_file, fitted):
+        model = load_model(model_file)
+        assert model.aircraft == AIRCRAFT
+        assert model.options == {"thrust": None}
+        assert set(model.versions) >= {"skdgp", "scikit-learn", "numpy", "python"}
+        np.testing.assert_array_equal(model.pipeline.predict(fitted[1]), fitted[0].predict(fitted[1]))
+
+    def test_a_fresh_process_predicts_the_same_bits(self, model_file, fitted, tmp_path):
+        fitted[1].to_pickle(tmp_path / "table.pkl")
+        code = (
+            "import sys, pandas, pickle; from skdgp.identification import load_model\n"
+            "model = load_model('model.joblib').pipeline; table = pandas.read_pickle('table.pkl')\n"
+            "pickle.dump(model.predict(table, return_std=True, include_noise=True), open('found.pkl', 'wb'))"
+        )
+        subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=tmp_path, check=True)
+        mean, std = pickle.loads((tmp_path / "found.pkl").read_bytes())
+        expected = fitted[0].predict(fitted[1], return_std=True, include_noise=True)
+        np.testing.assert_array_equal(mean, expected[0])
+        np.testing.assert_array_equal(std, expected[1])
+
+    def test_joblib_reads_it_too(self, model_file):
+        assert joblib.load(model_file).aircraft == AIRCRAFT
+
+    def test_a_missing_file(self, tmp_path):
+        with pytest.raises(FileNotFoundError, match="no such file"):
+            load_model(tmp_path / "model.joblib")
+
+    @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
+    def test_a_file_cut_off(self, model_file, share):
+        data = model_file.read_bytes()
+        model_file.write_bytes(data[: int(share * len(data))])
+        with pytest.raises(ModelFileError, match=r"not a whole skdgp model.*cut off"):
+            load_model(model_file)
+
+    def test_a_file_with_a_hole(self, model_file):
+        data = model_file.read_bytes()
+        model_file.write_bytes(data[:1000] + data[2000:])
+        with pytest.raises(ModelFileError, match="not a whole skdgp model"):
+            load_model(model_file)
+
+    @pytest.mark.parametrize("content", [b"", b"time,alpha\n0,1\n", b"\x80\x04", bytes(range(256)) * 100])
+    def test_another_kind_of_file(self, tmp_path, content):
+        (tmp_path / "model.joblib").write_bytes(content)
+        with pytest.raises(ModelFileError, match=f"{len(content)} bytes.*Expected a file that python -m skdgp"):
+            load_model(tmp_path / "model.joblib")
+
+    def test_somebody_else_s_joblib(self, tmp_path):
+        joblib.dump(LinearRegression(), tmp_path / "model.joblib")
+        with pytest.raises(ModelFileError, match="not a whole skdgp model"):
+            load_model(tmp_path / "model.joblib")
+
+    def test_another_version_is_read_with_a_warning(self, model_file):
+        change_closing(model_file, versions={"skdgp": "0.0.1", "scikit-learn": "1.6.0", "numpy": "1.26.4"})
+        with pytest.warns(UserWarning, match=r"made by skdgp 0\.0\.1, scikit-learn 1\.6\.0.*predictions may differ"):
+            assert load_model(model_file).aircraft == AIRCRAFT
+
+    def test_another_format_is_refused(self, model_file):
+        change_closing(model_file, format=99)
+        with pytest.raises(ModelFileError, match=r"format 99.*reads format 1: fit it again"):
+            load_model(model_file)
+
+    def test_what_cannot_be_unpickled_names_both_versions(self, model_file):
+        data = model_file.read_bytes()
+        model_file.write_bytes(data.replace(b"skdgp._regressor", b"skdgp._regresser"))
+        with pytest.raises(ModelFileError, match=r"written by skdgp .*cannot be read here, with skdgp .*No module"):
+            load_model(model_file)
+
+    def test_a_failure_leaves_the_old_file(self, model_file, fitted):
+        before = model_file.read_bytes()
+        with pytest.raises(Exception, match=r"pickle|local object"):
+            save_model(model_file, fitted[0], AIRCRAFT, note=lambda: None)
+        assert model_file.read_bytes() == before
+        assert [path.name for path in model_file.parent.iterdir()] == ["model.joblib"]

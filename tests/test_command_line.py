@@ -197,6 +197,19 @@ class TestIdentify:
         assert flight["states"] == {}
         assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0
 
+    def test_rows_between_gaps_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        table = pd.read_csv(folder / "latlon.csv").drop(index=[*range(100, 150), *range(151, 200)])
+        table.to_csv(tmp_path / "gaps.csv", index=False)
+        assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]) == 0
+        assert "1 rows that stand alone between gaps are left out" in capsys.readouterr().err
+
+    def test_a_surface_that_was_never_moved_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        pd.read_csv(folder / "latlon.csv").assign(rudder=0.01).to_csv(tmp_path / "still.csv", index=False)
+        assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "still.csv")]) == 0
+        assert "['rudder'] never change: what they do cannot be learned" in capsys.readouterr().err
+
     def test_several_test_flights_are_scored_together_too(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_outputs, "render_report", lambda content: "")
         assert identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path) == 0
@@ -247,6 +260,14 @@ class TestBadInput:
     def test_no_row_is_complete(self, refused, folder, tmp_path):
         pd.read_csv(folder / "latlon.csv").assign(beta=np.nan).to_csv(tmp_path / "empty.csv", index=False)
         refused("no row in which all of .*'beta': 525", train=[str(tmp_path / "empty.csv")])
+
+    def test_a_flight_of_one_row(self, refused, folder, tmp_path):
+        pd.read_csv(folder / "latlon.csv").iloc[:1].to_csv(tmp_path / "one.csv", index=False)
+        refused("1 usable rows, none beside another", "--test", "test.csv", train=[str(tmp_path / "one.csv")])
+
+    def test_no_accelerations(self, refused, folder, tmp_path):
+        pd.read_csv(folder / "latlon.csv").assign(ay=np.nan).to_csv(tmp_path / "empty.csv", index=False)
+        refused("coefficients at 0 of 525 rows.*'ay': 525", train=[str(tmp_path / "empty.csv")])
 
     def test_two_flights_of_one_name(self, refused, folder, tmp_path):
         pd.read_csv(folder / "latlon.csv").to_csv(tmp_path / "copy.csv", index=False)

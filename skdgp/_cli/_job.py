@@ -8,10 +8,11 @@ import warnings
 import pandas as pd
 
 from skdgp._cli._console import Console
-from skdgp._cli._evaluation import Evaluation, Loads, evaluate
+from skdgp._cli._evaluation import Loads, evaluate
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._outputs import Outcome, writers
-from skdgp._cli._source import Source, complete_rows
+from skdgp._cli._rows import check_known, complete_rows, warn_of_still
+from skdgp._cli._source import Source
 from skdgp._cli._summary import summary
 from skdgp._progress import listening
 from skdgp._regressor import DependentGPRegressor
@@ -33,30 +34,23 @@ def run(source: Source, options, folder: OutputFolder, console: Console, *, comm
     loads = Loads(None if options.thrust == "none" else options.thrust, list(options.external_forces))
     train = {name: complete_rows(table, options.regressors) for name, table in source.train.items()}
     test = {name: complete_rows(table, options.regressors) for name, table in source.test.items()}
-    table = pd.concat(train.values(), ignore_index=True)
-    console.stage("coefficients")
-    Y = aerodynamic_coefficients(table, source.aircraft, **loads.keywords())
-    pipeline = _pipeline(source, options, table)
-    targets = thin_targets(Y, _n_samples(options, len(Y)))
-    seconds = _fit(pipeline, table, targets, console)
-    console.stage("calibration")
-    widened = calibrate_noise(pipeline, table, Y.mask(targets.notna()))
-    evaluations = [_try(pipeline, source, name, test[name], loads, options, console) for name in test]
+    learned = _learn(source.aircraft, train, loads, options, console)
+    evaluations = []
+    for name, table in test.items():
+        console.stage(f"trying the model on {name}")
+        evaluations.append(
+            evaluate(learned["pipeline"], source.aircraft, name, table, loads=loads, horizons=options.horizons)
+        )
     outcome = Outcome(
         source=source,
         options=options,
         command=command,
-        pipeline=pipeline,
         loads=loads,
         train=train,
-        n_samples=int(targets.notna().any(axis=1).sum()),
-        n_available=int(Y.notna().any(axis=1).sum()),
-        n_values=int(targets.notna().sum().sum()),
-        seconds=seconds,
-        widened=widened,
-        interrupted=console.interrupts > 0,
         evaluations=evaluations,
+        interrupted=console.interrupts > 0,
         messages=console.messages,
+        **learned,
     )
     console.stage("writing")
     folder.write(writers(outcome))
@@ -64,7 +58,31 @@ def run(source: Source, options, folder: OutputFolder, console: Console, *, comm
     print(summary(outcome, folder.path))
 
 
-def _pipeline(source, options, table):
+def _learn(aircraft, train, loads, options, console) -> dict:
+    """Return the fitted and calibrated pipeline, and how it came about."""
+    console.stage("coefficients")
+    table = pd.concat(train.values(), ignore_index=True)
+    Y = aerodynamic_coefficients(table, aircraft, **loads.keywords())
+    check_known(Y, table)
+    targets = thin_targets(Y, _n_samples(options, len(Y)))
+    pipeline = make_identification_pipeline(
+        aircraft, regressors=options.regressors, regressor=_regressor(options), mixer=_mixer(table)
+    )
+    seconds = _fit(pipeline, table, targets, console)
+    console.stage("calibration")
+    scaler = pipeline["standardscaler"]
+    warn_of_still(pipeline["regressorselector"].regressors_, scaler.mean_, scaler.var_**0.5)
+    return {
+        "pipeline": pipeline,
+        "widened": calibrate_noise(pipeline, table, Y.mask(targets.notna())),
+        "n_samples": int(targets.notna().any(axis=1).sum()),
+        "n_available": int(Y.notna().any(axis=1).sum()),
+        "n_values": int(targets.notna().sum().sum()),
+        "seconds": seconds,
+    }
+
+
+def _regressor(options) -> DependentGPRegressor:
     regressor = DependentGPRegressor(
         trend=None if options.trend == "none" else options.trend,
         inference=options.inference,
@@ -79,9 +97,7 @@ def _pipeline(source, options, table):
     ):
         if value is not None:
             regressor.set_params(**{name: value})
-    return make_identification_pipeline(
-        source.aircraft, regressors=options.regressors, regressor=regressor, mixer=_mixer(table)
-    )
+    return regressor
 
 
 def _mixer(table):
@@ -103,8 +119,3 @@ def _fit(pipeline, table, targets, console) -> float:
     with listening(console.progress), console.keeping_the_best():
         pipeline.fit(table, targets)
     return time.monotonic() - began
-
-
-def _try(pipeline, source, name, table, loads, options, console) -> Evaluation:
-    console.stage(f"trying the model on {name}")
-    return evaluate(pipeline, source.aircraft, name, table, loads=loads, horizons=options.horizons)

@@ -6,13 +6,11 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
 from skdgp.io import FlightReadError, read_flight
-from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 HELD_OUT = 0.25
 """Share of a single flight that is held out, at its end."""
@@ -96,46 +94,6 @@ def hold_out(flights):
         for words, part in parts.items()
     )
     return first, rest, f"the last quarter of the only flight, {last}"
-
-
-def columns_read(table: pd.DataFrame, regressors) -> list[str]:
-    """Return the measured columns that regressors are made from, of those that stand in the table."""
-    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
-    needed = {"airspeed"}
-    for name in (str(name).removesuffix("_hat") for name in names):
-        needed |= {name} if name in table else {name.removesuffix("_dot")}
-    if {"elevator", "aileron"} & set(names):
-        needed |= {"elevon_left", "elevon_right"}
-    return [name for name in table.columns if name in needed]
-
-
-def complete_rows(table: pd.DataFrame, regressors) -> pd.DataFrame:
-    """Return the rows in which every column that regressors are made from was sampled; warn of the others.
-
-    Raises
-    ------
-    ValueError
-        If no row is left.
-    """
-    columns = columns_read(table, regressors)
-    holes = ~np.isfinite(table[columns].to_numpy(dtype=float))
-    bad = holes.any(axis=1)
-    if not bad.any():
-        return table
-    found = {name: int(count) for name, count in zip(columns, holes.sum(axis=0), strict=True) if count}
-    name = table["flight"].iloc[0]
-    if bad.all():
-        raise ValueError(
-            f"Flight {name!r} has no row in which all of {columns} were sampled (missing, by rows: {found}): bring "
-            "slow sensors to the clock of the others, drop columns that are empty, or name other --regressors."
-        )
-    warnings.warn(
-        f"Flight {name!r}: {int(bad.sum())} of {len(table)} rows are left out, because regressors are missing there "
-        f"(by rows: {found}). Bring slow sensors to the clock of the others if these are many.",
-        UserWarning,
-        stacklevel=2,
-    )
-    return table[~bad].reset_index(drop=True)
 
 
 def _by_flight(table) -> dict[str, pd.DataFrame]:

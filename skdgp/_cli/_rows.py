@@ -1,0 +1,93 @@
+"""Which rows of a log can be learned from, and what cannot be learned from them."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pandas as pd
+
+from skdgp._signal import flight_segments
+from skdgp.preprocessing._selector import REGRESSOR_SETS
+
+FORCES = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r", "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
+STILL = 1e-9
+"""A regressor that varies by less than this fraction of itself was not moved."""
+
+
+def complete_rows(table: pd.DataFrame, regressors) -> pd.DataFrame:
+    """Return the rows of a flight whose regressors were all sampled and have a rate of change; warn of the others.
+
+    Raises
+    ------
+    ValueError
+        If no row is left.
+    """
+    columns = _columns_read(table, regressors)
+    holes = ~np.isfinite(table[columns].to_numpy(dtype=float))
+    found = {name: int(count) for name, count in zip(columns, holes.sum(axis=0), strict=True) if count}
+    kept = table[~holes.any(axis=1)]
+    name, n = table["flight"].iloc[0], len(table)
+    if kept.empty:
+        raise ValueError(
+            f"Flight {name!r} has no row in which all of {columns} were sampled (missing, by rows: {found}): bring "
+            "slow sensors to the clock of the others, drop columns that are empty, or name other --regressors."
+        )
+    if found:
+        _warn(
+            f"Flight {name!r}: {n - len(kept)} of {n} rows are left out, because regressors are missing there (by "
+            f"rows: {found}). Bring slow sensors to the clock of the others if these are many."
+        )
+    return _in_company(kept, name).reset_index(drop=True)
+
+
+def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
+    """Raise a ValueError if the coefficients are known at fewer than two rows, with what is missing."""
+    known = int(Y.notna().all(axis=1).sum())
+    if known < 2:
+        missing = {name: int(table[name].isna().sum()) for name in FORCES if name in table and table[name].isna().any()}
+        raise ValueError(
+            f"Got coefficients at {known} of {len(Y)} rows of the training flights, but expected at least two, better "
+            f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of the others, or drop "
+            "columns that are empty."
+        )
+
+
+def warn_of_still(names, mean: np.ndarray, std: np.ndarray) -> None:
+    """Warn of regressors that have one value throughout."""
+    still = [name for name, m, s in zip(names, mean, std, strict=True) if s <= STILL * abs(m)]
+    if still:
+        _warn(
+            f"In the training flights {still} never change: what they do cannot be learned. Fly manoeuvres that move "
+            "them, or leave them out by --regressors."
+        )
+
+
+def _columns_read(table, regressors) -> list[str]:
+    """Return the measured columns that regressors are made from, of those that stand in the table."""
+    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
+    needed = {"airspeed"}
+    for name in (str(name).removesuffix("_hat") for name in names):
+        needed |= {name} if name in table else {name.removesuffix("_dot")}
+    if {"elevator", "aileron"} & set(names):
+        needed |= {"elevon_left", "elevon_right"}
+    return [name for name in table.columns if name in needed]
+
+
+def _in_company(table, name) -> pd.DataFrame:
+    """Leave out rows that stand alone between gaps: they have no rate of change."""
+    runs = flight_segments(table["time"].to_numpy(float))
+    rows = [np.arange(run.start, run.stop) for run in runs if run.stop - run.start > 1]
+    if not rows:
+        raise ValueError(
+            f"Flight {name!r} has {len(table)} usable rows, none beside another, but expected a log of thousands: rates "
+            "of change need neighbours. Is the log whole, and time in seconds?"
+        )
+    rows = np.concatenate(rows)
+    if len(rows) < len(table):
+        _warn(f"Flight {name!r}: {len(table) - len(rows)} rows that stand alone between gaps are left out.")
+    return table.iloc[rows]
+
+
+def _warn(words):
+    warnings.warn(words, UserWarning, stacklevel=3)

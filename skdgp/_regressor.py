@@ -128,7 +128,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self,
         kernel=None,
         *,
-        n_latent=1,
+        n_latent=2,
         private_latents=True,
         covariance_type="diag",
         trend="linear",

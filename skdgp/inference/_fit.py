@@ -58,15 +58,27 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) ->
         return Fit(ExactPosterior(kernel, noise, data), 0, 0, False)
     stop = Event()
     search = partial(maximize, optimizer=optimizer, stop=stop)
-    n_evaluations = 0
+    singles, n_evaluations, n_iter = None, 0, 0
     if P > 1 and not open_kernel.is_given():
         singles, noise, n_evaluations = _single_outputs(open_kernel, noise, noise_bounds, X, Y, search, random_state)
-        kernel = open_kernel.initialize(X, Y, random_state, singles)
-    theta = np.concatenate([kernel.theta, np.log(noise)])
-    theta += spread * random_state.normal(size=theta.shape)
-    best = search(_likelihood(kernel, data, P), theta, _bounds(kernel, noise_bounds), max_iter=max_iter)
-    kernel, noise = kernel.clone_with_theta(best.theta[:-P]), np.exp(best.theta[-P:])
-    return Fit(ExactPosterior(kernel, noise, data), best.n_iter, n_evaluations + best.n_evaluations, stop.is_set())
+
+    def climb(kernel, noise, max_iter, spread=0.0):
+        theta = np.concatenate([kernel.theta, np.log(noise)])
+        theta += spread * random_state.normal(size=theta.shape)
+        best = search(_likelihood(kernel, data, P), theta, _bounds(kernel, noise_bounds), max_iter=max_iter)
+        return kernel.clone_with_theta(best.theta[:-P]), np.exp(best.theta[-P:]), best
+
+    # From few hyperparameters to many: filters alike over the outputs first. From there the way up is short, and it
+    # ends at optima that predict better than those found from arbitrary widths.
+    kernel = open_kernel.initialize(X, Y, random_state, singles)
+    coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
+    if coarse.n_dims < kernel.n_dims:
+        coarse, noise, best = climb(coarse, noise, -(-max_iter // 2), spread)
+        n_evaluations, n_iter, spread = n_evaluations + best.n_evaluations, best.n_iter, 0.0
+        kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
+    kernel, noise, best = climb(kernel, noise, max_iter - n_iter, spread)
+    n_evaluations, n_iter = n_evaluations + best.n_evaluations, n_iter + best.n_iter
+    return Fit(ExactPosterior(kernel, noise, data), n_iter, n_evaluations, stop.is_set())
 
 
 def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, spread=0.0) -> Fit:

@@ -84,12 +84,17 @@ class MultiOutputKernel(Kernel):
         """Return separations where the terms of a stationary cov(y_i, y_j) are largest, (k, d)."""
 
     @abstractmethod
-    def initialize(self, X, Y, random_state, singles=None) -> MultiOutputKernel:
+    def initialize(self, X, Y, random_state, singles=None, coarse=None) -> MultiOutputKernel:
         """Return the kernel with the values and bounds that were not given taken from data.
 
-        X is (n, d), Y is (n, P) with NaN where an output was not observed. ``singles`` are fits of each output
-        alone, made from ``single``: better starting values. What was given stays as it is.
+        X is (n, d), Y is (n, P) with NaN where an output was not observed. Better starting values come from
+        ``singles``, fits of each output alone, made from ``single``, and from a fit of ``coarse``. What was given
+        stays as it is.
         """
+
+    @abstractmethod
+    def coarse(self) -> MultiOutputKernel:
+        """Return a kernel without values, with fewer hyperparameters, to fit first; itself if there is none."""
 
     @abstractmethod
     def is_given(self) -> bool:
@@ -298,10 +303,14 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def derivative_diag(self, i, Xi):
         return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
 
-    def initialize(self, X, Y, random_state, singles=None):
-        first = self.k1.initialize(X, Y, random_state, singles and [s.k1 for s in singles])
+    def initialize(self, X, Y, random_state, singles=None, coarse=None):
+        first = self.k1.initialize(X, Y, random_state, singles and [s.k1 for s in singles], coarse and coarse.k1)
         rest = first.unexplained(X, Y)
-        return Sum(first, self.k2.initialize(X, rest, random_state, singles and [s.k2 for s in singles]))
+        second = self.k2.initialize(X, rest, random_state, singles and [s.k2 for s in singles], coarse and coarse.k2)
+        return Sum(first, second)
+
+    def coarse(self):
+        return Sum(self.k1.coarse(), self.k2.coarse())
 
     def is_given(self):
         return self.k1.is_given() and self.k2.is_given()

@@ -173,7 +173,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_given(self):
         return self.amplitude is not None and self.length_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None):
+    def initialize(self, X, Y, random_state, singles=None, coarse=None):
         params = self.get_params()
         feeds = self._who_feeds(Y.shape[1])
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
@@ -182,6 +182,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         start = starting_values(feeds, X, Y, random_state)
         if singles:
             start |= self._from_singles(start["amplitude"], singles)
+        if coarse:
+            start |= {name: coarse._value(name) for name in ("amplitude", "length_scale")}
         axis = TIED_AXIS.get(self.covariance_type)
         if axis is not None:
             mean = np.log(start["length_scale"]).mean(axis=axis, keepdims=True)
@@ -189,8 +191,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         for name, value in start.items():
             if params[name] is None:
                 params[name] = value
-        if self.covariance_type == "full" and singles and np.array_equal(self.shear, 0.0):
-            params["shear"] = start["shear"]
         return ConvolvedGaussian(**params)
 
     def _from_singles(self, w, singles):
@@ -206,11 +206,22 @@ class ConvolvedGaussian(MultiOutputKernel):
         return {
             "amplitude": w * found / np.sqrt((w**2).sum(axis=0)),
             "length_scale": np.where(own, lengths, np.exp(weight @ np.log(lengths))[:, None, :]),
-            "shear": np.where(own, np.stack([s._value("shear")[0, 0] for s in singles]), 0.0),
         }
 
+    def coarse(self):
+        if self.covariance_type in ("diag", "full") and self.length_scale is None and self.length_scale_bounds is None:
+            return ConvolvedGaussian(
+                self.n_latent,
+                private_latents=self.private_latents,
+                covariance_type="tied",
+                feeds=self.feeds,
+                amplitude=self.amplitude,
+                amplitude_bounds=self.amplitude_bounds,
+            )
+        return self
+
     def single(self):
-        return ConvolvedGaussian(0, private_latents=True, covariance_type=self.covariance_type)
+        return ConvolvedGaussian(0, covariance_type="spherical" if self.covariance_type == "spherical" else "diag")
 
     def stationary_part(self):
         return self

@@ -77,13 +77,15 @@ class LinearTrend(MultiOutputKernel):
     def is_given(self):
         return self.intercept_scale is not None and self.slope_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None):
+    def initialize(self, X, Y, random_state, singles=None, coarse=None):
         P, d = Y.shape[1], X.shape[1]
         unit = column_scale(Y)[:, None] / column_scale(X)
         intercept, slope = column_scale(Y), unit
         if singles:
             intercept = np.concatenate([s._value("intercept_scale") for s in singles])
             slope = np.concatenate([s._value("slope_scale") for s in singles])
+        if coarse:
+            intercept, slope = coarse._value("intercept_scale"), coarse._value("slope_scale")
         given = self.get_params()
         start = {
             "intercept_scale": intercept,
@@ -125,6 +127,9 @@ class LinearTrend(MultiOutputKernel):
 
     def peaks(self, i, j, d):
         return np.zeros((0, d))
+
+    def coarse(self):
+        return self
 
     def single(self):
         return LinearTrend()

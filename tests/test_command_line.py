@@ -9,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -222,6 +223,12 @@ class TestIdentify:
         assert "truth" not in together  # the lateral flight does not know it
         assert "2 test flights together" in capsys.readouterr().out
 
+    def test_without_matplotlib_there_are_no_pictures(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_job, "find_spec", lambda name: None)
+        assert identify("--test", "test.csv", output=tmp_path) == 0
+        assert 'No pictures in the report: they need pip install "skdgp[plot]"' in capsys.readouterr().err
+
     def test_testing_on_what_was_learned_is_remarked_on(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_outputs, "render_report", lambda content: "")
         assert identify("--test", "latlon.csv", output=tmp_path) == 0
@@ -430,6 +437,19 @@ class TestFolder:
             name: name for name in "abc"
         }
 
+    def test_ctrl_c_while_files_are_put_in_place_waits(self, tmp_path, monkeypatch):
+        replace = os.replace
+
+        def interrupted(*paths):
+            signal.raise_signal(signal.SIGINT)
+            replace(*paths)
+
+        monkeypatch.setattr(os, "replace", interrupted)
+        with OutputFolder(tmp_path) as folder:
+            folder.write({name: lambda path, name=name: path.write_text(name) for name in "abc"})
+        assert {path.name for path in tmp_path.iterdir()} == {"a", "b", "c"}
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
     def test_a_folder_that_was_there_stays(self, tmp_path):
         with pytest.raises(RuntimeError), OutputFolder(tmp_path / "new"):  # noqa: PT012
             (tmp_path / "new" / "mine").write_text("")
@@ -486,7 +506,7 @@ def wait_for(stream, text):
     for _ in range(100):
         if text in stream.getvalue():
             return
-        signal.sigtimedwait([], 0.05)
+        time.sleep(0.05)
     pytest.fail(f"{text!r} was never shown")
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import tempfile
+import threading
 from collections.abc import Callable
+from contextlib import contextmanager
 from pathlib import Path
 
 from skdgp._files import write_atomically
@@ -20,6 +23,7 @@ class OutputFolder:
 
     def __init__(self, path):
         self.path = Path(path)
+        self.written = False
 
     def __enter__(self) -> OutputFolder:
         self._made = [p for p in (self.path, *self.path.parents) if not p.exists()]
@@ -47,15 +51,36 @@ class OutputFolder:
             except OSError:  # not empty, or never made
                 return
 
-    def write(self, writers: dict[str, Callable[[Path], object]]) -> list[Path]:
-        """Write several files: all are complete beside their places before the first is put into its own."""
+    def write(self, writers: dict[str, Callable[[Path], object]]) -> None:
+        """Write several files: all are complete beside their places before the first is put into its own.
+
+        From then on Ctrl-C waits until the last one is there.
+        """
+        with _ctrl_c_kept() as ignore_ctrl_c:
+            self._write(list(writers.items()), ignore_ctrl_c)
+            self.written = True
+
+    def _write(self, writers, when_complete):
         if not writers:
-            return []
-        (name, writer), *rest = writers.items()
-        written = []
+            when_complete()
+            return
+        (name, writer), *rest = writers
 
         def write_with_rest(temporary):
             writer(temporary)
-            written.extend(self.write(dict(rest)))
+            self._write(rest, when_complete)
 
-        return [write_atomically(self.path / name, write_with_rest), *written]
+        write_atomically(self.path / name, write_with_rest)
+
+
+@contextmanager
+def _ctrl_c_kept():
+    """Yield what makes Ctrl-C do nothing until the end of the block."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before is None:
+        yield lambda: None
+        return
+    try:
+        yield lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from importlib.util import find_spec
 
 import pandas as pd
 
@@ -31,6 +32,8 @@ def run(source: Source, options, folder: OutputFolder, console: Console, *, comm
             UserWarning,
             stacklevel=2,
         )
+    if find_spec("matplotlib") is None:
+        warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', UserWarning, stacklevel=2)
     loads = Loads(None if options.thrust == "none" else options.thrust, list(options.external_forces))
     train = {name: complete_rows(table, options.regressors) for name, table in source.train.items()}
     test = {name: complete_rows(table, options.regressors) for name, table in source.test.items()}

@@ -26,14 +26,14 @@ def main(argv=None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
     options = build_parser().parse_args(argv)
-    console = Console()
+    console, folder = Console(), OutputFolder(options.output)
     try:
-        with console, OutputFolder(options.output) as folder:
+        with console, folder:
             console.stage("flying the example flights" if options.command == "demo" else "reading")
             source = example_source() if options.command == "demo" else file_source(options)
             run(source, options, folder, console, command=shlex.join(["python", "-m", "skdgp", *argv]))
     except KeyboardInterrupt:
-        print("stopped: no output was written", file=sys.stderr)
+        print("stopped" if folder.written else "stopped: no output was written", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output is gone; our files are written
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

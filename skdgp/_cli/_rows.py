@@ -80,7 +80,7 @@ def _in_company(table, name) -> pd.DataFrame:
     rows = [np.arange(run.start, run.stop) for run in runs if run.stop - run.start > 1]
     if not rows:
         raise ValueError(
-            f"Flight {name!r} has {len(table)} usable rows, none beside another, but expected a log of thousands: rates "
+            f"Flight {name!r} has {len(table)} usable rows, none beside another, but expected thousands: rates "
             "of change need neighbours. Is the log whole, and time in seconds?"
         )
     rows = np.concatenate(rows)

@@ -86,9 +86,11 @@ def cholesky_inverse(L: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def triangular_solve(L: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return L^-1 B; ``B`` in Fortran order is overwritten."""
-    return dtrsm(1.0, L, B, lower=1, overwrite_b=1)
+def triangular_solve(L: np.ndarray, B: np.ndarray, *, transposed: bool = False) -> np.ndarray:
+    """Return L^-1 B, or L^-T B; a matrix ``B`` in Fortran order is overwritten."""
+    if B.ndim == 1:
+        return dtrsm(1.0, L, B[:, None], lower=1, trans_a=int(transposed))[:, 0]
+    return dtrsm(1.0, L, B, lower=1, trans_a=int(transposed), overwrite_b=1)
 
 
 def log_determinant(L: np.ndarray) -> float:

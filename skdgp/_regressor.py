@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from functools import partial
 from numbers import Integral
 
 import numpy as np
-import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import r2_score
-from sklearn.utils import check_array, check_consistent_length, check_random_state
+from sklearn.utils import check_array, check_random_state
 from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from skdgp._targets import check_enough, check_memory, check_targets, warn_of_indices, warn_of_samples
 from skdgp.inference import fit_exact, fit_sparse, output_correlation
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
@@ -193,17 +192,18 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
-        Y = self._check_targets(y, X, index)
+        warn_of_indices(index, y)
+        Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
         used = np.isfinite(Y).any(axis=1)
         X, Y = X[used], Y[used]
-        self._check_enough(Y)
-        self._warn_of(X, Y)
+        check_enough(Y, self.output_names_)
+        warn_of_samples(X, Y, self.output_names_)
         n_values = int(np.isfinite(Y).sum())
         self.inference_ = (
             self.inference if self.inference != "auto" else "exact" if n_values <= EXACT_LIMIT else "sparse"
         )
         if self.inference_ == "exact":
-            _check_memory(n_values)
+            check_memory(n_values)
         self._center = np.nanmean(Y, axis=0) if self.trend else np.zeros(Y.shape[1])
         scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
         self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
@@ -221,57 +221,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_ = best.n_iter, best.n_evaluations
         return self
-
-    def _check_targets(self, y, X, index):
-        """Return the targets as (n, P), and remember their names and shape."""
-        if y is None:
-            raise ValueError(f"This {type(self).__name__} estimator requires y to be passed, but the target y is None.")
-        names = y.columns if isinstance(y, pd.DataFrame) else [y.name] if isinstance(y, pd.Series) else None
-        if names is not None and isinstance(index, pd.Index) and not index.equals(y.index):
-            warnings.warn(
-                "The indices of X and y differ; rows are matched by position. If rows of one were dropped or sorted, "
-                "do the same to the other (y.loc[X.index]).",
-                UserWarning,
-                stacklevel=4,
-            )
-        Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
-        check_consistent_length(X, Y)
-        if Y.ndim > 2:
-            raise ValueError(f"Got y of shape {Y.shape}, but expected (n,) or (n, P).")
-        self._single = Y.ndim == 1
-        Y = Y.reshape(len(Y), -1)
-        named = names is not None and all(isinstance(name, str) for name in names)
-        self.output_names_ = list(names) if named else [f"y{i}" for i in range(Y.shape[1])]
-        return Y
-
-    def _check_enough(self, Y):
-        """Refuse outputs that no two samples tell of."""
-        counts = np.isfinite(Y).sum(axis=0)
-        few = {name: int(n) for name, n in zip(self.output_names_, counts, strict=True) if n < 2}
-        if few:
-            raise ValueError(
-                f"Got outputs observed at fewer than two samples: {few} (NaN is not observed). Leave these columns "
-                "out, or give at least two of their values, better many."
-            )
-
-    def _warn_of(self, X, Y):
-        constant = [n for n, y in zip(self.output_names_, Y.T, strict=True) if np.nanmax(y) == np.nanmin(y)]
-        if constant:
-            warnings.warn(
-                f"The outputs {constant} are constant over the samples: nothing can be learned of how they depend on "
-                "the regressors, and their stated uncertainty means little. Leave them out, or check the log.",
-                UserWarning,
-                stacklevel=4,
-            )
-        rows = pd.DataFrame(np.column_stack([X, Y]))
-        repeated = int(rows.duplicated().sum())
-        if repeated:
-            warnings.warn(
-                f"{repeated} of {len(rows)} samples repeat another one, regressors and targets alike. Each counts as "
-                "new evidence, so the uncertainty comes out too small: drop repeated rows (was a log read twice?).",
-                UserWarning,
-                stacklevel=4,
-            )
 
     def _search(self, X, Z):
         """Return the best fit over the starting points."""
@@ -425,7 +374,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Bunch
             ``correlation`` (P, P): the largest correlation, in size, between output i at s + shift and output j
             at s, over all shifts, of the dependent processes without trend and noise; ``shift`` (P, P, d): where
-            it is, in the units of the regressors; ``output_names``.
+            it is, in the units of the regressors; ``output_names``. What the prior allows counts, so with
+            ``trend="constant"`` very wide latents, standing in for a trend, weigh heavily.
         """
         check_is_fitted(self)
         kernel = self.kernel_.stationary_part()
@@ -442,17 +392,20 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ----------
         X : array or DataFrame (n, d)
         y : array, Series or DataFrame (n,) or (n, P)
-            NaN where an output was not observed.
+            NaN where an output was not observed; an output without a target is left out.
         sample_weight : array (n,) or None
         """
         mean = self.predict(X).reshape(len(X), -1)
         Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+        if Y.reshape(len(Y), -1).shape != mean.shape:
+            raise ValueError(f"Got y of shape {Y.shape}, but expected {mean.shape}: a row for each of X, all outputs.")
         scores = []
-        for y_true, y_pred in zip(Y.reshape(len(Y), -1).T, mean.T, strict=True):
+        for y_true, y_pred in zip(Y.reshape(mean.shape).T, mean.T, strict=True):
             seen = np.isfinite(y_true)
-            weight = None if sample_weight is None else np.asarray(sample_weight)[seen]
-            scores.append(r2_score(y_true[seen], y_pred[seen], sample_weight=weight))
-        return float(np.mean(scores))
+            if seen.any():
+                weight = None if sample_weight is None else np.asarray(sample_weight)[seen]
+                scores.append(r2_score(y_true[seen], y_pred[seen], sample_weight=weight))
+        return float(np.mean(scores)) if scores else float("nan")
 
     def _check_regressors(self, X):
         check_is_fitted(self)
@@ -461,21 +414,3 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _shaped(self, values):
         """Return (n, P, ...) as it is, or (n, ...) where the targets were (n,)."""
         return values[:, 0] if self._single else values
-
-
-def _check_memory(n_values):
-    needed, there = 8 * 2 * n_values**2, _physical_memory()
-    if needed > 0.8 * there:
-        raise ValueError(
-            f"Exact inference on {n_values} observed values needs about {needed / 2**30:.0f} GiB, but this machine has "
-            f"{there / 2**30:.0f} GiB. Use inference='sparse', or observe fewer: "
-            "skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over the log."
-        )
-
-
-def _physical_memory():
-    """Return the machine's memory in bytes; infinite where it cannot be told."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, OSError, ValueError):
-        return float("inf")

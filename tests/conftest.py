@@ -3,8 +3,16 @@
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread():
+    """Hold BLAS to one thread: small problems are faster so, and steadier. Tests of threads ask for theirs."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture(scope="session")

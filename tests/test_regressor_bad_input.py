@@ -10,7 +10,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.utils._param_validation import InvalidParameterError
 
-from skdgp import DependentGPRegressor, _regressor
+from skdgp import DependentGPRegressor, _regressor, _targets
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 
@@ -162,7 +162,7 @@ class TestTargets:
         with pytest.warns(UserWarning, match=r"\['Cm'\] are constant.*nothing can be learned.*check the log") as caught:
             model = quick().fit(X, Y.assign(Cm=3.0))
         assert caught[0].filename == __file__
-        np.testing.assert_allclose(model.predict(X)[:, 1], 3.0, atol=1e-6)
+        np.testing.assert_allclose(model.predict(X)[:, 1], 3.0, atol=1e-4)  # a tenth of the least noise
 
     def test_of_very_different_and_very_large_sizes(self, X, Y):
         here = quick().fit(X, Y).predict(X)
@@ -277,7 +277,7 @@ class TestMemory:
             quick(inference="exact").fit(X, X[:, 0])
 
     def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
-        monkeypatch.setattr(_regressor, "_physical_memory", lambda: 1e4)
+        monkeypatch.setattr(_targets, "_physical_memory", lambda: 1e4)
         with pytest.raises(ValueError, match="Exact inference on 60 observed values"):
             quick(inference="exact").fit(X, Y)
         quick(inference="sparse", n_inducing=5).fit(X, Y)

@@ -18,7 +18,7 @@ from skdgp._linalg import (
     log_determinant,
     triangular_solve,
 )
-from skdgp._threads import thread_map
+from skdgp._threads import thread_map, threads_for
 
 TILE = 384  # a tile of doubles and its temporaries stay in the second-level cache
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
@@ -89,12 +89,15 @@ def log_likelihood(kernel, noise, data: Data, eval_gradient=False):
     With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), contracted tile by tile. Memory: one
     N x N matrix, which is covariance, factor and inverse in turn.
     """
-    y = np.concatenate(data.y)
-    L = jittered_cholesky(lambda: covariance(kernel, noise, data.X))
-    alpha = cholesky_solve(L, y)
-    value = -0.5 * (y @ alpha + log_determinant(L) + len(y) * np.log(2 * np.pi))
-    if not eval_gradient:
-        return value
+    with threads_for(data.n_values):
+        y = np.concatenate(data.y)
+        L = jittered_cholesky(lambda: covariance(kernel, noise, data.X))
+        alpha = cholesky_solve(L, y)
+        value = -0.5 * (y @ alpha + log_determinant(L) + len(y) * np.log(2 * np.pi))
+        return (value, _gradient(kernel, noise, data, alpha, L)) if eval_gradient else value
+
+
+def _gradient(kernel, noise, data, alpha, L):
     inverse = cholesky_inverse(L).T  # its upper triangle, in C order
     tiles = _tiles([len(x) for x in data.X])
 
@@ -113,8 +116,8 @@ def log_likelihood(kernel, noise, data: Data, eval_gradient=False):
     d_theta = np.sum(thread_map(contract, _pairs(tiles)), axis=0)
     diagonal = alpha**2 - np.einsum("ii->i", inverse)
     ends = np.cumsum([0, *(len(x) for x in data.X)])
-    d_noise = [0.5 * s * diagonal[a:b].sum() for s, a, b in zip(noise, ends[:-1], ends[1:], strict=True)]
-    return value, np.concatenate([d_theta, d_noise])
+    d_noise = [0.5 * s * diagonal[a:b].sum() for s, (a, b) in zip(noise, pairwise(ends), strict=True)]
+    return np.concatenate([d_theta, d_noise])
 
 
 class ExactPosterior:

@@ -17,6 +17,7 @@ from skdgp.inference._optimize import maximize
 from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
+STRETCHES, TRY_ITERATIONS = (1.0, 0.3, 0.1), 15  # widths tried first, and how long
 SUBSET = 2400  # values of the exact fit from which the sparse one starts
 NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
 
@@ -166,16 +167,20 @@ def _single_outputs(kernel, noise, noise_bounds, X, Y, search, random_state):
         seen = np.flatnonzero(np.isfinite(Y[:, i]))
         rows = seen[np.sort(states[i].permutation(len(seen))[:SINGLE])]
         x, y = X[rows], Y[rows, i : i + 1]
-        single = kernel.single().initialize(x, y, states[i])
-        theta = np.append(single.theta, np.log(noise[i]))
-        best = search(
-            _likelihood(single, Data.from_table(x, y), 1),
-            theta,
-            _bounds(single, noise_bounds[i : i + 1]),
-            max_iter=SINGLE_ITERATIONS,
-            stage=f"output {i + 1}",
-        )
-        return single.clone_with_theta(best.theta[:-1]), np.exp(best.theta[-1]), best.n_evaluations
+        data = Data.from_table(x, y)
+
+        def climb(single, theta, max_iter):
+            bounds = _bounds(single, noise_bounds[i : i + 1])
+            likelihood = _likelihood(single, data, 1)
+            return single, search(likelihood, theta, bounds, max_iter=max_iter, stage=f"output {i + 1}")
+
+        # From widths that are far too long, "all noise" is the nearest hill.
+        starts = [kernel.single().initialize(x, y, states[i], stretch=stretch) for stretch in STRETCHES]
+        tries = [climb(start, np.append(start.theta, np.log(noise[i])), TRY_ITERATIONS) for start in starts]
+        single, best = max(tries, key=lambda end: end[1].value)
+        single, end = climb(single, best.theta, SINGLE_ITERATIONS)
+        n_evaluations = end.n_evaluations + sum(tried.n_evaluations for _, tried in tries)
+        return single.clone_with_theta(end.theta[:-1]), np.exp(end.theta[-1]), n_evaluations
 
     singles, noises, n_evaluations = zip(*thread_map(fit_one, range(Y.shape[1]), search.keywords["stop"]), strict=True)
     return list(singles), np.array(noises), sum(n_evaluations)

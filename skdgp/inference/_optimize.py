@@ -28,7 +28,7 @@ class _Objective:
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
 
     def __call__(self, theta, eval_gradient=True):
-        if self.n_evaluations and self.stop is not None and self.stop.is_set():
+        if self.stop is not None and self.stop.is_set():
             raise KeyboardInterrupt
         self.n_evaluations += 1
         try:
@@ -64,7 +64,7 @@ def maximize(
     stage : str
         What the progress listeners are told.
     stop : threading.Event or None
-        Set by Ctrl-C, and as good as it: looked at before every evaluation but the first.
+        Set by Ctrl-C, and as good as it: looked at before every evaluation.
 
     Returns
     -------
@@ -72,6 +72,8 @@ def maximize(
         Ctrl-C ends the search and is kept in ``interrupted``; the caller says so.
     """
     theta = np.clip(theta, bounds[:, 0], bounds[:, 1])
+    if stop is not None and stop.is_set():
+        return Optimum(theta, -np.inf, 0, 0, True)
     objective = _Objective(log_likelihood, theta, stage, stop)
     n_iter, interrupted = 0, False
     try:

@@ -13,14 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._linalg import cholesky_inverse, cholesky_solve, jittered_cholesky, log_determinant, triangular_solve
-from skdgp._threads import n_threads, thread_map
+from skdgp._threads import thread_map, threads_for
 from skdgp.inference._exact import Data
 
 ROWS = 512  # samples at a time
+SHARES = 8  # tasks for each output
 
 
 class _Statistics(NamedTuple):
-    """Sums over the samples of one output: Kuf Kfu (c, c), Kuf y (c,), y y, sum of var(y_i), number of values."""
+    """Sums over the samples of one output, of V = Lu^-1 Kuf: V V^T (c, c), V y (c,), y y, var(y_i), and how many."""
 
     outer: np.ndarray
     inner: np.ndarray
@@ -30,28 +31,27 @@ class _Statistics(NamedTuple):
 
 
 def _shares(data):
-    """Return (output, slices of rows): work of equal size, a few pieces for each thread."""
+    """Return (output, slices of rows): equal work, cut alike whatever the threads: sums keep their bits."""
     shares = []
     for i, y in enumerate(data.y):
         slices = [slice(a, min(a + ROWS, len(y))) for a in range(0, len(y), ROWS)]
-        n_shares = min(len(slices), 2 * n_threads())
-        shares += [(i, slices[k::n_shares]) for k in range(n_shares)]
+        shares += [(i, slices[k::SHARES]) for k in range(min(len(slices), SHARES))]
     return shares
 
 
-def _accumulate(kernel, features, data) -> list[_Statistics]:
+def _accumulate(kernel, features, Lu, data) -> list[_Statistics]:
     """Return the sums for each output."""
 
     def over(share):
         i, slices = share
-        size = len(features.columns(i))
-        outer, inner = np.zeros((size, size)), np.zeros(size)
+        own = _block(Lu, features.columns(i))
+        outer, inner = np.zeros(own.shape), np.zeros(len(own))
         square, variance, n = 0.0, 0.0, 0
         for rows in slices:
             X, y = data.X[i][rows], data.y[i][rows]
-            A = features.Kfu(i, X)
-            outer += A.T @ A
-            inner += A.T @ y
+            V = triangular_solve(own, features.Kfu(i, X).T)
+            outer += V @ V.T
+            inner += V @ y
             square, variance, n = square + y @ y, variance + kernel.block_diag(i, X).sum(), n + len(y)
         return i, _Statistics(outer, inner, square, variance, n)
 
@@ -79,35 +79,40 @@ class SparsePosterior:
     def __init__(self, kernel, features, noise, data: Data):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
         self.data = data
-        self.statistics = _accumulate(kernel, features, data)
         self._solve()
 
     def __getstate__(self):
-        kept = ("kernel", "features", "noise", "data", "statistics")
-        return {name: self.__dict__[name] for name in kept}
+        return {name: self.__dict__[name] for name in ("kernel", "features", "noise", "data")}
 
     def __setstate__(self, state):
         self.__dict__.update(state)
         self._solve()
 
     def _solve(self):
-        """From the statistics: B = Kuu + sum_i Kuf_i Kfu_i / noise_i, the weights B^-1 b, and the bound."""
-        Kuu = self.features.Kuu()
-        B, b = Kuu.copy(), np.zeros(self.features.size)
+        with threads_for(self.features.size):
+            self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
+        self.statistics = _accumulate(self.kernel, self.features, self.Lu, self.data)
+        with threads_for(self.features.size):
+            self._condition()
+
+    def _condition(self):
+        """Whitened, u = Lu w: B = I + sum_i V_i V_i^T / noise_i, the mean of w is B^-1 b, and the bound follows."""
+        self.B, b = np.eye(self.features.size), np.zeros(self.features.size)
         for i, s in enumerate(self.statistics):
             columns = self.features.columns(i)
-            B[np.ix_(columns, columns)] += s.outer / self.noise[i]
+            self.B[np.ix_(columns, columns)] += s.outer / self.noise[i]
             b[columns] += s.inner / self.noise[i]
-        self.Lu = jittered_cholesky(lambda: np.asfortranarray(Kuu))
-        self.LB = jittered_cholesky(lambda: np.asfortranarray(B))
-        self.weights = cholesky_solve(self.LB, b)
-        self.Ku_inverse, self.B_inverse = (_symmetric(cholesky_inverse(L.copy(order="F"))) for L in (self.Lu, self.LB))
+        self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
+        self.white = cholesky_solve(self.LB, b)
+        self.weights = triangular_solve(self.Lu, self.white, transposed=True)
+        self.B_inverse = _symmetric(cholesky_inverse(self.LB.copy(order="F")))
         n = np.array([s.n for s in self.statistics])
         square = np.array([s.square for s in self.statistics])
-        value = n.sum() * np.log(2 * np.pi) + (n * np.log(self.noise)).sum() + (square / self.noise).sum()
-        value += log_determinant(self.LB) - log_determinant(self.Lu) - b @ self.weights
-        self.missing = np.array([s.variance - self._explained(i) for i, s in enumerate(self.statistics)])
-        self.log_marginal_likelihood = -0.5 * (value + (self.missing / self.noise).sum())
+        self.missing = np.array([s.variance - np.trace(s.outer) for s in self.statistics])
+        value = (
+            n.sum() * np.log(2 * np.pi) + (n * np.log(self.noise)).sum() + ((square + self.missing) / self.noise).sum()
+        )
+        self.log_marginal_likelihood = -0.5 * (value + log_determinant(self.LB) - b @ self.white)
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
         """Return the bound for the same data and features at other hyperparameters, and its gradient on request."""
@@ -116,33 +121,28 @@ class SparsePosterior:
             return other.log_marginal_likelihood
         return other.log_marginal_likelihood, other.bound_gradient()[: kernel.n_dims + len(noise)]
 
-    def _explained(self, i):
-        """Return tr(Kuu^-1 Kuf_i Kfu_i): the variance that the features can express."""
-        columns = self.features.columns(i)
-        return np.einsum("ab,ab->", self.Ku_inverse[np.ix_(columns, columns)], self.statistics[i].outer)
-
     def bound_gradient(self):
         """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
         a, kernel, features, data = self.weights, self.kernel, self.features, self.data
-        Lambda = np.zeros_like(self.B_inverse)
         d_noise = np.empty(len(self.noise))
         for i, s in enumerate(self.statistics):
             c = features.columns(i)
-            Lambda[np.ix_(c, c)] += s.outer / self.noise[i]
-            fit = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + a[c] @ s.outer @ a[c]
-            d_noise[i] = 0.5 * ((fit + s.square - 2 * a[c] @ s.inner + self.missing[i]) / self.noise[i] - s.n)
-        Wuu = 0.5 * (self.Ku_inverse - self.B_inverse - np.outer(a, a) - self.Ku_inverse @ Lambda @ self.Ku_inverse)
+            w = self.white[c]
+            fit = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + w @ s.outer @ w
+            d_noise[i] = 0.5 * ((fit + s.square - 2 * w @ s.inner + self.missing[i]) / self.noise[i] - s.n)
+        gap = self._coloured(np.eye(features.size) - self.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Kfu / noise)^-1
+        Wuu = 0.5 * (self._coloured(2 * np.eye(features.size) - self.B_inverse - self.B) - np.outer(a, a))
 
         def over(share):
             i, slices = share
             c = features.columns(i)
-            gap = self.B_inverse[np.ix_(c, c)] - self.Ku_inverse[np.ix_(c, c)]
+            own = gap[np.ix_(c, c)] / self.noise[i]
             total, diagonal = 0.0, 0.0
             for rows in slices:
                 X, y = data.X[i][rows], data.y[i][rows]
                 A = features.Kfu(i, X)
                 W = np.multiply.outer((y - A @ a[c]) / self.noise[i], a[c])
-                W -= A @ (gap / self.noise[i])
+                W += A @ own
                 total = total + features.gradient_fu(i, X, W)
                 diagonal = diagonal + kernel.diag_gradient(i, X, np.full(len(X), -0.5 / self.noise[i]))
             return total, diagonal
@@ -151,6 +151,11 @@ class SparsePosterior:
         total = features.gradient_uu(Wuu) + np.sum(totals, axis=0)
         n = kernel.n_dims
         return np.concatenate([total[:n] + np.sum(diagonals, axis=0), d_noise, total[n:]])
+
+    def _coloured(self, M):
+        """Return Lu^-T M Lu^-1 of a symmetric M, (K, K)."""
+        half = triangular_solve(self.Lu, np.asfortranarray(M), transposed=True)
+        return triangular_solve(self.Lu, np.asfortranarray(half.T), transposed=True)
 
     def _rows(self, n):
         return [slice(a, min(a + ROWS, n)) for a in range(0, n, ROWS)]
@@ -167,27 +172,25 @@ class SparsePosterior:
             A = self.features.Kfu(i, Xs[rows])
             mean[rows, i] = A @ self.weights[c]
             if return_variance:
-                variance[rows, i] = self.kernel.block_diag(i, Xs[rows]) - np.einsum("ab,ab->a", A @ self._gap(i), A)
+                V = triangular_solve(_block(self.Lu, c), A.T)
+                learned = np.einsum("an,an->n", V, self._learned(c) @ V)
+                variance[rows, i] = self.kernel.block_diag(i, Xs[rows]) - learned
 
         thread_map(over, [(i, rows) for rows in self._rows(len(Xs)) for i in range(P)])
         return (mean, np.maximum(variance, 0.0)) if return_variance else mean
 
-    def _gap(self, i):
-        """Return Kuu^-1 - B^-1 of the columns of i: what the data took from the prior variance."""
-        c = self.features.columns(i)
-        return self.Ku_inverse[np.ix_(c, c)] - self.B_inverse[np.ix_(c, c)]
+    def _learned(self, c):
+        """Return I - B^-1 of some whitened features: what the data took from their prior variance."""
+        return np.eye(len(c)) - self.B_inverse[np.ix_(c, c)]
 
     def covariance(self, Xs) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
         P, n = self.kernel.n_outputs, len(Xs)
-        A = np.zeros((P * n, self.features.size), order="F")
+        A = np.zeros((self.features.size, P * n), order="F")
         for i in range(P):
-            A[i * n : (i + 1) * n, self.features.columns(i)] = self.features.Kfu(i, Xs)
-        prior, posterior = (
-            triangular_solve(self.Lu, A.T.copy(order="F")),
-            triangular_solve(self.LB, A.T.copy(order="F")),
-        )
-        return self.kernel(Xs) - prior.T @ prior + posterior.T @ posterior
+            A[self.features.columns(i), i * n : (i + 1) * n] = self.features.Kfu(i, Xs).T
+        V = triangular_solve(self.Lu, A)
+        return self.kernel(Xs) - V.T @ (V - self.B_inverse @ V)
 
     def gradient(self, Xs, return_variance=False):
         """Return d mean / d x at Xs, (n, P, d), and on request the variance of the slopes."""
@@ -196,12 +199,19 @@ class SparsePosterior:
         variance = np.empty((len(Xs), P, d)) if return_variance else None
         for rows in self._rows(len(Xs)):
             for i in range(P):
+                c = self.features.columns(i)
                 D = self.features.Kfu_derivative(i, Xs[rows])
-                mean[rows, i] = (D @ self.weights[self.features.columns(i)]).T
+                mean[rows, i] = (D @ self.weights[c]).T
                 if return_variance:
-                    explained = np.einsum("dna,ab,dnb->nd", D, self._gap(i), D, optimize=True)
-                    variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - explained, 0.0)
+                    V = triangular_solve(_block(self.Lu, c), D.reshape(-1, len(c)).T.copy(order="F"))
+                    learned = np.einsum("an,an->n", V, self._learned(c) @ V).reshape(d, -1).T
+                    variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - learned, 0.0)
         return (mean, variance) if return_variance else mean
+
+
+def _block(Lu, columns):
+    """Return the factor of some features alone: Kuu is block diagonal, and columns are whole blocks of it."""
+    return np.asfortranarray(Lu[np.ix_(columns, columns)])
 
 
 def _symmetric(lower):

@@ -84,12 +84,12 @@ class MultiOutputKernel(Kernel):
         """Return separations where the terms of a stationary cov(y_i, y_j) are largest, (k, d)."""
 
     @abstractmethod
-    def initialize(self, X, Y, random_state, singles=None, coarse=None) -> MultiOutputKernel:
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0) -> MultiOutputKernel:
         """Return the kernel with the values and bounds that were not given taken from data.
 
         X is (n, d), Y is (n, P) with NaN where an output was not observed. Better starting values come from
-        ``singles``, fits of each output alone, made from ``single``, and from a fit of ``coarse``. What was given
-        stays as it is.
+        ``singles``, fits of each output alone, made from ``single``, and from a fit of ``coarse``. ``stretch``
+        multiplies the widths that are tried first. What was given stays as it is.
         """
 
     @abstractmethod
@@ -303,11 +303,13 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def derivative_diag(self, i, Xi):
         return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None):
-        first = self.k1.initialize(X, Y, random_state, singles and [s.k1 for s in singles], coarse and coarse.k1)
-        rest = first.unexplained(X, Y)
-        second = self.k2.initialize(X, rest, random_state, singles and [s.k2 for s in singles], coarse and coarse.k2)
-        return Sum(first, second)
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0):
+        def of(name):
+            hints = singles and [getattr(s, name) for s in singles], coarse and getattr(coarse, name)
+            return dict(zip(("singles", "coarse"), hints, strict=True), stretch=stretch)
+
+        first = self.k1.initialize(X, Y, random_state, **of("k1"))
+        return Sum(first, self.k2.initialize(X, first.unexplained(X, Y), random_state, **of("k2")))
 
     def coarse(self):
         return Sum(self.k1.coarse(), self.k2.coarse())
@@ -347,6 +349,11 @@ class Sum(_SklearnSum, MultiOutputKernel):
 def _pairs(f: Free) -> np.ndarray:
     """Return the bounds of a free parameter, (n_elements, 2), from one pair, or one pair for each entry."""
     bounds = np.asarray(f.bounds, dtype=float)
+    if bounds.shape[-1:] != (2,) or not (bounds[..., 0] < bounds[..., 1]).all() or (f.log and not (bounds > 0).all()):
+        raise ValueError(
+            f"Got {f.name}_bounds={f.bounds!r}, but expected {'0 < ' if f.log else ''}lower < upper: a pair, "
+            "or one for each entry."
+        )
     if bounds.shape == (2,):
         return np.tile(bounds, (f.n_elements, 1))
     chosen = f.index >= 0
@@ -369,3 +376,11 @@ def as_shape(name: str, value, shape) -> np.ndarray:
 def or_default(given, default):
     """Return what was given, or the default."""
     return default if given is None else given
+
+
+def number(index, chosen):
+    """Renumber the chosen entries 0, 1, 2, ... in order of their number; the others become -1."""
+    numbers = np.full(index.shape, -1)
+    chosen = np.broadcast_to(chosen, index.shape)
+    numbers[chosen] = np.unique(index[chosen], return_inverse=True)[1]
+    return numbers

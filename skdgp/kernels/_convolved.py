@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, or_default
+from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, number, or_default
 from skdgp.kernels._features import ConvolvedFeatures
+from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._start import starting_values
 
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
+LOST = 0.1  # an amplitude below this fraction of the starting one means that the output was taken for noise
 TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
 
@@ -173,15 +175,15 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_given(self):
         return self.amplitude is not None and self.length_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None):
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0):
         params = self.get_params()
         feeds = self._who_feeds(Y.shape[1])
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
             if params[name] is not None:
                 params[name] = as_shape(name, params[name], shape)
-        start = starting_values(feeds, X, Y, random_state)
+        start = starting_values(feeds, X, Y, random_state, stretch)
         if singles:
-            start |= self._from_singles(start["amplitude"], singles)
+            start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
         if coarse:
             start |= {name: coarse._value(name) for name in ("amplitude", "length_scale")}
         axis = TIED_AXIS.get(self.covariance_type)
@@ -193,19 +195,23 @@ class ConvolvedGaussian(MultiOutputKernel):
                 params[name] = value
         return ConvolvedGaussian(**params)
 
-    def _from_singles(self, w, singles):
-        """Return values from fits of each output alone, (M, P, ...).
+    def _from_singles(self, w, lengths, singles):
+        """Return values from fits of each output alone, (M, P, ...), over the starting ones.
 
         Private latents take over the widths found; a shared one their weighted geometric mean, since equal widths
-        couple most: from widths that differ tenfold in a dozen regressors, no coupling could be learned.
+        couple most: from widths that differ tenfold in a dozen regressors, no coupling could be learned. An output
+        that its own fit called noise keeps its starting values: at amplitude zero the likelihood has no slope, and
+        what the others know of it would never be found.
         """
-        found = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
-        lengths = np.stack([s._value("length_scale")[0, 0] for s in singles])
+        total = np.sqrt((w**2).sum(axis=0))
+        amplitude = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
+        found = amplitude > LOST * total
+        own = np.where(found[:, None], np.stack([s._value("length_scale")[0, 0] for s in singles]), lengths[-1])
         weight = w**2 / (w**2).sum(axis=1, keepdims=True)
-        own = (weight == 1.0)[..., None]
+        private = (weight == 1.0)[..., None]
         return {
-            "amplitude": w * found / np.sqrt((w**2).sum(axis=0)),
-            "length_scale": np.where(own, lengths, np.exp(weight @ np.log(lengths))[:, None, :]),
+            "amplitude": w * np.where(found, amplitude / total, 1.0),
+            "length_scale": np.where(private, own, np.exp(weight @ np.log(own))[:, None, :]),
         }
 
     def coarse(self):
@@ -232,7 +238,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.pull_back(zeros)
 
     def features(self, Z):
-        w, lengths = self._value("amplitude"), self._value("length_scale")
+        w, A = self._value("amplitude"), self.A
+        lengths = np.sqrt(2.0 / (np.einsum("mpkk->mpk", A) if A.ndim == 4 else A))
         weight = np.maximum(w**2, 1e-12) * self._value("feeds")
         weight /= weight.sum(axis=1, keepdims=True)
         width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
@@ -256,22 +263,22 @@ class ConvolvedGaussian(MultiOutputKernel):
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
         moves = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
         free = [
-            Free("amplitude", _number(own, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
+            Free("amplitude", number(own, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
             Free(
                 "length_scale",
-                _number(width[..., None] * d + per_feature, feeds[..., None]),
+                number(width[..., None] * d + per_feature, feeds[..., None]),
                 True,
                 or_default(self.length_scale_bounds, (1e-3, 1e3)),
             ),
             Free(
                 "shift",
-                _number(own[..., None] * d + np.arange(d), moves[..., None]),
+                number(own[..., None] * d + np.arange(d), moves[..., None]),
                 False,
                 or_default(self.shift_bounds, (-1e2, 1e2)),
             ),
         ]
         if self.covariance_type == "full":
-            index = _number(own[..., None] * pairs + np.arange(pairs), feeds[..., None])
+            index = number(own[..., None] * pairs + np.arange(pairs), feeds[..., None])
             free.append(Free("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0))))
         return free
 
@@ -282,8 +289,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Filter precisions, (M, P, d) or (M, P, d, d)."""
         if self.covariance_type != "full":
             return 2.0 / self._value("length_scale") ** 2
-        R = self._roots()
-        return 2.0 * R @ np.swapaxes(R, -1, -2)
+        return precision(self._roots())
 
     @property
     def mu(self):
@@ -314,11 +320,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             both = np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
             w, mu = self._value("amplitude")[both], self._value("shift")[both]
             if self.covariance_type == "full":
-                c, F = _full_pair(self._roots()[both][:, [i, j]])
+                c, F = full_pair(*self._roots()[both][:, [i, j]].swapaxes(0, 1))
             else:
-                li, lj = self._value("length_scale")[both][:, [i, j]].swapaxes(0, 1)
-                total = li**2 + lj**2
-                c, F = np.sqrt(2 * li * lj / total).prod(axis=1), np.sqrt(2 / total)
+                c, F = diagonal_pair(*self._value("length_scale")[both][:, [i, j]].swapaxes(0, 1))
             cache[i, j] = both, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
         return cache[i, j]
 
@@ -383,7 +387,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         for k, E in self._exponentials(i, j, Xi, Xj):
             E *= W
             a, b = Xi - (shift[k] + middle), Xj - middle
-            mass[k], first[k], second[k] = _moments(E, a, b, full)
+            mass[k], first[k], second[k] = moments(E, a, b, full)
             if inputs:
                 pull = E.T @ a - E.sum(axis=0)[:, None] * b
                 d_inputs += gains[k] * pull @ self._precision(i, j, k)
@@ -397,40 +401,25 @@ class ConvolvedGaussian(MultiOutputKernel):
         w = self._value("amplitude")[both]
         np.add.at(gradients["amplitude"], (both, i), c * w[:, j] * mass)
         np.add.at(gradients["amplitude"], (both, j), c * w[:, i] * mass)
+        mass, first = gains * mass, gains[:, None] * first
+        lengths = self._value("length_scale")[both]
         if self.covariance_type == "full":
-            self._chain_full(gradients, i, j, mass, second)
+            lower = np.tril_indices(lengths.shape[-1], -1)
+            roots = self._roots()[both][:, [i, j]].swapaxes(0, 1)
+            for output, R in zip((i, j), roots, strict=True):
+                dR = full_slopes(mass, gains[:, None, None] * second, F, roots, R)
+                np.add.at(gradients["length_scale"], (both, output), -(dR * R).sum(axis=-1))
+                shear = (dR / lengths[:, output, :, None])[:, *lower]
+                np.add.at(gradients["shear"], (both, output), shear)
             slope = np.einsum("mkl,mpl,mp->mk", F, F, first)
         else:
-            li, lj = self._value("length_scale")[both][:, [i, j]].swapaxes(0, 1)
-            total = li**2 + lj**2
-            # d/dlog l of the exponent -delta^2 / (li^2 + lj^2), and of sqrt(2 li lj / (li^2 + lj^2)).
-            bend = 2 * gains[:, None] * second / total**2
-            tilt = 0.5 * gains[:, None] * mass[:, None] * (lj**2 - li**2) / total
-            np.add.at(gradients["length_scale"], (both, i), bend * li**2 + tilt)
-            np.add.at(gradients["length_scale"], (both, j), bend * lj**2 - tilt)
+            slopes = diagonal_slopes(mass, gains[:, None] * second, lengths[:, i], lengths[:, j])
+            for output, by_length in zip((i, j), slopes, strict=True):
+                np.add.at(gradients["length_scale"], (both, output), by_length)
             slope = F**2 * first
-        np.add.at(gradients["shift"], (both, i), gains[:, None] * slope)
-        np.add.at(gradients["shift"], (both, j), -gains[:, None] * slope)
+        np.add.at(gradients["shift"], (both, i), slope)
+        np.add.at(gradients["shift"], (both, j), -slope)
         return gradients
-
-    def _chain_full(self, gradients, i, j, mass, second):
-        """Add the derivatives with respect to length scales and shears of full filters."""
-        both, gains, _, F, _ = self._pair(i, j)
-        roots, A, lengths = self._roots(), self.A, self._value("length_scale")
-        S = F @ np.swapaxes(F, -1, -2)
-        inverse_sum = np.linalg.inv(A[both, i] + A[both, j])
-        lower = np.tril_indices(A.shape[-1], -1)
-        for output in (i, j):
-            Ai = np.linalg.inv(A[both, output])
-            T = Ai @ S
-            # dSigma = Sigma A^-1 dA A^-1 Sigma;  d log c = 1/4 A^-1 - 1/2 (A_i + A_j)^-1.
-            G = -0.5 * T @ second @ np.swapaxes(T, -1, -2)
-            G += mass[:, None, None] * (0.25 * Ai - 0.5 * inverse_sum)
-            G *= gains[:, None, None]
-            R = roots[both, output]
-            dR = 4.0 * G @ R  # A = 2 R R^T
-            np.add.at(gradients["length_scale"], (both, output), -(dR * R).sum(axis=-1))
-            np.add.at(gradients["shear"], (both, output), (dR / lengths[both, output][:, :, None])[:, *lower])
 
     def is_stationary(self):
         """Return True: the covariance depends on the separation alone."""
@@ -453,34 +442,3 @@ def _widened(kernel, width):
 def _middle(X):
     """Return a point near the data: taken away, so that the expanded square loses no digits."""
     return np.mean(X, axis=0) if len(X) else 0.0
-
-
-def _moments(G, a, b, full):
-    """Return sum G, sum G delta and sum G delta delta^T (or its diagonal) over delta = a_i - b_j."""
-    rows, columns = G.sum(axis=1), G.sum(axis=0)
-    Gb = G @ b
-    first = rows @ a - columns @ b
-    if full:
-        cross = a.T @ Gb
-        return rows.sum(), first, (a.T * rows) @ a + (b.T * columns) @ b - cross - cross.T
-    return rows.sum(), first, rows @ (a * a) + columns @ (b * b) - 2 * np.einsum("ak,ak->k", a, Gb)
-
-
-def _full_pair(R):
-    """Return c, (m,), and F, (m, d, d), of latents whose roots for the two outputs are R, (m, 2, d, d)."""
-    A = 2.0 * R @ np.swapaxes(R, -1, -2)
-    Ai, Aj = A[:, 0], A[:, 1]
-    d = A.shape[-1]
-    logdet_i, logdet_j, logdet_sum = (np.linalg.slogdet(B)[1] for B in (Ai, Aj, Ai + Aj))
-    c = np.exp(0.5 * d * np.log(2.0) + 0.25 * (logdet_i + logdet_j) - 0.5 * logdet_sum)
-    # Sigma = A_i (A_i + A_j)^-1 A_j = (A_i^-1 + A_j^-1)^-1, symmetric although the product does not look it.
-    S = Ai @ np.linalg.solve(Ai + Aj, Aj)
-    return c, np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2)))
-
-
-def _number(index, chosen):
-    """Renumber the chosen entries 0, 1, 2, ... in order of their number; the others become -1."""
-    numbers = np.full(index.shape, -1)
-    chosen = np.broadcast_to(chosen, index.shape)
-    numbers[chosen] = np.unique(index[chosen], return_inverse=True)[1]
-    return numbers

@@ -10,7 +10,7 @@ from skdgp._linalg import column_scale
 SHARED_VARIANCE = 0.1  # of an output that also has a latent of its own
 
 
-def starting_values(feeds, X, Y, random_state):
+def starting_values(feeds, X, Y, random_state, stretch=1.0):
     """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
 
     ``feeds`` (M, P) tells which latent feeds which output. The shared latents start along the principal directions
@@ -31,7 +31,7 @@ def starting_values(feeds, X, Y, random_state):
     # A latent that explains more varies more slowly: wide first, narrow last.
     spread = np.full(M, 1.2)
     spread[shared] = np.geomspace(2.0, 0.8, n_shared)
-    lengths = np.sqrt(d) * spread[:, None, None] * x_scale * np.exp(0.1 * rng.normal(size=(M, 1, d)))
+    lengths = stretch * np.sqrt(d) * spread[:, None, None] * x_scale * np.exp(0.1 * rng.normal(size=(M, 1, d)))
     return {
         "amplitude": amplitude,
         "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),

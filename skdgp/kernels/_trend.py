@@ -77,7 +77,7 @@ class LinearTrend(MultiOutputKernel):
     def is_given(self):
         return self.intercept_scale is not None and self.slope_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None):
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0):
         P, d = Y.shape[1], X.shape[1]
         unit = column_scale(Y)[:, None] / column_scale(X)
         intercept, slope = column_scale(Y), unit

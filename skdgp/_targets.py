@@ -1,0 +1,89 @@
+"""What a regressor of several outputs asks of its targets, at the door."""
+
+from __future__ import annotations
+
+import os
+import warnings
+
+import numpy as np
+import pandas as pd
+from sklearn.utils import check_array
+
+
+def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
+    """Return the targets as (n, P) with NaN where not observed, their names, and whether they were (n,)."""
+    if y is None:
+        raise ValueError(f"This {estimator} estimator requires y to be passed, but the target y is None.")
+    names = y.columns if isinstance(y, pd.DataFrame) else [y.name] if isinstance(y, pd.Series) else None
+    Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+    if Y.ndim > 2:
+        raise ValueError(f"Got y of shape {Y.shape}, but expected (n,) or (n, P).")
+    if len(Y) != n_samples:
+        raise ValueError(
+            f"Found input variables with inconsistent numbers of samples: {[n_samples, len(Y)]}. y needs a row for "
+            "each of X; NaN where an output was not observed."
+        )
+    table = Y.reshape(len(Y), -1)
+    named = names is not None and all(isinstance(name, str) for name in names)
+    return table, list(names) if named else [f"y{i}" for i in range(table.shape[1])], Y.ndim == 1
+
+
+def check_enough(Y: np.ndarray, names: list[str]) -> None:
+    """Refuse outputs that no two samples tell of."""
+    counts = np.isfinite(Y).sum(axis=0)
+    few = {name: int(n) for name, n in zip(names, counts, strict=True) if n < 2}
+    if few:
+        raise ValueError(
+            f"Got outputs observed at fewer than two samples: {few} (NaN is not observed). Leave these columns out, or "
+            "give at least two of their values, better many."
+        )
+
+
+def check_memory(n_values: int) -> None:
+    """Refuse exact inference that would not fit the machine."""
+    needed, there = 8 * 2 * n_values**2, _physical_memory()
+    if needed > 0.8 * there:
+        raise ValueError(
+            f"Exact inference on {n_values} observed values needs about {needed / 2**30:.0f} GiB, but this machine has "
+            f"{there / 2**30:.0f} GiB. Use inference='sparse', or observe fewer: "
+            "skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over the log."
+        )
+
+
+def warn_of_indices(index, y) -> None:
+    """Warn when the rows of two tables are named differently."""
+    if isinstance(index, pd.Index) and isinstance(y, (pd.DataFrame, pd.Series)) and not index.equals(y.index):
+        _warn(
+            "The indices of X and y differ; rows are matched by position. If rows of one were dropped or sorted, do "
+            "the same to the other (y.loc[X.index])."
+        )
+
+
+def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
+    """Warn of outputs that are constant and of samples that stand twice."""
+    spread, size = np.nanmax(Y, axis=0) - np.nanmin(Y, axis=0), np.nanmax(np.abs(Y), axis=0)
+    constant = [name for name, still in zip(names, spread <= 1e-12 * size, strict=True) if still]
+    if constant:
+        _warn(
+            f"The outputs {constant} are constant over the samples: nothing can be learned of how they depend on the "
+            "regressors, and their stated uncertainty means little. Leave them out, or check the log."
+        )
+    repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
+    if repeated:
+        _warn(
+            f"{repeated} of {len(X)} samples repeat another one, regressors and targets alike. Each counts as new "
+            "evidence, so the uncertainty comes out too small: drop repeated rows (was a log read twice?)."
+        )
+
+
+def _warn(message):
+    # From here through the check, fit and scikit-learn's wrapper of it, to who called fit.
+    warnings.warn(message, UserWarning, stacklevel=5)
+
+
+def _physical_memory():
+    """Return the machine's memory in bytes; infinite where it cannot be told."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return float("inf")

@@ -1,0 +1,65 @@
+"""Two Gaussian filters of one latent process: the covariance they make, and its derivatives.
+
+Notation of the convolved Gaussian: A = 2 R R^T, Sigma = A_i (A_i + A_j)^-1 A_j = F F^T, and c, the covariance at its
+peak for unit amplitudes. The leading axis runs over latents, (m, ...).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def diagonal_pair(li, lj):
+    """Return c (m,) and the diagonal of F (m, d) for length scales (m, d)."""
+    total = li**2 + lj**2
+    return np.sqrt(2 * li * lj / total).prod(axis=1), np.sqrt(2 / total)
+
+
+def full_pair(Ri, Rj):
+    """Return c (m,) and F (m, d, d) for roots (m, d, d)."""
+    Ai, Aj = precision(Ri), precision(Rj)
+    logdet_i, logdet_j, logdet_sum = (np.linalg.slogdet(B)[1] for B in (Ai, Aj, Ai + Aj))
+    c = np.exp(0.5 * Ai.shape[-1] * np.log(2.0) + 0.25 * (logdet_i + logdet_j) - 0.5 * logdet_sum)
+    # Sigma = (A_i^-1 + A_j^-1)^-1: symmetric, although the product does not look it.
+    S = Ai @ np.linalg.solve(Ai + Aj, Aj)
+    return c, np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2)))
+
+
+def precision(R):
+    """Return A = 2 R R^T, (..., d, d)."""
+    return 2.0 * R @ np.swapaxes(R, -1, -2)
+
+
+def moments(G, a, b, full):
+    """Return sum G, sum G delta and sum G delta delta^T (or its diagonal) over delta = a_i - b_j.
+
+    One matrix product and row and column sums: the (n_i, n_j, d) array of separations is never formed.
+    """
+    rows, columns = G.sum(axis=1), G.sum(axis=0)
+    Gb = G @ b
+    first = rows @ a - columns @ b
+    if full:
+        cross = a.T @ Gb
+        return rows.sum(), first, (a.T * rows) @ a + (b.T * columns) @ b - cross - cross.T
+    return rows.sum(), first, rows @ (a * a) + columns @ (b * b) - 2 * np.einsum("ak,ak->k", a, Gb)
+
+
+def diagonal_slopes(mass, second, li, lj):
+    """Return d/dlog l_i and d/dlog l_j of sum(W c exp(...)), from the moments of W c exp(...): (m, d) each."""
+    total = li**2 + lj**2
+    # Of the exponent -delta^2 / (li^2 + lj^2), and of sqrt(2 li lj / (li^2 + lj^2)).
+    bend = 2 * second / total**2
+    tilt = 0.5 * mass[:, None] * (lj**2 - li**2) / total
+    return bend * li**2 + tilt, bend * lj**2 - tilt
+
+
+def full_slopes(mass, second, F, R_both, R):
+    """Return d/dR, (m, d, d), for the output with root R, from the moments of W c exp(...).
+
+    With dSigma = Sigma A^-1 dA A^-1 Sigma and dlog c = tr((1/4 A^-1 - 1/2 (A_i + A_j)^-1) dA).
+    """
+    inverse = np.linalg.inv(precision(R))
+    T = inverse @ F @ np.swapaxes(F, -1, -2)
+    G = -0.5 * T @ second @ np.swapaxes(T, -1, -2)
+    G += mass[:, None, None] * (0.25 * inverse - 0.5 * np.linalg.inv(sum(precision(r) for r in R_both)))
+    return 4.0 * G @ R  # A = 2 R R^T

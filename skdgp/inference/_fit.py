@@ -17,7 +17,7 @@ from skdgp.inference._optimize import maximize
 from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
-STRETCHES, TRY_ITERATIONS = (1.0, 0.3, 0.1), 15  # widths tried first, and how long
+STRETCHES, TRY_ITERATIONS = (1.0, 0.3, 0.1), 40  # widths tried first, and how long
 SUBSET = 2400  # values of the exact fit from which the sparse one starts
 NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
 

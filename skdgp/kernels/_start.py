@@ -31,7 +31,8 @@ def starting_values(feeds, X, Y, random_state, stretch=1.0):
     # A latent that explains more varies more slowly: wide first, narrow last.
     spread = np.full(M, 1.2)
     spread[shared] = np.geomspace(2.0, 0.8, n_shared)
-    lengths = stretch * np.sqrt(d) * spread[:, None, None] * x_scale * np.exp(0.1 * rng.normal(size=(M, 1, d)))
+    lengths = stretch * np.sqrt(d) * spread[:, None, None] * x_scale
+    lengths = lengths * np.exp(0.1 * shared[:, None, None] * rng.normal(size=(M, 1, d)))
     return {
         "amplitude": amplitude,
         "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),

@@ -87,7 +87,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     posterior_ : ExactPosterior or SparsePosterior
         The state of knowledge about the normalised outputs.
     n_iter_, n_evaluations_ : int
-        Iterations on the full data; evaluations of the likelihood in all.
+        Iterations on the full data, at most ``max_iter``; evaluations of the likelihood in all.
     output_names_ : list of str
         Column names of Y, or y0, y1, ...
     n_features_in_ : int
@@ -188,7 +188,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         UserWarning
             When an output is constant, or samples are repeated with the same targets.
         ConvergenceWarning
-            When the search for hyperparameters was interrupted; the best ones so far are kept.
+            When the search for hyperparameters was interrupted (the best ones so far are kept), or stopped at
+            ``max_iter`` far from an optimum.
         """
         index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
@@ -212,6 +213,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             warnings.warn(
                 f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
                 "hyperparameters so far are kept. Fit again for more.",
+                ConvergenceWarning,
+                stacklevel=3,
+            )
+        elif best.rising:
+            warnings.warn(
+                f"The fit stopped at max_iter={self.max_iter} while the log likelihood was still rising fast: the "
+                "hyperparameters are not good yet. Raise max_iter, or scale the regressors (StandardScaler).",
                 ConvergenceWarning,
                 stacklevel=3,
             )

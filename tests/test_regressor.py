@@ -20,6 +20,9 @@ from skdgp._progress import listening
 from skdgp.inference import Data, ExactPosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
+# Fits cut short to be quick say so.
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+
 
 def make_data(n=40, seed=0):
     """Two dependent outputs of two regressors, in units far from one, some of the second not observed."""
@@ -451,3 +454,11 @@ class TestInterrupted:
         if at == "last stage":
             best = max(value for stage, value in heard if stage == heard[-1][0])
             assert model.log_marginal_likelihood_value_ == pytest.approx(best)
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_fit_stopped_far_from_an_optimum_says_so():
+    X = np.linspace(0, 6, 60)[:, None]
+    Y = np.column_stack([np.sin(3 * X[:, 0]), np.cos(3 * X[:, 0])])
+    with pytest.warns(ConvergenceWarning, match="stopped at max_iter=2.*Raise max_iter"):
+        DependentGPRegressor(inference="sparse", n_inducing=5, max_iter=2, random_state=0).fit(X, Y)

@@ -13,6 +13,9 @@ from sklearn.utils._param_validation import InvalidParameterError
 from skdgp import DependentGPRegressor, _regressor, _targets
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
+# Fits cut short to be quick say so.
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+
 
 @pytest.fixture
 def X():

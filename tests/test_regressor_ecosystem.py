@@ -21,6 +21,9 @@ from sklearn.preprocessing import StandardScaler
 from skdgp import DependentGPRegressor
 from skdgp.metrics import SCORERS
 
+# Fits cut short to be quick say so.
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+
 
 @pytest.fixture(scope="module")
 def flights():

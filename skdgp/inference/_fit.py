@@ -29,6 +29,7 @@ class Fit(NamedTuple):
     n_iter: int
     n_evaluations: int
     interrupted: bool
+    rising: bool = False
 
 
 def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) -> Fit:
@@ -79,7 +80,7 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) ->
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     kernel, noise, best = climb(kernel, noise, max_iter - n_iter, spread)
     n_evaluations, n_iter = n_evaluations + best.n_evaluations, n_iter + best.n_iter
-    return Fit(ExactPosterior(kernel, noise, data), n_iter, n_evaluations, stop.is_set())
+    return Fit(ExactPosterior(kernel, noise, data), n_iter, n_evaluations, stop.is_set(), best.rising)
 
 
 def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, spread=0.0) -> Fit:
@@ -114,7 +115,8 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     theta = np.concatenate([kernel.theta, np.log(noise), features.theta])
     bounds = np.concatenate([_bounds(kernel, noise_bounds), features.bounds])
     best = maximize(bound, theta, bounds, optimizer=optimizer, max_iter=max_iter, stage="bound")
-    return Fit(rebuilt(best.theta), best.n_iter, first.n_evaluations + best.n_evaluations, best.interrupted)
+    n_evaluations = first.n_evaluations + best.n_evaluations
+    return Fit(rebuilt(best.theta), best.n_iter, n_evaluations, best.interrupted, best.rising)
 
 
 def _some_rows(Y, random_state):

@@ -18,6 +18,7 @@ class Optimum(NamedTuple):
     n_iter: int
     n_evaluations: int
     interrupted: bool
+    rising: bool  # stopped at max_iter while the likelihood still rose by a twentieth of itself in a few evaluations
 
 
 class _Objective:
@@ -26,6 +27,7 @@ class _Objective:
     def __init__(self, log_likelihood, theta, stage, stop):
         self.log_likelihood, self.stage, self.stop = log_likelihood, stage, stop
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
+        self.values = []
 
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
@@ -40,6 +42,7 @@ class _Objective:
             value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
+        self.values.append(self.value)
         tell(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
 
@@ -73,7 +76,7 @@ def maximize(
     """
     theta = np.clip(theta, bounds[:, 0], bounds[:, 1])
     if stop is not None and stop.is_set():
-        return Optimum(theta, -np.inf, 0, 0, True)
+        return Optimum(theta, -np.inf, 0, 0, True, False)
     objective = _Objective(log_likelihood, theta, stage, stop)
     n_iter, interrupted = 0, False
     try:
@@ -86,4 +89,6 @@ def maximize(
         interrupted = True
         if stop is not None:
             stop.set()
-    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted)
+    gain = objective.value - objective.values[-min(5, len(objective.values))] if objective.values else 0.0
+    rising = n_iter >= max_iter and gain > 0.05 * abs(objective.value)
+    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising)

@@ -21,6 +21,17 @@ from skdgp._vocabulary import COEFFICIENTS
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report
 
 FORMAT = 1
+WIDTHS = {
+    "spherical": "one width for all regressors",
+    "diag": "one width for each regressor",
+    "full": "a full matrix of widths",
+    "tied": "one width for each regressor, common to all outputs",
+}
+THRUSTS = {
+    "columns": "from the thrust columns of the flights",
+    "propeller": "from the propeller's bench table",
+    "none": "none",
+}
 
 
 @dataclass(frozen=True)
@@ -77,6 +88,7 @@ def metrics_of(outcome: Outcome) -> dict:
         "options": _options(outcome),
         "held_out": outcome.source.held_out,
         "fit": _fit_facts(outcome) | {"flights": {name: len(table) for name, table in outcome.train.items()}},
+        "train": {name: _flown(table) for name, table in outcome.train.items()},
         "test": {evaluation.name: _flight_metrics(evaluation) for evaluation in outcome.evaluations},
         "test_together": _score_metrics(outcome.evaluations),
         "messages": outcome.messages,
@@ -116,10 +128,12 @@ def _fit_facts(outcome) -> dict:
         "samples": outcome.n_samples,
         "samples_available": outcome.n_available,
         "values": outcome.n_values,
+        "thrust": _thrusts(outcome, outcome.train),
         "inference": regressor.inference_,
         "regressors": list(outcome.pipeline["regressorselector"].regressors_),
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
+        "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter),
         "evaluations": int(regressor.n_evaluations_),
         "seconds": round(outcome.seconds, 3),
         "interrupted": outcome.interrupted,
@@ -128,13 +142,30 @@ def _fit_facts(outcome) -> dict:
     }
 
 
+def _flown(table) -> dict[str, float]:
+    """Return how long a flight is [s] and how often it was sampled [Hz]."""
+    time = table["time"].to_numpy(float)
+    steps = np.diff(time)
+    rate = 1 / np.median(steps) if steps.size else np.nan
+    return {"samples": len(table), "duration": float(np.ptp(time)), "sample_rate": float(rate)}
+
+
+def _thrusts(outcome, tables) -> list[str]:
+    """Return what told the thrust of the flights: "columns", "propeller" or "none"; of all but "auto" what was said."""
+    chosen = outcome.loads.thrust or "none"
+    if chosen != "auto":
+        return [chosen]
+    columns = {"thrust_x", "thrust_y", "thrust_z"}
+    return sorted({"columns" if columns & set(table.columns) else "propeller" for table in tables.values()})
+
+
 def _by_coefficient(values) -> dict[str, float]:
     return dict(zip(COEFFICIENTS, map(float, values), strict=True))
 
 
 def _flight_metrics(evaluation: Evaluation) -> dict:
     return {
-        "samples": len(evaluation.table),
+        **_flown(evaluation.table),
         "samples_with_std": len(evaluation.rows),
         **_score_metrics([evaluation]),
         "states": {against: table.to_dict("records") for against, table in evaluation.states.items()},
@@ -173,11 +204,12 @@ def _model_summary(outcome) -> ModelSummary:
         regressors=outcome.pipeline["regressorselector"].regressors_,
         n_latent=regressor.n_latent,
         n_private=len(COEFFICIENTS) if regressor.private_latents else 0,
-        kernel=f"convolved Gaussian, widths {regressor.covariance_type}",
+        kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}",
         trend=regressor.trend or "none",
-        inference=regressor.inference_,
+        inference=_inference(regressor),
         log_marginal_likelihood=regressor.log_marginal_likelihood_value_,
         n_iter=regressor.n_iter_,
+        max_iter=regressor.max_iter,
         fit_seconds=outcome.seconds,
         noise_std=regressor.noise_variance_**0.5,
         correlation=regressor.output_correlation(),
@@ -186,13 +218,20 @@ def _model_summary(outcome) -> ModelSummary:
     )
 
 
+def _inference(regressor) -> str:
+    words = regressor.inference_
+    return f"{words} (chosen by auto)" if regressor.inference == "auto" else words
+
+
 def _remarks(outcome) -> dict[str, str]:
-    loads = [outcome.loads.thrust or "none", *outcome.loads.external_forces]
-    remarks = {"Thrust, other loads": ", ".join(loads)}
+    tables = outcome.train | {evaluation.name: evaluation.table for evaluation in outcome.evaluations}
+    remarks = {"Thrust": " or ".join(THRUSTS[name] for name in _thrusts(outcome, tables))}
+    if outcome.loads.external_forces:
+        remarks["Other loads"] = ", ".join(outcome.loads.external_forces)
     if len(outcome.evaluations) > 1:
         means = grouped(scores(outcome.evaluations)["measured"])
         remarks["All test flights"] = "; ".join(
-            f"{group} {100 * row.median_relative_error:.1f} % median relative error, NRMSE {row.normalized_rmse:.3f}, "
+            f"{group} NRMSE {row.normalized_rmse:.3f}, {100 * row.median_relative_error:.1f} % median relative error, "
             f"{100 * row.interval_coverage:.1f} % in the 95 % band"
             for group, row in means.iterrows()
         )
@@ -203,7 +242,7 @@ def _remarks(outcome) -> dict[str, str]:
     if step > 1:
         remarks["Bands"] = f"computed at one row in {step}, interpolated between"
     if any(evaluation.truth is not None for evaluation in outcome.evaluations):
-        remarks["Truth"] = "contains what gusts did that no sensor felt; of the bands only the measured ones know it"
+        remarks["Truth"] = "contains gusts that no sensor felt: coverage and NLPD against it are in metrics.json"
     if outcome.interrupted:
         remarks["Fit"] = "interrupted; the best so far was kept"
     return remarks

@@ -65,10 +65,11 @@ def draw_comparison(ax, data: Comparison, *, level: float, n_bins: int) -> Artis
         dots = list(lonely(v))
         return ax.plot(t, v, marker="." if dots else None, markersize=3, markevery=dots, **style)[0]
 
-    measured = line(data.measured, color=ROLES["measured"], linewidth=0.8 * width, alpha=0.75, label="measured")
+    # The thin measured line lies over the broad estimate: so both are seen where they agree.
+    measured = line(data.measured, color=ROLES["measured"], linewidth=0.5 * width, zorder=2.2, label="measured")
     band = _draw_band(ax, data, starts, level, n_bins)
-    truth = line(data.truth, color=ROLES["truth"], linewidth=width, label="truth")
-    mean = line(data.mean, color=ROLES["mean"], linewidth=width, label="estimated")
+    truth = line(data.truth, color=ROLES["truth"], linewidth=width, zorder=2.1, label="truth")
+    mean = line(data.mean, color=ROLES["mean"], linewidth=1.6 * width, label="estimated")
     _limit(ax, data)
     return Artists(measured, mean, band, truth)
 
@@ -79,7 +80,7 @@ def _draw_band(ax, data: Comparison, starts, level: float, n_bins: int):
     half = norm.ppf(0.5 + level / 2) * data.std
     t, lower, upper = band_points(data.time, data.mean - half, data.mean + half, n_bins=n_bins, starts=starts)
     # The edge keeps a band of one sample, which has no width, visible.
-    style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0.4, "label": f"{level:.0%} band"}
+    style = {"color": ROLES["band"], "alpha": 0.5, "linewidth": 0.4, "label": f"{level:.0%} band"}
     band = ax.add_artist(_outline(t, lower, upper, **style))
     if t.size:
         # The corners suffice; add_patch would look along the whole outline.

@@ -14,7 +14,6 @@ from skdgp.plotting._envelope import line_points
 from skdgp.plotting._ground_path import ground_path
 from skdgp.plotting._style import (
     CYCLE,
-    PALETTE,
     axis_label,
     check_matplotlib,
     display_unit,
@@ -28,6 +27,7 @@ from skdgp.plotting._style import (
 INPUTS = ("throttle", "elevator", "aileron", "rudder")
 ELEVONS = ("elevon_left", "elevon_right")
 COLOR_STEPS = 32
+START_MARKERS = "os^Dv*"
 
 
 class FlightDisplay:
@@ -161,10 +161,7 @@ class FlightDisplay:
         ax = panels(ax, 1, 1, figsize=(6.0, 5.4))[0, 0]
         draw = _draw_plain if color_by == "flight" else _draw_coloured
         self.lines_, scale = draw(ax, paths, color_by)
-        colors = CYCLE if color_by == "flight" else (PALETTE["vermillion"],)
-        self.starts_ = [
-            _draw_start(ax, path, name, k, colors[k % len(colors)]) for k, (name, path) in enumerate(paths.items())
-        ]
+        self.starts_ = [_draw_start(ax, path, name, k) for k, (name, path) in enumerate(paths.items())]
         _finish_map(ax)
         self.colorbar_ = None if scale is None else scale_beside(ax, scale, axis_label(color_by))
         if legend:
@@ -287,11 +284,18 @@ def _pieces(path, values, low, high):
     return pieces, low + (shade[edges[:-1]] + 0.5) * step if shade.size else np.full(len(pieces), low)
 
 
-def _draw_start(ax, path, name, k, color):
-    """Mark where a flight begins, each flight with a marker of its own."""
+def start_marker(k: int) -> str:
+    """Return the k-th flight's marker: where colours come round again, the marker is another."""
+    return START_MARKERS[(k + k // len(CYCLE)) % len(START_MARKERS)]
+
+
+def _draw_start(ax, path, name, k):
+    """Mark where a flight begins, each flight with a marker and colour of its own."""
     begin = path.iloc[:1]
-    style = {"marker": "os^Dv*"[k % 6], "markersize": 6, "markeredgecolor": "white", "linestyle": "none"}
-    return ax.plot(begin["east"], begin["north"], color=color, zorder=3, label=plain(f"{name}: start"), **style)[0]
+    style = {"marker": start_marker(k), "markersize": 6, "markeredgecolor": "white", "linestyle": "none"}
+    return ax.plot(
+        begin["east"], begin["north"], color=CYCLE[k % len(CYCLE)], zorder=3, label=plain(f"{name}: start"), **style
+    )[0]
 
 
 def _finish_map(ax) -> None:

@@ -154,8 +154,8 @@ class ModelSummary:
         As chosen.
     log_marginal_likelihood : float
         Attained.
-    n_iter : int
-        Iterations of the optimiser.
+    n_iter, max_iter : int
+        Iterations of the optimiser, and the most it was allowed.
     fit_seconds : float
         Time of the fit [s].
     noise_std : (6,)
@@ -178,6 +178,7 @@ class ModelSummary:
     inference: str | None = None
     log_marginal_likelihood: float | None = None
     n_iter: int | None = None
+    max_iter: int | None = None
     fit_seconds: float | None = None
     noise_std: Sequence[float] | None = None
     correlation: object = None

@@ -104,6 +104,7 @@ svg { font-family: "Segoe UI", "Helvetica Neue", Helvetica, Roboto, "Noto Sans",
   margin: 0 0 .25rem; list-style: none; }
 .key i { display: inline-block; width: 1.4rem; height: .16rem; vertical-align: .25em; margin-right: .45rem;
   background: currentColor; }
+.key i.mark { width: auto; height: auto; vertical-align: 0; font-style: normal; background: none; }
 .key i.area { height: .7rem; vertical-align: -.08em; opacity: .45; }
 .key span { color: var(--ink); overflow-wrap: anywhere; }
 footer { margin-top: 4rem; }

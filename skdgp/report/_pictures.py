@@ -12,7 +12,7 @@ from skdgp.plotting import (
     FlightDisplay,
     StateDisplay,
 )
-from skdgp.plotting._flight import named_flights
+from skdgp.plotting._flight import START_MARKERS, named_flights, start_marker
 from skdgp.plotting._states import LATERAL_STATES, replay_rows
 from skdgp.report._content import FlightResult
 from skdgp.report._svg import WIDTH, picture, strip
@@ -118,16 +118,22 @@ def input_panels(flights: dict, name: str, n_bins: int) -> list[str]:
     ]
 
 
-def path_panels(flights: dict) -> list[str]:
-    """Return the ground paths: coloured by flight, and by altitude where every flight has it."""
+def start_sign(k: int) -> str:
+    """Return the letter that looks like the marker at the begin of the k-th flight's path."""
+    return dict(zip(START_MARKERS, "●■▲◆▼★", strict=True))[start_marker(k)]
+
+
+def path_panels(flights: dict) -> dict[str, str]:
+    """Return the ground paths by their headings: coloured by flight, and by altitude where every flight has it."""
     display = FlightDisplay(flights=named_flights(flights))
     altitude = all("altitude" in table.columns for table in flights.values())
-    return [
-        picture(
+    return {
+        f"Coloured by {by}": picture(
             lambda ax, by=by: display.plot_path(ax, color_by=by, legend=False),
             label=f"Path over the ground, coloured by {by}",
             size=(WIDTH, 4.0),
-            margins=(0.145, 0.985 if by == "flight" else 0.83, 0.13, 0.97),
+            # Room for the scale of altitude beside both, so that their axes are the same.
+            margins=(0.145, 0.83 if altitude else 0.985, 0.13, 0.97),
         )
         for by in (("flight", "altitude") if altitude else ("flight",))
-    ]
+    }

@@ -38,12 +38,10 @@ def _headline(result: FlightResult) -> str:
     scores = result.scores
     measured, truth = scores["measured"], scores.get("truth")
     tiles = [
-        _tile(measured, truth, "median_relative_error", LATERAL, "%", "median relative error, lateral", percent),
-        _tile(
-            measured, truth, "median_relative_error", LONGITUDINAL, "%", "median relative error, longitudinal", percent
-        ),
-        _tile(measured, truth, "normalized_rmse", None, "", "normalised RMSE, mean of six", lambda v: number(v, ".3f")),
-        _tile(measured, truth, "interval_coverage", None, "%", "of values inside the 95 % band", coverage),
+        _tile(measured, truth, "normalized_rmse", LATERAL, "", "normalised RMSE, lateral", _three_decimals),
+        _tile(measured, truth, "normalized_rmse", LONGITUDINAL, "", "normalised RMSE, longitudinal", _three_decimals),
+        _tile(measured, truth, "median_relative_error", None, "%", "median relative error, mean of six", percent),
+        _tile(measured, None, "interval_coverage", None, "%", "of measured values inside the 95 % band", coverage),
     ]
     return f'<h3>{text(result.name)}</h3><div class="head">{"".join(tiles)}</div>'
 
@@ -55,6 +53,10 @@ def _tile(measured, truth, metric, members, unit, words, form) -> str:
     unit = f"<small>{unit}</small>" if unit else ""
     against = "" if truth is None else f"<span>against truth {value(truth)}{unit and THIN + '%'}</span>"
     return f"<div><b>{value(measured)}{unit}</b><span>{words}</span>{against}</div>"
+
+
+def _three_decimals(value: float) -> str:
+    return number(value, ".3f")
 
 
 def messages(content: ReportContent) -> str:
@@ -70,8 +72,8 @@ def what_was_done(content: ReportContent) -> str:
     model, aircraft = content.model, content.aircraft
     pairs = [] if isinstance(aircraft, str) else list(aircraft.items())
     pairs += [
-        ("Learned from", ", ".join(record.name for record in content.train)),
-        ("Tested on", ", ".join(result.name for result in content.test)),
+        ("Learned from", ", ".join(_flown(record.name, record.table["time"]) for record in content.train)),
+        ("Tested on", ", ".join(_flown(result.name, result.time) for result in content.test)),
         ("Samples", _samples(model)),
         ("Regressors", ", ".join(map(str, model.regressors))),
         ("Latent processes", _latents(model)),
@@ -79,7 +81,7 @@ def what_was_done(content: ReportContent) -> str:
         ("Trend", model.trend),
         ("Inference", model.inference),
         ("Log likelihood", _grouped(model.log_marginal_likelihood, ".1f")),
-        ("Iterations", _grouped(model.n_iter)),
+        ("Iterations", _iterations(model)),
         ("Time of the fit", None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s"),
         *model.extra.items(),
         ("Versions", ", ".join(f"{name} {version}" for name, version in model.versions.items())),
@@ -97,6 +99,21 @@ def _samples(model: ModelSummary) -> str | None:
     return f"{_grouped(model.n_samples)}{of}"
 
 
+def _flown(name: str, time) -> str:
+    """Return a flight with its duration and sample rate."""
+    time = np.asarray(time, dtype=float)
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    if not steps.size:
+        return name
+    return f"{name} ({number(np.ptp(time), ',.0f')}{THIN}s at {number(1 / np.median(steps), '.3g')}{THIN}Hz)"
+
+
+def _iterations(model: ModelSummary) -> str | None:
+    at_limit = None not in (model.n_iter, model.max_iter) and model.n_iter >= model.max_iter
+    return f"{_grouped(model.n_iter)} (limit reached)" if at_limit else _grouped(model.n_iter)
+
+
 def _latents(model: ModelSummary) -> str:
     parts = [f"{n} {kind}" for n, kind in ((model.n_latent, "shared"), (model.n_private, "private")) if n]
     return ", ".join(parts)
@@ -108,72 +125,84 @@ def _grouped(value, form: str = ".0f") -> str | None:
     return number(value, "," + form).replace(",", THIN)
 
 
+_NO_BANDS_OF_TRUTH = (
+    "Bands are judged against measured values alone: the true coefficients contain what no sensor saw, such as gusts, "
+    "and no band promises to cover that."
+)
+
+
 def flight(result: FlightResult, noise_std, n_bins: int, draw: bool) -> str:
     """Return everything about one test flight."""
     scores = result.scores
     tables = error_table(scores["measured"], noise_std, against="measured coefficients")
     if "truth" in scores:
-        tables += error_table(scores["truth"], None, against="truth")
+        tables += error_table(scores["truth"], against="truth", with_bands=False)
+    no_bands = f" {_NO_BANDS_OF_TRUTH}" if "truth" in scores else ""
     parts = [
         f'<section class="flight"><h2>Test flight {text(result.name)}</h2>',
         f'<div class="pair">{tables}</div>',
-        '<p class="note">▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide.</p>',
+        f'<p class="note">▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide.{no_bands}</p>',
     ]
+    span = pictures.busiest_span(result.time, result.mean)
     if draw:
-        parts.append(_coefficients(result, n_bins))
+        parts.append(_coefficients(result, span, n_bins))
     if result.replay is not None or result.replay_errors is not None:
-        parts.append(_replays(result, n_bins, draw))
+        parts.append(_replays(result, span, n_bins, draw))
     if draw:
         parts.append(_calibration(result))
     return "".join([*parts, "</section>"])
 
 
-def _coefficients(result: FlightResult, n_bins: int) -> str:
+def _coefficients(result: FlightResult, span, n_bins: int) -> str:
     band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
     key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", band, "area")]
     key += [] if result.truth is None else [("vermillion", "truth", "")]
-    span = pictures.busiest_span(result.time, result.mean)
     columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, n_bins)}
     columns["Whole flight"] = pictures.coefficient_panels(result, None, n_bins)
     caption = "Measured and estimated coefficients."
-    caption += "" if span is None else " First where the estimates move most, then the whole flight."
+    if span is not None:
+        caption += (
+            f" First the {number(span[1] - span[0], 'g')}{THIN}s in which the estimates move most, where a wrong "
+        )
+        caption += "model shows first; then the whole flight."
     return f"<h3>Coefficients</h3>{_columns(columns, key, caption)}"
 
 
-def _replays(result: FlightResult, n_bins: int, draw: bool) -> str:
+def _replays(result: FlightResult, span, n_bins: int, draw: bool) -> str:
     parts = ["<h3>Replayed states</h3>"]
     if result.replay_errors is not None:
         parts.append(replay_table(result.replay_errors))
     if draw and result.replay is not None:
-        parts += [_states(result, horizon, n_bins) for horizon in np.unique(result.replay["horizon"])]
+        parts += [_states(result, horizon, span, n_bins) for horizon in np.unique(result.replay["horizon"])]
     return "".join(parts)
 
 
-def _states(result: FlightResult, horizon: float, n_bins: int) -> str:
+def _states(result: FlightResult, horizon: float, span, n_bins: int) -> str:
     rows = pictures.replay_rows(result.replay, horizon)
     names = [name for name in pictures.LATERAL_STATES if name in rows and name in result.table]
     if not names:
         return ""
     key = [("measured", "measured", ""), ("blue", "replayed", "")]
     key += [("sky", "95 % band", "area")] if f"{names[0]}_std" in rows else []
-    span = pictures.busiest_span(rows["time"], result.table[names])
+    span = span if span is not None and rows["time"].between(*span).any() else None
     columns = {} if span is None else {_seconds(span): pictures.state_panels(result, horizon, span, n_bins)}
     columns["Whole flight"] = pictures.state_panels(result, horizon, None, n_bins)
     caption = (
         f"States integrated from the estimated coefficients, restarted from the measured state every "
         f"{number(horizon, 'g')}{THIN}s; lines break there, and marks at the upper edge show where."
     )
+    caption += "" if span is None else " First the same seconds as of the coefficients, then the whole flight."
     return _columns(columns, key, caption)
 
 
 def _calibration(result: FlightResult) -> str:
     panel = pictures.calibration_panel(result.measured, result.mean, result.noisy_std, "measured")
-    columns = {f"Measured values{'' if result.measured_std is None else ', band with noise'}": [panel]}
-    if result.truth is not None:
-        panel = pictures.calibration_panel(result.truth, result.mean, result.std, "true")
-        columns["Truth, band without noise"] = [panel]
-    caption = "Calibration: how often intervals hold. On the dotted line they hold as often as they say."
-    return f"<h3>Calibration</h3>{_columns(columns, (), caption)}"
+    noise = "" if result.measured_std is None else ", which include the noise"
+    caption = (
+        f"Calibration: how often the intervals{noise} hold measured values. On the dotted line they hold as often as "
+        "they say."
+    )
+    return f"<h3>Calibration</h3>{_figure([panel], caption)}"
 
 
 def coupling(content: ReportContent) -> str:
@@ -196,11 +225,13 @@ def flown(content: ReportContent) -> str:
         parts.append(_figure(panels, f"Inputs of {text(name)}.", key))
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:
-        key = [(_color(k), name, "") for k, name in enumerate(tracked)]
-        caption = "Path over the ground, north up; a marker shows where each flight begins."
+        key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
+        panels = pictures.path_panels(tracked)
+        caption = "Path over the ground, north up; the flight's marker shows where it begins."
+        caption += " First coloured by flight, then by altitude [m], on the same axes." if len(panels) > 1 else ""
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
-        parts.append(_figure(pictures.path_panels(tracked), caption, key))
+        parts.append(_columns({head: [panel] for head, panel in panels.items()}, key, caption))
     return "".join([*parts, "</section>"])
 
 
@@ -245,10 +276,15 @@ def _seconds(span) -> str:
 
 def _key(entries) -> str:
     lines = "".join(
-        f'<li style="color: var(--{color})"><i class="{kind}"></i><span>{text(name)}</span></li>'
+        f'<li style="color: var(--{color})">{_sample(kind)}<span>{text(name)}</span></li>'
         for color, name, kind in entries
     )
     return f'<ul class="key">{lines}</ul>' if lines else ""
+
+
+def _sample(kind: str) -> str:
+    """Return what stands before a name: a line (""), an area, or a marker's sign."""
+    return f'<i class="{kind}"></i>' if kind in ("", "area") else f'<i class="mark">{kind}</i>'
 
 
 def _figure(panels, caption: str, key=()) -> str:

@@ -11,7 +11,7 @@ import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._vocabulary import COEFFICIENTS, LATERAL
-from skdgp.metrics import interval_coverage, median_relative_error
+from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
 from skdgp.report import _write as write_module
 from skdgp.report._pictures import time_slices
@@ -204,17 +204,45 @@ class TestWords:
         flight = result()
         lateral = [COEFFICIENTS.index(name) for name in LATERAL]
         for values in (flight.measured, flight.truth):
-            errors = median_relative_error(values, flight.mean, multioutput="raw_values")
-            assert f"{100 * errors[lateral].mean():.2f}" in Page(html).words
+            errors = normalized_rmse(values, flight.mean, multioutput="raw_values")
+            assert f"{errors[lateral].mean():.3f}" in Page(html).words
 
     def test_tables_hold_every_score(self, html):
         flight = result()
         words = Page(html).words
-        for values, std in ((flight.measured, flight.measured_std), (flight.truth, flight.std)):
+        for values in (flight.measured, flight.truth):
             for error in median_relative_error(values, flight.mean, multioutput="raw_values"):
-                assert f"{100 * error:.2f}" in words
-            for share in interval_coverage(values, flight.mean, std, multioutput="raw_values"):
-                assert f"{100 * share:.1f}" in words
+                assert f"{100 * error:.1f}" in words
+            for error in normalized_rmse(values, flight.mean, multioutput="raw_values"):
+                assert f"{error:.3f}" in words
+        for share in interval_coverage(flight.measured, flight.mean, flight.measured_std, multioutput="raw_values"):
+            assert f"{100 * share:.1f}" in words
+
+    def test_bands_are_judged_against_measured_values_alone(self, numbers_only):
+        # The standard deviations of the function do not know of gusts: none of these bands holds the truth.
+        flight = result(std=np.full((2400, 6), 1e-9), measured_std=np.full((2400, 6), 0.02))
+        words = Page(render_report(content(test=[flight]))).words
+        assert "▼" not in words.replace("▼ covers", "")
+        assert "no band promises" in words
+        assert "no band promises" not in Page(render_report(content(test=[result(truth=False)]))).words
+
+    def test_replayed_states_are_not_marked(self, numbers_only):
+        errors = pd.DataFrame(
+            {"state": ["v_east"], "horizon": 2.0, "median": [108.2], "at_end": [1.0], "coverage": [0.123]}
+        )
+        words = Page(render_report(content(test=[result(replay_errors=errors)]))).words
+        assert " 108 " in words
+        assert "12.3" in words
+        assert "▼ 12.3" not in words
+
+    @pytest.mark.parametrize(("n_iter", "shown"), [(60, "60 (limit reached)"), (59, "59 Time")])
+    def test_says_when_the_limit_of_iterations_was_reached(self, n_iter, shown, numbers_only):
+        model = ModelSummary(n_iter=n_iter, max_iter=60, fit_seconds=1.0)
+        words = Page(render_report(content(model=model))).words
+        assert f"Iterations {shown}" in words
+
+    def test_flights_come_with_their_length_and_rate(self, numbers_only):
+        assert "train (20 s at 40 Hz)" in Page(render_report(content())).words
 
     def test_states_are_in_degrees(self, html):
         assert f"{np.rad2deg(0.0155):.3g}" in Page(html).words
@@ -223,7 +251,7 @@ class TestWords:
     def test_given_metrics_are_shown_instead(self, numbers_only):
         given = {"measured": {"median_relative_error": dict.fromkeys(COEFFICIENTS, 0.4321)}}
         page = Page(render_report(content(test=[result(metrics=given)])))
-        assert "43.21" in page.words
+        assert "43.2" in page.words
         assert "against truth" not in page.words
 
     def test_marks_dishonest_bands(self, numbers_only):

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _job, _outputs, main
+from skdgp._cli import _evaluation, _job, _outputs, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._parser import build_parser
@@ -111,6 +111,8 @@ class TestIdentify:
         assert fit["iterations"] <= 3
         assert fit["seconds"] > 0
         assert fit["interrupted"] is False
+        assert fit["limit_reached"] is (fit["iterations"] >= 3)
+        assert fit["thrust"] in (["columns"], ["propeller"])
         assert "q_hat" in fit["regressors"]
         assert set(fit["noise_std"]) == set(fit["noise_widened"]) == set(COEFFICIENTS)
         assert np.isfinite(fit["log_marginal_likelihood"])
@@ -500,6 +502,18 @@ class TestConsole:
             console.progress("fit", 1, -np.inf)
             wait_for(stream, "1 evaluations")
         assert "likelihood" not in stream.getvalue()
+
+
+def test_noise_of_a_flight_too_short_for_a_spectrum():
+    t = np.arange(100) * 0.02
+    t[50:] += 30.0  # a gap, over which nothing is differenced
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame({"time": t, "p": 0.1 * t + rng.normal(0, 0.01, 100), "phi": np.angle(np.exp(1j * t))})
+    table.loc[::17, "p"] = np.nan
+    found = _evaluation._sensor_noise(table)
+    assert found["p"] == pytest.approx(0.01, rel=0.3)
+    assert found["phi"] == pytest.approx(0.0, abs=1e-12)  # a steady turn through pi is no noise
+    assert _evaluation._sensor_noise(table[:2]) == {"phi": 0.0, "p": 0.0}
 
 
 def wait_for(stream, text):

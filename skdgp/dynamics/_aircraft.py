@@ -94,11 +94,13 @@ class Aircraft:
 
     @classmethod
     def from_json(cls, path: str | Path) -> Aircraft:
-        """Read the aircraft from a JSON file whose keys are the parameters of this class."""
+        """Read the aircraft from a JSON file, or the text of one, whose keys are the parameters of this class."""
+        is_text = isinstance(path, str) and path.lstrip().startswith("{")
+        what = "the JSON text" if is_text else str(path)
         try:
-            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")), what=str(path))
+            return cls.from_dict(json.loads(path if is_text else Path(path).read_text(encoding="utf-8")), what=what)
         except json.JSONDecodeError as error:
-            raise ValueError(f"{path} is not a JSON file: {error}.") from error
+            raise ValueError(f"{what} is not {'valid' if is_text else 'a JSON file'}: {error}.") from error
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Aircraft:
@@ -208,8 +210,8 @@ def _is_required(field: Field) -> bool:
 
 
 def _plain(value):
-    """Return dataclasses as dictionaries without their Nones, arrays as lists."""
+    """Return dataclasses as dictionaries without their Nones, arrays and tuples as lists."""
     if hasattr(value, "__dataclass_fields__"):
         items = {field.name: getattr(value, field.name) for field in fields(value)}
         return {key: _plain(item) for key, item in items.items() if item is not None}
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    return np.asarray(value).tolist() if isinstance(value, (np.ndarray, tuple)) else value

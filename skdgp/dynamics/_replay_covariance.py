@@ -134,7 +134,7 @@ def _state_std(covariance, states) -> np.ndarray:
     variance = np.einsum("nii->ni", covariance)[:, :12].copy()
     to_euler = _euler_per_rotation(states)
     variance[:, T] = np.einsum("nij,njk,nik->ni", to_euler, covariance[:, T, T], to_euler)
-    return np.sqrt(variance)
+    return np.sqrt(np.maximum(variance, 0.0))  # rounding may carry a variance of nothing below zero
 
 
 def _euler_per_rotation(states) -> np.ndarray:

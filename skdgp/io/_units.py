@@ -89,7 +89,8 @@ def check_magnitudes(table: pd.DataFrame) -> None:
             "range (100 for per cent, or 'throttle [%]' in the header)."
         )
     if {"ax", "ay", "az"} <= set(table.columns):
-        felt = float(np.nanmedian(np.linalg.norm(table[["ax", "ay", "az"]].to_numpy(float), axis=1)))
+        sizes = np.linalg.norm(table[["ax", "ay", "az"]].to_numpy(float), axis=1)
+        felt = float(np.median(sizes[np.isfinite(sizes)])) if np.isfinite(sizes).any() else np.nan
         if 0.5 < felt < 2.0:
             raise FlightReadError(
                 f"Got a specific force ax, ay, az of {felt:.3g} (median magnitude), but expected near 9.8 m/s^2: this "

@@ -132,3 +132,16 @@ def test_the_inertia_cannot_be_changed_behind_the_checks():
 def test_shared_aircraft_are_read(shared_data, path):
     stored = json.loads((shared_data / path).read_text())
     assert Aircraft.from_json(shared_data / path).to_dict() == stored
+
+
+def test_json_text_is_the_same_aircraft_with_coefficients_given_as_tuples():
+    propeller = Propeller(diameter=0.5, thrust_coefficients=(0.1, -0.05), torque_coefficients=(0.01,))
+    aircraft = Aircraft(
+        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25, propeller=propeller
+    )
+    again = Aircraft.from_json(aircraft.to_json())
+    assert again == aircraft
+    assert again.propeller == propeller
+    assert json.loads(aircraft.to_json()) == aircraft.to_dict()
+    with pytest.raises(ValueError, match="JSON text is not valid"):
+        Aircraft.from_json("{")

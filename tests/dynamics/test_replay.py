@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.dynamics import Aircraft, replay, replay_errors
+from skdgp.dynamics import Aircraft, _replay_covariance, replay, replay_errors
 
 STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r"]
 EVERY = ["north", "east", "down", *STATES]
@@ -228,3 +228,10 @@ def test_bands_cover_what_known_coefficient_errors_do(shared_data):
     coverage = replay_errors(flown, flight, suffix="_true").set_index(["horizon", "state"])["coverage"]
     assert coverage.loc[2.0].between(0.90, 0.99).all(), coverage
     assert coverage.loc[10.0].between(0.80, 1.0).all(), coverage
+
+
+def test_a_variance_that_rounding_carried_below_zero_is_none():
+    covariance = np.zeros((2, 18, 18))
+    covariance[0, 3, 3], covariance[1, 7, 7] = -1e-22, -1e-22
+    states = np.zeros((2, 12)) + 0.1
+    np.testing.assert_array_equal(_replay_covariance._state_std(covariance, states), 0.0)

@@ -246,3 +246,8 @@ def test_every_shared_flight(shared_data):
         raw = pd.read_parquet(path)
         assert set(flight.columns) == set(raw.columns)
         np.testing.assert_array_equal(flight.alpha, raw.alpha.astype(float))
+
+
+def test_accelerations_that_were_never_sampled_are_no_warning(tmp_path):
+    (tmp_path / "bare.csv").write_text("time,ax,ay,az\n0,,,\n0.1,,,\n")
+    assert read_flight(tmp_path / "bare.csv")[["ax", "ay", "az"]].isna().all(axis=None)

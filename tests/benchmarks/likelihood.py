@@ -46,9 +46,7 @@ def lapack_calls(N, rng):
 
 def main(repeats=3):
     rng = np.random.default_rng(0)
-    print(
-        f"{'n':>5} {'P':>2} {'M':>2} {'d':>2} {'filters':>8} {'N':>6} {'LAPACK s':>9} {'ours s':>7} ratio memory/N^2"
-    )
+    print(f"{'n':>5} {'P':>2} {'M':>2} {'d':>2} {'filters':>8} {'N':>6} {'LAPACK s':>9} {'ours s':>7} ratio memory/N^2")
     for n, P, M, d, covariance_type in CASES:
         X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
         kernel = ConvolvedGaussian(M, private_latents=False, covariance_type=covariance_type).initialize(X, Y, 0)

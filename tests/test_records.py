@@ -1,0 +1,48 @@
+"""What the defaults reach on the shared benchmarks, next to published and simpler methods."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.linear_model import LinearRegression
+
+from skdgp import make_identification_pipeline
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.io import read_flight
+from skdgp.metrics import normalized_rmse
+from skdgp.model_selection import thin_targets
+
+CONVOLVED_GP = 0.4552  # mean absolute error of Cd, Alvarez & Lawrence (2011)
+
+
+def benchmark(name):
+    """Return a module of tests/benchmarks."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / "benchmarks" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.shared
+def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared_data):
+    errors = [benchmark("jura").error(shared_data / "jura", seed=seed) for seed in range(3)]
+    assert np.median(errors) < CONVOLVED_GP
+
+
+@pytest.mark.shared
+def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
+    """On a flight at two altitudes, from 150 noisy samples of one."""
+    folder = shared_data / "flights"
+    aircraft = Aircraft.from_json(folder / "viggen_uav.json")
+    train, test = (read_flight(folder / f"viggen_uav_{part}.parquet") for part in ("train_latlon", "test_twoalt"))
+    targets = thin_targets(aerodynamic_coefficients(train, aircraft), 150)
+    model = make_identification_pipeline(aircraft).set_params(dependentgpregressor__random_state=0)
+    transform, regressor = model[:-1], model[-1]
+    X, asked = np.asarray(transform.fit_transform(train)), np.asarray(transform.transform(test))[::10]
+    truth = test[[f"{name}_true" for name in targets]].to_numpy()[::10]
+    learned = targets.notna().all(axis=1).to_numpy()
+    line = LinearRegression().fit(X[learned], targets.to_numpy()[learned])
+    assert normalized_rmse(truth, regressor.fit(X, targets).predict(asked)) < 0.95 * normalized_rmse(
+        truth, line.predict(asked)
+    )

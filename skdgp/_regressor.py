@@ -22,6 +22,12 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
 EXACT_LIMIT = 6000
 """Observed values up to which inference="auto" is exact: about two seconds an evaluation on two cores."""
 
+FEWER_VALUES = (
+    "Use inference='sparse', or observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread "
+    "over the log."
+)
+FEWER_SAMPLES = "Ask for fewer samples at a time, or for return_std=True, which needs no joint covariance."
+
 
 class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     r"""Gaussian-process regression of several outputs with the dependencies between them.
@@ -204,7 +210,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             self.inference if self.inference != "auto" else "exact" if n_values <= EXACT_LIMIT else "sparse"
         )
         if self.inference_ == "exact":
-            check_memory(n_values)
+            check_memory(n_values, "Exact inference on", FEWER_VALUES)
         self._center = np.nanmean(Y, axis=0) if self.trend else np.zeros(Y.shape[1])
         scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
         self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
@@ -293,6 +299,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         mean = self._shaped(mean * self._scale + self._center)
         if not return_cov:
             return mean
+        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
         cov = self.posterior_.covariance(X)
         if include_noise:
             cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
@@ -334,7 +341,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ndarray (n, P, n_samples), or (n, n_samples) where y was (n,)
         """
         X = self._check_regressors(X)
-        mean, cov = self.posterior_.predict(X), self.posterior_.covariance(X)
+        mean = self.posterior_.predict(X)
+        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
+        cov = self.posterior_.covariance(X)
         values, vectors = np.linalg.eigh(cov)  # a posterior covariance may be singular
         white = check_random_state(random_state).standard_normal((len(values), n_samples))
         draws = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * white)

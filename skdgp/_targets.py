@@ -39,14 +39,13 @@ def check_enough(Y: np.ndarray, names: list[str]) -> None:
         )
 
 
-def check_memory(n_values: int) -> None:
-    """Refuse exact inference that would not fit the machine."""
+def check_memory(n_values: int, what: str, remedy: str) -> None:
+    """Refuse what needs two matrices of n_values x n_values doubles and would not fit the machine."""
     needed, there = 8 * 2 * n_values**2, _physical_memory()
     if needed > 0.8 * there:
         raise ValueError(
-            f"Exact inference on {n_values} observed values needs about {needed / 2**30:.0f} GiB, but this machine has "
-            f"{there / 2**30:.0f} GiB. Use inference='sparse', or observe fewer: "
-            "skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over the log."
+            f"{what} {n_values} values needs about {needed / 2**30:.0f} GiB, but this machine has "
+            f"{there / 2**30:.0f} GiB. {remedy}"
         )
 
 

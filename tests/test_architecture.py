@@ -21,7 +21,18 @@ MAX_LINES = 450
 
 # Every file or folder of the package stands on one floor and imports from floors below it alone.
 FLOORS = [
-    ["_vocabulary", "_validation", "_clock", "_spectrum", "_signal", "_linalg", "_threads", "_progress", "_files", "_targets"],
+    [
+        "_vocabulary",
+        "_validation",
+        "_clock",
+        "_spectrum",
+        "_signal",
+        "_linalg",
+        "_threads",
+        "_progress",
+        "_files",
+        "_targets",
+    ],
     ["kernels", "io", "preprocessing", "dynamics"],
     ["inference"],
     ["_regressor", "metrics", "model_selection", "_model_file"],

@@ -276,12 +276,20 @@ class TestQuestions:
 class TestMemory:
     def test_exact_inference_on_a_long_log_is_refused_before_it_starts(self):
         X = np.random.default_rng(0).normal(size=(400_000, 2))
-        with pytest.raises(ValueError, match=r"400000 observed values needs about 2384 GiB.*sparse.*thin_targets"):
+        with pytest.raises(
+            ValueError, match=r"Exact inference on 400000 values needs about 2384 GiB.*sparse.*thin_targets"
+        ):
             quick(inference="exact").fit(X, X[:, 0])
+
+    def test_a_joint_covariance_of_very_many_samples_is_refused(self, X, Y):
+        model, many = quick().fit(X, Y), np.zeros((200_000, X.shape[1]))
+        for call in (lambda: model.predict(many, return_cov=True), lambda: model.sample_y(many)):
+            with pytest.raises(ValueError, match=r"joint covariance of 400000 values.*fewer samples"):
+                call()
 
     def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
         monkeypatch.setattr(_targets, "_physical_memory", lambda: 1e4)
-        with pytest.raises(ValueError, match="Exact inference on 60 observed values"):
+        with pytest.raises(ValueError, match="Exact inference on 60 values"):
             quick(inference="exact").fit(X, Y)
         quick(inference="sparse", n_inducing=5).fit(X, Y)
 

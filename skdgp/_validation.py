@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+import numpy as np
 import pandas as pd
+
+LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
+SLACK = 0.05
+"""Noise that may carry an angle over its largest value [rad]."""
+FASTEST = 50.0
+"""Rates beyond this [rad/s], eight turns a second, are in other units."""
 
 
 def check_table(table, *, what: str = "flight") -> pd.DataFrame:
@@ -34,7 +41,7 @@ def check_table(table, *, what: str = "flight") -> pd.DataFrame:
 def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "flight") -> None:
     """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
     have = [str(column) for column in table.columns]
-    missing = [name for name in needed if name not in have]
+    missing = [name for name in dict.fromkeys(needed) if name not in have]
     if not missing:
         return
     hints = []
@@ -42,6 +49,33 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
         near = get_close_matches(name, have, n=1, cutoff=0.75)
         hints.append(f"{name!r} (nearest: {near[0]!r})" if near else f"{name!r}")
     raise ValueError(
-        f"The {what} lacks the columns {', '.join(hints)}. Got {have}. "
+        f"The {_named(table, what)} lacks the columns {', '.join(hints)}. "
         "Rename or compute them; docs/notation.md lists every name with its unit."
     )
+
+
+def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
+    """Raise a ValueError if one of the ``names``, angles and rates, holds what no radians can be; absent ones pass."""
+    for name in names:
+        values = np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
+        if not np.isfinite(values).any():
+            continue
+        top = np.nanmax(values)
+        if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + SLACK:
+            raise ValueError(
+                f"Got {name} up to {top:g}, but expected radians, at most {LARGEST_ANGLE[name]:.3f}: if these are "
+                f"degrees, use numpy.deg2rad(flight[{name!r}])."
+            )
+        if name in ("p", "q", "r") and top > FASTEST:
+            raise ValueError(
+                f"Got |{name}| up to {top:g}, but expected rad/s ({FASTEST:g} rad/s is eight turns a second): if these "
+                f"are degrees per second, use numpy.deg2rad(flight[{name!r}])."
+            )
+
+
+def _named(table, what) -> str:
+    """Return what a table is, with the name of the flight where it holds one."""
+    if what != "flight" or "flight" not in table:
+        return what
+    names = table["flight"].astype(str).unique()
+    return f"flight {names[0]!r}" if len(names) == 1 else what

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -279,8 +280,23 @@ class TestBadInput:
         refused("coefficients at 0 of 525 rows.*'ay': 525", train=[str(tmp_path / "empty.csv")])
 
     def test_two_flights_of_one_name(self, refused, folder, tmp_path):
-        pd.read_csv(folder / "latlon.csv").to_csv(tmp_path / "copy.csv", index=False)
-        refused("'latlon' in latlon.csv and in .*copy.csv", train=["latlon.csv", str(tmp_path / "copy.csv")])
+        table = pd.read_csv(folder / "latlon.csv")
+        table.to_csv(tmp_path / "copy.csv", index=False)
+        copy = str(tmp_path / "copy.csv")
+        refused("'latlon' in latlon.csv and in .*stands in column 'flight' of .*copy.csv", train=["latlon.csv", copy])
+        refused("name the file once", train=["latlon.csv", "./latlon.csv"])
+        table.drop(columns="flight").to_csv(tmp_path / "latlon.csv", index=False)
+        refused("rename one of the files", train=["latlon.csv", str(tmp_path / "latlon.csv")])
+
+    def test_a_test_flight_that_lacks_a_column_is_noticed_before_the_fit(self, refused, folder, tmp_path, monkeypatch):
+        monkeypatch.setattr(_job, "_fit", lambda *arguments: pytest.fail("fitted"))
+        pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(tmp_path / "bare.csv", index=False)
+        refused(r"The flight '\w+' lacks the columns 'alpha'\. Rename or compute", "--test", str(tmp_path / "bare.csv"))
+
+    def test_training_flights_have_the_same_columns(self, refused, folder, tmp_path):
+        pd.read_csv(folder / "latlon.csv").drop(columns="throttle").to_csv(tmp_path / "bare.csv", index=False)
+        train = ["lateral.csv", str(tmp_path / "bare.csv")]
+        refused("The flight 'latlon' lacks the columns 'throttle'", "--test", "test.csv", train=train)
 
     def test_nothing_tells_the_thrust(self, refused, folder, tmp_path):
         table = pd.read_csv(folder / "latlon.csv")
@@ -349,6 +365,30 @@ class TestBadInput:
             main(arguments)
         assert error.value.code == 2
         assert "usage: python -m skdgp" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["demo", "--samples", "abc"], "--samples: got abc, but expected a whole number, 2 or more, or all"),
+            (["demo", "--max-iter", "2.5"], "--max-iter: got 2.5, but expected a whole number, 1 or more"),
+            (["demo", "--horizons", "abc"], "--horizons: got abc, but expected seconds > 0"),
+            (["demo", "--n-jobs", "0"], "--n-jobs: got 0, but expected a number of processes"),
+            (["demo", "--sample", "50"], "unknown option --sample: did you mean --samples?"),
+            (["identify", "a.csv", "--aircrat=uav.json", "-o", "out"], "unknown option --aircrat: did you mean --airc"),
+            (["demo", "--weather"], "unknown option --weather: --help lists the options"),
+        ],
+    )
+    def test_wrong_options_are_told_in_words(self, arguments, message, capsys):
+        with pytest.raises(SystemExit) as error:
+            main(arguments)
+        assert error.value.code == 2
+        assert message in capsys.readouterr().err
+
+    def test_version(self, capsys):
+        with pytest.raises(SystemExit) as end:
+            main(["--version"])
+        assert end.value.code == 0
+        assert capsys.readouterr().out == f"skdgp {version('skdgp')}\n"
 
 
 class TestInterrupt:
@@ -502,6 +542,12 @@ class TestConsole:
             console.progress("fit", 1, -np.inf)
             wait_for(stream, "1 evaluations")
         assert "likelihood" not in stream.getvalue()
+
+
+def test_a_horizon_beyond_the_flight_is_remarked_on():
+    table = pd.DataFrame({"time": [0.0, 1.0, 2.0, 50.0, 51.0, 52.0, 53.0]})
+    with pytest.warns(UserWarning, match=r"'hop' lasts 3 s without a gap.*--horizons 4 100"):
+        _evaluation._warn_of_long([2.0, 3.0, 4.0, 100.0], "hop", table)
 
 
 def test_noise_of_a_flight_too_short_for_a_spectrum():

@@ -121,9 +121,23 @@ def _replay(name, table, aircraft, mean, std, loads, horizons) -> pd.DataFrame |
             stacklevel=3,
         )
         return None
+    _warn_of_long(horizons, name, table)
     return replay(
         table, aircraft, mean, std=std, horizon=horizons, initial_std=_sensor_noise(table), **loads.keywords()
     )
+
+
+def _warn_of_long(horizons, name, table):
+    time = table["time"].to_numpy(float)
+    lasts = max(time[run][-1] - time[run][0] for run in flight_segments(time))
+    long = [horizon for horizon in horizons if horizon > lasts]
+    if long:
+        warnings.warn(
+            f"Flight {name!r} lasts {lasts:.3g} s without a gap, so the replay never reaches --horizons "
+            f"{' '.join(f'{horizon:g}' for horizon in long)}: it runs to the end of each stretch.",
+            UserWarning,
+            stacklevel=4,
+        )
 
 
 def _sensor_noise(table) -> dict[str, float]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from difflib import get_close_matches
+from importlib.metadata import version
 
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
@@ -49,13 +51,36 @@ Ctrl-C during the fit keeps the best model so far and goes on; a second one stop
 
 DEMO = """\
 Do what identify does on the example flights: a simulated delta-wing UAV of 45 kg in turbulence, whose true
-coefficients are known. Two flights to learn from, one to be tested on. Half a minute on two cores.
+coefficients are known. Two flights to learn from, one to be tested on. About half a minute on two cores.
 """
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose options stand in full, and that names the nearest to an unknown one."""
+
+    def parse_known_args(self, args=None, namespace=None):
+        """Parse, but refuse unknown options before anything else is found wrong."""
+        commands = next((action.choices for action in self._actions if action.dest == "command"), None)
+        if commands is None:
+            self._refuse_unknown(args)
+        return super().parse_known_args(args, namespace)
+
+    def _refuse_unknown(self, words):
+        words = words[: words.index("--")] if "--" in words else words
+        known = [option[2:] for option in self._option_string_actions if option.startswith("--")]
+        for word in (word[2:].split("=")[0] for word in words if word.startswith("--")):
+            if word not in known:
+                near = get_close_matches(word, known, n=1)
+                hint = f"did you mean --{near[0]}?" if near else "--help lists the options"
+                self.error(f"unknown option --{word}: {hint}")
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of ``python -m skdgp``."""
-    parser = _parser(argparse.ArgumentParser, prog="python -m skdgp", description=DESCRIPTION)
+    parser = _parser(Parser, prog="python -m skdgp", description=DESCRIPTION)
+    parser.add_argument(
+        "--version", action="version", version=f"skdgp {version('skdgp')}", help="the version, and exit"
+    )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     identify = _parser(
         commands.add_parser, "identify", help="learn a model from flight logs", description=IDENTIFY, epilog=TABLES
@@ -73,7 +98,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _parser(make, *args, **kwargs):
-    return make(*args, formatter_class=argparse.RawDescriptionHelpFormatter, **kwargs)
+    return make(*args, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **kwargs)
 
 
 def _add_flights(parser):
@@ -144,7 +169,9 @@ def _add_model(parser, *, samples, said):
         "--restarts", type=_at_least(0), default=0, metavar="N", help="further starting points of the fit (default: 0)"
     )
     group.add_argument("--seed", type=_at_least(0), default=0, help="of the starting values (default: 0)")
-    group.add_argument("--n-jobs", type=int, default=None, metavar="N", help="processes for the restarts")
+    group.add_argument(
+        "--n-jobs", type=_jobs, default=None, metavar="N", help="processes for the restarts; -1: all cores"
+    )
     parser.add_argument(
         "--horizons",
         nargs="+",
@@ -158,7 +185,7 @@ def _add_model(parser, *, samples, said):
 
 def _at_least(lowest):
     def integer(text):
-        value = int(text)
+        value = _whole(text, f"a whole number, {lowest} or more")
         if value < lowest:
             raise argparse.ArgumentTypeError(f"got {text}, but expected {lowest} or more")
         return value
@@ -166,8 +193,28 @@ def _at_least(lowest):
     return integer
 
 
+def _whole(text, expected):
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}") from None
+
+
 def _samples(text):
-    return text if text == "all" else _at_least(2)(text)
+    if text == "all":
+        return text
+    value = _whole(text, "a whole number, 2 or more, or all")
+    if value < 2:
+        raise argparse.ArgumentTypeError(f"got {text}, but expected 2 or more, or all")
+    return value
+
+
+def _jobs(text):
+    expected = "a number of processes, 1 or more, or -1 for all cores"
+    value = _whole(text, expected)
+    if value == 0:
+        raise argparse.ArgumentTypeError(f"got 0, but expected {expected}")
+    return value
 
 
 def _regressors(text):
@@ -176,7 +223,10 @@ def _regressors(text):
 
 
 def _seconds(text):
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"got {text}, but expected seconds > 0")
     return value

@@ -8,9 +8,11 @@ import numpy as np
 import pandas as pd
 
 from skdgp._signal import flight_segments
+from skdgp._validation import check_columns
 from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 FORCES = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r", "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
+MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
 STILL = 1e-9
 """A regressor that varies by less than this fraction of itself was not moved."""
 
@@ -51,6 +53,16 @@ def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
             f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of the others, or drop "
             "columns that are empty."
         )
+
+
+def check_same_columns(train: dict[str, pd.DataFrame], test: dict[str, pd.DataFrame], regressors) -> None:
+    """Raise a ValueError if a flight lacks a column of regressors that a training flight has, before time is spent.
+
+    Elevons may stand for elevator and aileron, and the other way round.
+    """
+    read = [name for table in train.values() for name in _columns_read(table, regressors)]
+    for table in (*train.values(), *test.values()):
+        check_columns(table, [name for name in read if name not in MIXED])
 
 
 def warn_of_still(names, mean: np.ndarray, std: np.ndarray) -> None:

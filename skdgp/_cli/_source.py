@@ -73,11 +73,21 @@ def read_named(paths) -> dict[str, pd.DataFrame]:
         for name, table in _by_flight(read_flight(path)).items():
             if name in flights:
                 raise FlightReadError(
-                    f"Got flight {name!r} in {owner[name]} and in {path}, but expected each once: rename one of the "
-                    "files, or tell the flights apart by a column 'flight'."
+                    f"Got flight {name!r} in {owner[name]} and in {path}, but expected each once: "
+                    f"{_remedy(name, owner[name], path)}."
                 )
             flights[name], owner[name] = table, path
     return flights
+
+
+def _remedy(name, first, second) -> str:
+    """Return how two flights get different names: from the file's own, or where that is another, from its column."""
+    if Path(first).resolve() == Path(second).resolve():
+        return "name the file once"
+    columns = [str(path) for path in (second, first) if Path(path).stem != name]
+    if columns:
+        return f"the name stands in column 'flight' of {columns[0]}; change it there"
+    return "rename one of the files, or where a file has a column 'flight', change the name there"
 
 
 def hold_out(flights):

@@ -9,13 +9,9 @@ import numpy as np
 import pandas as pd
 
 from .._signal import flight_segments
-from .._validation import check_columns, check_table
+from .._validation import LARGEST_ANGLE, check_columns, check_radians, check_table
 
 __all__ = ["check_flight", "standard_density"]
-
-LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
-SLACK = 0.05
-"""Noise that may carry an angle over its largest value [rad]."""
 
 
 def standard_density(altitude) -> np.ndarray:
@@ -102,16 +98,10 @@ def _density(flight: pd.DataFrame) -> None:
 
 
 def _angles(flight: pd.DataFrame) -> None:
-    for name, largest in LARGEST_ANGLE.items():
+    check_radians(flight, LARGEST_ANGLE)
+    for name in ("alpha", "beta"):
         values = np.abs(_values(flight, name))
-        if not _seen(values):
-            continue
-        if np.nanmax(values) > largest + SLACK:
-            raise ValueError(
-                f"Got {name} up to {np.nanmax(values):g}, but expected radians, at most {largest:.3f}: if these "
-                f"are degrees, use numpy.deg2rad(flight[{name!r}])."
-            )
-        if name in ("alpha", "beta") and np.nanmedian(values) > 0.7:
+        if _seen(values) and np.nanmedian(values) > 0.7:
             _warn(
                 f"The median |{name}| is {np.nanmedian(values):.2f} rad ({np.rad2deg(np.nanmedian(values)):.0f} "
                 "deg), but expected radians: these look like degrees."
@@ -119,13 +109,7 @@ def _angles(flight: pd.DataFrame) -> None:
 
 
 def _rates(flight: pd.DataFrame) -> None:
-    for name in ("p", "q", "r"):
-        rate = np.abs(_values(flight, name))
-        if _seen(rate) and np.nanmax(rate) > 50:
-            raise ValueError(
-                f"Got |{name}| up to {np.nanmax(rate):g}, but expected rad/s (50 rad/s is eight turns a second): "
-                f"if these are degrees per second, use numpy.deg2rad(flight[{name!r}])."
-            )
+    check_radians(flight, ("p", "q", "r"))
     turned, gyro = _roll_over_a_second(flight)
     if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
         raise ValueError(

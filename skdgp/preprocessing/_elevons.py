@@ -128,7 +128,8 @@ def _warn_of_disagreement(table, mixed):
     if not mixed:
         return
     apart = np.abs(numeric(table, mixed) - np.column_stack(list(mixed.values())))
-    worst = {name: float(f"{d:.2g}") for name, d in zip(mixed, np.nanmax(apart, axis=0), strict=True)}
+    largest = np.where(np.isfinite(apart), apart, 0.0).max(axis=0)
+    worst = {name: float(f"{d:.2g}") for name, d in zip(mixed, largest, strict=True)}
     if max(worst.values()) > DISAGREEMENT:
         warnings.warn(
             f"Logged controls differ from the surfaces by up to {worst} rad; the surfaces are used. Drop the logged "

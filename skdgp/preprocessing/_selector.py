@@ -15,6 +15,7 @@ from skdgp.preprocessing._rates import SUFFIX
 from skdgp.preprocessing._table import TableTransformer, numeric
 
 SURFACES = ("elevator", "aileron", "rudder")
+ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
 OPTIONAL = ("throttle", *SURFACES)
 REGRESSOR_SETS = {
     "classical": ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", *SURFACES, "throttle"),
@@ -67,7 +68,7 @@ class RegressorSelector(TableTransformer):
     Raises
     ------
     ValueError
-        If a column is missing (with the nearest name) or not numeric.
+        If a column is missing (with the nearest name), not numeric, or in ``transform`` NaN or infinite somewhere.
 
     Examples
     --------
@@ -110,7 +111,7 @@ class RegressorSelector(TableTransformer):
         _check_made(table, self.regressors_)
         check_columns(table, self.regressors_)
         values = numeric(table, self.regressors_)
-        _warn_of_holes(values, self.regressors_)
+        _check_whole(values, self.regressors_, table)
         return pd.DataFrame(values, columns=self.regressors_, index=table.index)
 
     def _columns_out(self, names):
@@ -137,6 +138,7 @@ def _check_made(table, names):
     """Point to the step that makes a missing column."""
     if all(name in table or name + SUFFIX in table for name in names):
         return
+    check_columns(table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table])
     missing = {name: maker for name, maker in MAKERS.items() if name in names and name not in table}
     if missing:
         raise ValueError(
@@ -161,13 +163,37 @@ def _warn_of_truth(chosen):
         )
 
 
-def _warn_of_holes(values, names):
-    holes = (~np.isfinite(values)).sum(axis=0)
-    if holes.any():
-        found = {name: int(count) for name, count in zip(names, holes, strict=True) if count}
-        warnings.warn(
-            f"Regressors that are NaN or infinite, by rows: {found}. Regressors must be finite: drop those rows, or "
-            "put scikit-learn's SimpleImputer after RegressorSelector.",
-            UserWarning,
-            stacklevel=4,
-        )
+def _check_whole(values, names, table):
+    """Raise a ValueError that tells where regressors are NaN or infinite, by the columns that they were made from."""
+    holes = ~np.isfinite(values)
+    if not holes.any():
+        return
+    measured, made = {}, {}
+    for name, rows in zip(names, holes.sum(axis=0), strict=True):
+        sources = _sources(name, table) if rows else {}
+        measured |= sources
+        made |= {name: int(rows)} if rows and not sources else {}
+    raise ValueError(
+        f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or infinite (by rows: "
+        f"{measured or made}), but expected finite ones: {_remedy_of_holes(measured)}."
+    )
+
+
+def _remedy_of_holes(measured) -> str:
+    if not measured:
+        return "leave out rows that stand alone between gaps, which have no rate of change"
+    return (
+        "drop these rows of the flight and of its targets, as python -m skdgp identify does: keep = "
+        f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = flight[keep], Y[keep]. Interpolate a slow "
+        "sensor to the clock of the others, leave out a column that is empty"
+    )
+
+
+def _sources(name, table) -> dict[str, int]:
+    """Return the measured columns with holes that a regressor was made from, by rows."""
+    rate = name.removesuffix(SUFFIX)
+    sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
+    sources += ELEVONS if name in MIXED else ()
+    holes = {source: ~np.isfinite(numeric(table, [source])) for source in sources if source in table}
+    found = {source: int(where.sum()) for source, where in holes.items() if where.any()}
+    return {source: n for source, n in found.items() if source in ELEVONS} or found

@@ -8,7 +8,7 @@ import numpy as np
 from sklearn.utils._param_validation import Interval, StrOptions
 
 from skdgp._signal import differentiate, noise_level, smooth
-from skdgp._validation import check_columns
+from skdgp._validation import check_columns, check_radians
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
 SMOOTHED = (
@@ -22,6 +22,7 @@ PARTNERS = {
     "inertial": ("airspeed", "p", "q", "r", "ax", "ay", "az"),
 }
 WRAPPED = ("phi", "psi")
+IN_RADIANS = ("alpha", "beta", "p", "q", "r")
 
 
 class FlightSmoother(TableTransformer):
@@ -69,7 +70,7 @@ class FlightSmoother(TableTransformer):
     ------
     ValueError
         If ``time`` is missing, does not increase within a flight or is grossly irregular; if a named column is
-        missing or not numeric.
+        missing or not numeric; if angles of the air or rates are larger than radians can be.
 
     Examples
     --------
@@ -108,6 +109,8 @@ class FlightSmoother(TableTransformer):
         check_columns(table, ["time", *self.columns_, *wanted])
         if isinstance(self.cutoff, dict):
             check_columns(table, self.cutoff)
+        numeric(table, {*self.columns_, *wanted})
+        check_radians(table, IN_RADIANS)
         read = {*self.columns_, *self.derivatives_}
         self._vanes = [name for name in VANES if self.joint and name in read and self._cutoff_of(name) == "auto"]
         self.partners_ = _present(PARTNERS[self.joint], table) if self._vanes else []
@@ -120,6 +123,8 @@ class FlightSmoother(TableTransformer):
 
     def _transform_table(self, table):
         check_columns(table, ["time", *self.columns_, *self.derivatives_, *self._vanes, *self.partners_])
+        numeric(table, [*self.columns_, *self.derivatives_])
+        check_radians(table, IN_RADIANS)
         new = self._apply(smooth, self.columns_, table)
         new |= {name: _rewrapped(new[name], table[name]) for name in WRAPPED if name in new}
         rates = self._apply(differentiate, self.derivatives_, table)

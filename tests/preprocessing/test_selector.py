@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.preprocessing import RateNondimensionalizer, RegressorSelector
+from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
 
 CLASSICAL = ["alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder", "throttle"]
 PAPER = [
@@ -107,13 +107,33 @@ def test_truth_only_by_name_and_with_a_warning():
         RegressorSelector().fit(EVERY.drop(columns="alpha"))  # alpha_true does not stand in
 
 
-def test_holes_are_named_and_left_to_the_regressor():
+def test_holes_are_refused_by_the_names_of_what_was_measured():
     table = EVERY.copy()
     table.loc[[1, 2], "q"] = np.nan
     table.loc[3, "beta"] = np.inf
-    with pytest.warns(UserWarning, match=r"by rows: \{'beta': 1, 'q': 2\}"):
-        out = RegressorSelector().fit(table).transform(table)
-    assert np.isnan(out.q).sum() == 2
+    table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(table)
+    selector = RegressorSelector().fit(table)
+    with pytest.raises(ValueError, match=r"3 of 6 rows .*by rows: \{'beta': 1, 'q': 2\}.*drop these rows") as error:
+        selector.transform(table)
+    remedy = str(error.value).split("identify does: ")[1].split(". Interpolate")[0]
+    space = {"flight": table, "Y": table[["az"]], "np": np}
+    exec(remedy, space)
+    assert selector.transform(space["flight"]).index.tolist() == space["Y"].index.tolist() == [0, 4, 5]
+
+
+def test_rows_without_airspeed_are_not_called_rows_without_rates():
+    table = EVERY.assign(airspeed=[np.nan, 1, 1, 1, 1, 1])
+    table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(table)
+    with pytest.raises(ValueError, match=r"by rows: \{'airspeed': 1\}"):
+        RegressorSelector().fit_transform(table)
+
+
+def test_a_rate_of_change_without_neighbours():
+    flight = pd.concat([EVERY] * 5, ignore_index=True).drop(columns=["alpha_dot", "beta_dot"])
+    flight["time"] = np.r_[0:20, 90, 180:189]
+    made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(flight)
+    with pytest.raises(ValueError, match=r"1 of 30 rows.*'alpha_dot': 1.*rows that stand alone between gaps"):
+        RegressorSelector().fit_transform(made)
 
 
 def test_lists_are_taken_at_their_word():
@@ -133,3 +153,9 @@ def test_transform_needs_what_fit_chose():
         selector.transform(EVERY.drop(columns="rudder"))
     with pytest.raises(ValueError, match="with no rows"):
         selector.transform(EVERY[:0])
+
+
+def test_a_hole_in_a_mixed_control_is_one_in_the_surface():
+    table = EVERY.drop(columns=["elevator", "aileron"]).assign(elevon_left=[np.nan, 0, 0, 0, 0, 0], elevon_right=0.1)
+    with pytest.raises(ValueError, match=r"1 of 6 rows .*by rows: \{'elevon_left': 1\}"):
+        RegressorSelector().fit_transform(ElevonSplitter().fit_transform(table))

@@ -148,3 +148,25 @@ def test_shared_flight(shared_data):
     noise = steps[0].noise_std_  # the sensors' data sheet
     for name, sheet in {"airspeed": 0.3, "alpha": np.deg2rad(0.3), "beta": np.deg2rad(0.3), "r": 0.002}.items():
         assert noise[name] == pytest.approx(sheet, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["alpha", "beta", "p", "r"])
+def test_degrees_are_refused_in_fit_and_transform(name):
+    table = flights()
+    table[name] = np.linspace(-1.0, 1.0, len(table))  # rad
+    wrong = table.assign(**{name: np.rad2deg(table[name])})
+    smoother = FlightSmoother().fit(table)
+    with pytest.raises(ValueError, match=f"numpy.deg2rad.flight..{name}"):
+        FlightSmoother().fit(wrong)
+    with pytest.raises(ValueError, match=f"numpy.deg2rad.flight..{name}"):
+        smoother.transform(wrong)
+
+
+def test_a_missing_column_is_named_once_with_its_flight():
+    table = flights(names=("one", "two"))
+    smoother = FlightSmoother().fit(table)
+    second = table[table.flight == "two"].drop(columns="beta")
+    with pytest.raises(ValueError, match=r"The flight 'two' lacks the columns 'beta'\. Rename") as error:
+        smoother.transform(second)
+    assert str(error.value).count("'beta'") == 1
+    assert "alpha" not in str(error.value)

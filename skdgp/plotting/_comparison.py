@@ -68,8 +68,8 @@ def draw_comparison(ax, data: Comparison, *, level: float, n_bins: int) -> Artis
     # The thin measured line lies over the broad estimate: so both are seen where they agree.
     measured = line(data.measured, color=ROLES["measured"], linewidth=0.5 * width, zorder=2.2, label="measured")
     band = _draw_band(ax, data, starts, level, n_bins)
-    truth = line(data.truth, color=ROLES["truth"], linewidth=width, zorder=2.1, label="truth")
-    mean = line(data.mean, color=ROLES["mean"], linewidth=1.6 * width, label="estimated")
+    truth = line(data.truth, color=ROLES["truth"], linewidth=0.7 * width, zorder=2.1, label="truth")
+    mean = line(data.mean, color=ROLES["mean"], linewidth=1.8 * width, label="estimated")
     _limit(ax, data)
     return Artists(measured, mean, band, truth)
 

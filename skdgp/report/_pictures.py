@@ -18,7 +18,7 @@ from skdgp.report._content import FlightResult
 from skdgp.report._svg import WIDTH, picture, strip
 
 SQUARE = {"size": (4.0, 3.85), "margins": (0.14, 0.97, 0.13, 0.97)}
-EXCERPT = 30.0
+EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
 
 

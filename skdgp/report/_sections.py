@@ -197,7 +197,7 @@ def _states(result: FlightResult, horizon: float, span, n_bins: int) -> str:
 
 def _calibration(result: FlightResult) -> str:
     panel = pictures.calibration_panel(result.measured, result.mean, result.noisy_std, "measured")
-    noise = "" if result.measured_std is None else ", which include the noise"
+    noise = "" if result.measured_std is None else ", with the noise,"
     caption = (
         f"Calibration: how often the intervals{noise} hold measured values. On the dotted line they hold as often as "
         "they say."

@@ -131,7 +131,8 @@ def test_rows_without_airspeed_are_not_called_rows_without_rates():
 def test_a_rate_of_change_without_neighbours():
     flight = pd.concat([EVERY] * 5, ignore_index=True).drop(columns=["alpha_dot", "beta_dot"])
     flight["time"] = np.r_[0:20, 90, 180:189]
-    made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(flight)
+    with pytest.warns(UserWarning, match="NaN"):
+        made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(flight)
     with pytest.raises(ValueError, match=r"1 of 30 rows.*'alpha_dot': 1.*rows that stand alone between gaps"):
         RegressorSelector().fit_transform(made)
 

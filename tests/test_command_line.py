@@ -27,6 +27,9 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import load_model
 from skdgp.metrics import interval_coverage, median_relative_error
 
+# Fits cut short to be quick say so.
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PAGE = Path(__file__).parents[1] / "docs" / "identification.md"
 OUTPUTS = {"model.joblib", "metrics.json", "report.html"}
@@ -592,6 +595,7 @@ def test_demo_is_honest(tmp_path, capsys):
     assert means["truth"]["all"]["normalized_rmse"] < 0.2
 
 
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")  # short flights and short fits, to be quick
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
@@ -608,6 +612,7 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     assert str(picture) in capsys.readouterr().out
 
 
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")  # short flights and short fits, to be quick
 def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     if not PAGE.is_file():
         pytest.skip("the documentation is not beside the tests")

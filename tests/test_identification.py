@@ -23,6 +23,9 @@ from skdgp.metrics import SCORERS
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
 
+# Fits cut short to be quick say so.
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+
 AIRCRAFT = Aircraft(name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
 QUICK = DependentGPRegressor(n_latent=1, max_iter=3, random_state=0)
 

@@ -154,7 +154,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             feeds = np.asarray(self.feeds, dtype=float)
         if self.feeds is None and len(feeds) == 0:
             raise ValueError(
-                "Got n_latent=0 without private latents, but expected a latent process for every output: raise "
+                "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
                 "n_latent, or set private_latents=True."
             )
         if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():

@@ -1,5 +1,5 @@
 """Example data with known truth, made by this package's own dynamics; nothing is downloaded."""
 
-from ._example_flights import load_example_flights
+from skdgp.datasets._example_flights import load_example_flights
 
 __all__ = ["load_example_flights"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics import quaternion_to_euler
-from ..dynamics._rigid_body import STANDARD_GRAVITY
+from skdgp.dynamics import quaternion_to_euler
+from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
 
 __all__ = ["COMMANDS", "Autopilot"]
 

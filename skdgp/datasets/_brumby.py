@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics import Aircraft
+from skdgp.dynamics import Aircraft
 
 __all__ = ["BRUMBY", "REGRESSORS", "brumby_coefficients", "brumby_derivatives"]
 

@@ -10,10 +10,10 @@ import pandas as pd
 from sklearn.utils import Bunch, check_random_state
 from sklearn.utils._param_validation import Interval, validate_params
 
-from ._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from ._flight_plans import FLIGHT_PLANS
-from ._flight_table import flight_table, truth_of
-from ._simulation import fly
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets._flight_plans import FLIGHT_PLANS
+from skdgp.datasets._flight_table import flight_table, truth_of
+from skdgp.datasets._simulation import fly
 
 __all__ = ["load_example_flights"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ._manoeuvres import doublet, multisine, pulse, three_two_one_one
+from skdgp.datasets._manoeuvres import doublet, multisine, pulse, three_two_one_one
 
 __all__ = ["FLIGHT_PLANS", "FlightPlan"]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from .._vocabulary import COEFFICIENTS, TRUTH_SUFFIX
-from ..dynamics import body_to_ned, quaternion_to_euler
-from ..dynamics._rigid_body import STANDARD_GRAVITY
-from ._brumby import BRUMBY
-from ._loads import Loads, air_density, loads
-from ._sensors import measure
-from ._simulation import FlightRecord
+from skdgp._vocabulary import COEFFICIENTS, TRUTH_SUFFIX
+from skdgp.datasets._brumby import BRUMBY
+from skdgp.datasets._loads import Loads, air_density, loads
+from skdgp.datasets._sensors import measure
+from skdgp.datasets._simulation import FlightRecord
+from skdgp.dynamics import body_to_ned, quaternion_to_euler
+from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
 
 __all__ = ["flight_table", "truth_of"]
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..dynamics import air_data, ned_to_body, rigid_body_derivative
-from ._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from ._gusts import Gusts
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets._gusts import Gusts
+from skdgp.dynamics import air_data, ned_to_body, rigid_body_derivative
 
 __all__ = ["Loads", "air_density", "loads"]
 

@@ -4,9 +4,9 @@ Body axes x forward, y right, z down; moments about the centre of gravity; SI un
 The seam to the learning half is a table: flights in, the six coefficients out, and back.
 """
 
-from ._aircraft import Aircraft
-from ._checks import standard_density
-from ._frames import (
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._checks import standard_density
+from skdgp.dynamics._frames import (
     air_data,
     air_velocity,
     body_to_ned,
@@ -18,13 +18,13 @@ from ._frames import (
     quaternion_to_euler,
     quaternion_to_matrix,
 )
-from ._integrate import rk4, rk4_step
-from ._inverse import aerodynamic_coefficients
-from ._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
-from ._propeller import Propeller
-from ._replay import replay, replay_errors
-from ._rigid_body import STATE_NAMES, rigid_body_derivative
-from ._thrust_line import ThrustLine
+from skdgp.dynamics._integrate import rk4, rk4_step
+from skdgp.dynamics._inverse import aerodynamic_coefficients
+from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
+from skdgp.dynamics._propeller import Propeller
+from skdgp.dynamics._replay import replay, replay_errors
+from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative
+from skdgp.dynamics._thrust_line import ThrustLine
 
 __all__ = [
     "STATE_NAMES",

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._propeller import Propeller
-from ._thrust_line import ThrustLine
+from skdgp.dynamics._propeller import Propeller
+from skdgp.dynamics._thrust_line import ThrustLine
 
 __all__ = ["Aircraft"]
 

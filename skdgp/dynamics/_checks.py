@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from .._signal import flight_segments
-from .._validation import LARGEST_ANGLE, check_columns, check_radians, check_table
+from skdgp._signal import flight_segments
+from skdgp._validation import LARGEST_ANGLE, check_columns, check_radians, check_table
 
 __all__ = ["check_flight", "standard_density"]
 

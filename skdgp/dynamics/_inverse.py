@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from .._signal import differentiate, smooth
-from .._vocabulary import COEFFICIENTS
-from ._aircraft import Aircraft
-from ._checks import check_flight
-from ._loads import dynamic_pressure, external_loads, propulsive_loads
-from ._rigid_body import gyroscopic_moment
+from skdgp._signal import differentiate, smooth
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._checks import check_flight
+from skdgp.dynamics._loads import dynamic_pressure, external_loads, propulsive_loads
+from skdgp.dynamics._rigid_body import gyroscopic_moment
 
 __all__ = ["aerodynamic_coefficients"]
 

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .._validation import check_columns
-from ._aircraft import Aircraft
-from ._propeller import Propeller
-from ._thrust_line import ThrustLine
+from skdgp._validation import check_columns
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._propeller import Propeller
+from skdgp.dynamics._thrust_line import ThrustLine
 
 __all__ = ["aerodynamic_loads", "external_loads", "propeller_loads", "propulsive_loads"]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .._validation import check_columns, check_table
+from skdgp._validation import check_columns, check_table
 
 __all__ = ["Propeller"]
 

@@ -10,16 +10,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from .._validation import check_columns
-from .._vocabulary import COEFFICIENTS
-from ._aircraft import Aircraft
-from ._checks import check_flight
-from ._frames import body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
-from ._integrate import rk4_step
-from ._loads import aerodynamic_loads, external_loads, propulsive_loads
-from ._replay_covariance import REPLAYED, covariance_factor, replayed_std
-from ._rigid_body import ATTITUDE, POSITION, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
-from ._windows import restart_windows, runs_of
+from skdgp._validation import check_columns
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._checks import check_flight
+from skdgp.dynamics._frames import body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
+from skdgp.dynamics._integrate import rk4_step
+from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propulsive_loads
+from skdgp.dynamics._replay_covariance import REPLAYED, covariance_factor, replayed_std
+from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
+from skdgp.dynamics._windows import restart_windows, runs_of
 
 __all__ = ["replay", "replay_errors"]
 

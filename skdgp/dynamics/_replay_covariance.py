@@ -17,9 +17,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._vocabulary import COEFFICIENTS
-from ._aircraft import Aircraft
-from ._frames import euler_to_matrix
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._frames import euler_to_matrix
 
 __all__ = ["REPLAYED", "covariance_factor", "replayed_std"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._aircraft import Aircraft
+from skdgp.dynamics._aircraft import Aircraft
 
 __all__ = [
     "ATTITUDE",

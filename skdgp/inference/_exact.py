@@ -139,8 +139,12 @@ class ExactPosterior:
 
     @cached_property
     def L(self):
-        """Cholesky factor of Kff + noise, (N, N); factored again, to the same bits, where it was left behind."""
-        return jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data.X))
+        """Cholesky factor of Kff + noise, (N, N); factored again where it was left behind.
+
+        To the same bits on the same number of BLAS threads.
+        """
+        with threads_for(self.data.n_values):
+            return jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data.X))
 
     def __getstate__(self):
         # A saved model holds the samples, not the N x N factor: megabytes instead of hundreds of them.

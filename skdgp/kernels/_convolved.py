@@ -148,11 +148,10 @@ class ConvolvedGaussian(MultiOutputKernel):
     def _who_feeds(self, P):
         """Return (M, P), one where a latent feeds an output."""
         if self.feeds is None:
-            feeds = np.ones((self.n_latent, P))
-            feeds = np.concatenate([feeds, np.eye(P)]) if self.private_latents else feeds
+            feeds = np.concatenate([np.ones((self.n_latent, P)), np.eye(P)[: P * bool(self.private_latents)]])
         else:
             feeds = np.asarray(self.feeds, dtype=float)
-        if self.feeds is None and len(feeds) == 0:
+        if len(feeds) == 0:
             raise ValueError(
                 "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
                 "n_latent, or set private_latents=True."

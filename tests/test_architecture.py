@@ -29,6 +29,7 @@ FLOORS = [
         "_signal",
         "_linalg",
         "_threads",
+        "_parallel",
         "_progress",
         "_files",
         "_targets",

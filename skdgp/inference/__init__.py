@@ -1,9 +1,11 @@
 """The posterior: exact and sparse inference, and the search for hyperparameters."""
 
 from skdgp.inference._coupling import output_correlation
-from skdgp.inference._exact import Data, ExactPosterior, log_likelihood
+from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._fit import Fit, fit_exact, fit_sparse
+from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
+from skdgp.inference._shares import shares_of
 from skdgp.inference._sparse import SparsePosterior
 
 __all__ = [
@@ -17,4 +19,5 @@ __all__ = [
     "log_likelihood",
     "maximize",
     "output_correlation",
+    "shares_of",
 ]

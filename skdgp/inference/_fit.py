@@ -12,8 +12,10 @@ from sklearn.utils import check_random_state
 
 from skdgp._linalg import column_scale
 from skdgp._threads import thread_map
-from skdgp.inference._exact import Data, ExactPosterior, log_likelihood
+from skdgp.inference._exact import ExactPosterior
+from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import maximize
+from skdgp.inference._shares import shares_of
 from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
@@ -92,7 +94,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
         Inducing inputs of each latent process; they start at the centres of k-means and are learned.
     """
     random_state = check_random_state(random_state)
-    data = Data.from_table(X, Y)
+    shares = shares_of(Data.from_table(X, Y))
     rows = _some_rows(Y, random_state)
     first = fit_exact(
         kernel, X[rows], Y[rows], optimizer=optimizer, max_iter=max_iter, random_state=random_state, spread=spread
@@ -101,12 +103,12 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
     features = kernel.features(_centres(X, n_inducing, random_state))
     if optimizer is None or first.interrupted:
-        return first._replace(posterior=SparsePosterior(kernel, features, noise, data))
+        return first._replace(posterior=SparsePosterior(kernel, features, noise, shares))
     n, P = kernel.n_dims, Y.shape[1]
 
     def rebuilt(theta):
         new = kernel.clone_with_theta(theta[:n])
-        return SparsePosterior(new, features.rebuild(new, theta[n + P :]), np.exp(theta[n : n + P]), data)
+        return SparsePosterior(new, features.rebuild(new, theta[n + P :]), np.exp(theta[n : n + P]), shares)
 
     def bound(theta):
         posterior = rebuilt(theta)

@@ -8,55 +8,11 @@ enter through sums alone, so time is linear in them and memory does not grow.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from skdgp._linalg import cholesky_inverse, cholesky_solve, jittered_cholesky, log_determinant, triangular_solve
 from skdgp._threads import thread_map, threads_for
-from skdgp.inference._exact import Data
-
-ROWS = 512  # samples at a time
-SHARES = 8  # tasks for each output
-
-
-class _Statistics(NamedTuple):
-    """Sums over the samples of one output, of V = Lu^-1 Kuf: V V^T (c, c), V y (c,), y y, var(y_i), and how many."""
-
-    outer: np.ndarray
-    inner: np.ndarray
-    square: float
-    variance: float
-    n: int
-
-
-def _shares(data):
-    """Return (output, slices of rows): equal work, cut alike whatever the threads: sums keep their bits."""
-    shares = []
-    for i, y in enumerate(data.y):
-        slices = [slice(a, min(a + ROWS, len(y))) for a in range(0, len(y), ROWS)]
-        shares += [(i, slices[k::SHARES]) for k in range(min(len(slices), SHARES))]
-    return shares
-
-
-def _accumulate(kernel, features, Lu, data) -> list[_Statistics]:
-    """Return the sums for each output."""
-
-    def over(share):
-        i, slices = share
-        own = _block(Lu, features.columns(i))
-        outer, inner = np.zeros(own.shape), np.zeros(len(own))
-        square, variance, n = 0.0, 0.0, 0
-        for rows in slices:
-            X, y = data.X[i][rows], data.y[i][rows]
-            V = triangular_solve(own, features.Kfu(i, X).T)
-            outer += V @ V.T
-            inner += V @ y
-            square, variance, n = square + y @ y, variance + kernel.block_diag(i, X).sum(), n + len(y)
-        return i, _Statistics(outer, inner, square, variance, n)
-
-    parts = thread_map(over, _shares(data))
-    return [_Statistics(*map(sum, zip(*(s for k, s in parts if k == i), strict=True))) for i in range(len(data.y))]
+from skdgp.inference._shares import Share, bound_slope, own_factor, row_slices, statistics
 
 
 class SparsePosterior:
@@ -68,7 +24,8 @@ class SparsePosterior:
     features : Features
     noise : ndarray (P,)
         Noise variance of each output.
-    data : Data
+    shares : list of Share
+        The observed values, see ``shares_of``.
 
     Attributes
     ----------
@@ -76,13 +33,13 @@ class SparsePosterior:
         Its lower bound.
     """
 
-    def __init__(self, kernel, features, noise, data: Data):
+    def __init__(self, kernel, features, noise, shares: list[Share]):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
-        self.data = data
+        self.shares = shares
         self._solve()
 
     def __getstate__(self):
-        return {name: self.__dict__[name] for name in ("kernel", "features", "noise", "data")}
+        return {name: self.__dict__[name] for name in ("kernel", "features", "noise", "shares")}
 
     def __setstate__(self, state):
         self.__dict__.update(state)
@@ -91,7 +48,7 @@ class SparsePosterior:
     def _solve(self):
         with threads_for(self.features.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
-        self.statistics = _accumulate(self.kernel, self.features, self.Lu, self.data)
+        self.statistics = statistics(self.kernel, self.features, self.Lu, self.shares)
         with threads_for(self.features.size):
             self._condition()
 
@@ -116,14 +73,14 @@ class SparsePosterior:
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
         """Return the bound for the same data and features at other hyperparameters, and its gradient on request."""
-        other = SparsePosterior(kernel, self.features.rebuild(kernel, self.features.theta), noise, self.data)
+        other = SparsePosterior(kernel, self.features.rebuild(kernel, self.features.theta), noise, self.shares)
         if not eval_gradient:
             return other.log_marginal_likelihood
         return other.log_marginal_likelihood, other.bound_gradient()[: kernel.n_dims + len(noise)]
 
     def bound_gradient(self):
         """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
-        a, kernel, features, data = self.weights, self.kernel, self.features, self.data
+        a, kernel, features = self.weights, self.kernel, self.features
         d_noise = np.empty(len(self.noise))
         for i, s in enumerate(self.statistics):
             c = features.columns(i)
@@ -133,32 +90,15 @@ class SparsePosterior:
         gap = self._coloured(np.eye(features.size) - self.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Kfu / noise)^-1
         Wuu = 0.5 * (self._coloured(2 * np.eye(features.size) - self.B_inverse - self.B) - np.outer(a, a))
 
-        def over(share):
-            i, slices = share
-            c = features.columns(i)
-            own = gap[np.ix_(c, c)] / self.noise[i]
-            total, diagonal = 0.0, 0.0
-            for rows in slices:
-                X, y = data.X[i][rows], data.y[i][rows]
-                A = features.Kfu(i, X)
-                W = np.multiply.outer((y - A @ a[c]) / self.noise[i], a[c])
-                W += A @ own
-                total = total + features.gradient_fu(i, X, W)
-                diagonal = diagonal + kernel.diag_gradient(i, X, np.full(len(X), -0.5 / self.noise[i]))
-            return total, diagonal
-
-        totals, diagonals = zip(*thread_map(over, _shares(data)), strict=True)
-        total = features.gradient_uu(Wuu) + np.sum(totals, axis=0)
+        total, diagonal = bound_slope(kernel, features, self.noise, a, gap, self.shares)
+        total += features.gradient_uu(Wuu)
         n = kernel.n_dims
-        return np.concatenate([total[:n] + np.sum(diagonals, axis=0), d_noise, total[n:]])
+        return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
 
     def _coloured(self, M):
         """Return Lu^-T M Lu^-1 of a symmetric M, (K, K)."""
         half = triangular_solve(self.Lu, np.asfortranarray(M), transposed=True)
         return triangular_solve(self.Lu, np.asfortranarray(half.T), transposed=True)
-
-    def _rows(self, n):
-        return [slice(a, min(a + ROWS, n)) for a in range(0, n, ROWS)]
 
     def predict(self, Xs, return_variance=False):
         """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""
@@ -172,11 +112,11 @@ class SparsePosterior:
             A = self.features.Kfu(i, Xs[rows])
             mean[rows, i] = A @ self.weights[c]
             if return_variance:
-                V = triangular_solve(_block(self.Lu, c), A.T)
+                V = triangular_solve(own_factor(self.Lu, c), A.T)
                 learned = np.einsum("an,an->n", V, self._learned(c) @ V)
                 variance[rows, i] = self.kernel.block_diag(i, Xs[rows]) - learned
 
-        thread_map(over, [(i, rows) for rows in self._rows(len(Xs)) for i in range(P)])
+        thread_map(over, [(i, rows) for rows in row_slices(len(Xs)) for i in range(P)])
         return (mean, np.maximum(variance, 0.0)) if return_variance else mean
 
     def _learned(self, c):
@@ -197,21 +137,16 @@ class SparsePosterior:
         P, d = self.kernel.n_outputs, np.shape(Xs)[1]
         mean = np.empty((len(Xs), P, d))
         variance = np.empty((len(Xs), P, d)) if return_variance else None
-        for rows in self._rows(len(Xs)):
+        for rows in row_slices(len(Xs)):
             for i in range(P):
                 c = self.features.columns(i)
                 D = self.features.Kfu_derivative(i, Xs[rows])
                 mean[rows, i] = (D @ self.weights[c]).T
                 if return_variance:
-                    V = triangular_solve(_block(self.Lu, c), D.reshape(-1, len(c)).T.copy(order="F"))
+                    V = triangular_solve(own_factor(self.Lu, c), D.reshape(-1, len(c)).T.copy(order="F"))
                     learned = np.einsum("an,an->n", V, self._learned(c) @ V).reshape(d, -1).T
                     variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - learned, 0.0)
         return (mean, variance) if return_variance else mean
-
-
-def _block(Lu, columns):
-    """Return the factor of some features alone: Kuu is block diagonal, and columns are whole blocks of it."""
-    return np.asfortranarray(Lu[np.ix_(columns, columns)])
 
 
 def _symmetric(lower):

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
-from skdgp.inference import Data, ExactPosterior, _exact, log_likelihood
+from skdgp.inference import Data, ExactPosterior, _exact, _likelihood, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
@@ -202,7 +202,7 @@ class TestTiles:
         value, gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
         posterior = posterior_of(problem)
         expected = posterior.predict(NEW, True), posterior.covariance(NEW), posterior.gradient(NEW, True)
-        monkeypatch.setattr(_exact, "TILE", tile)
+        monkeypatch.setattr(_likelihood, "TILE", tile)
         monkeypatch.setattr(_exact, "CHUNK_BYTES", 100)
         with threadpool_limits(threads, user_api="blas"):
             again, again_gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
@@ -214,7 +214,7 @@ class TestTiles:
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
     def test_the_same_call_gives_the_same_bits_with_threads(self, one_problem, monkeypatch):
-        monkeypatch.setattr(_exact, "TILE", 4)
+        monkeypatch.setattr(_likelihood, "TILE", 4)
         with threadpool_limits(2, user_api="blas"):
             first, second = (
                 log_likelihood(one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True)

@@ -7,14 +7,14 @@ import pytest
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
-from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood
+from skdgp.inference import ExactPosterior, SparsePosterior, _shares, log_likelihood, shares_of
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
 Z = np.random.default_rng(6).normal(size=(7, 2))
 
 
 def sparse(problem, inputs=Z):
-    return SparsePosterior(problem.kernel, problem.kernel.features(inputs), problem.noise, problem.data)
+    return SparsePosterior(problem.kernel, problem.kernel.features(inputs), problem.noise, shares_of(problem.data))
 
 
 def stacked(features, arrays):
@@ -59,7 +59,9 @@ class TestBound:
         def bound(theta):
             kernel = problem.kernel.clone_with_theta(theta[:n])
             rebuilt = features.rebuild(kernel, theta[n + P :])
-            return SparsePosterior(kernel, rebuilt, np.exp(theta[n : n + P]), problem.data).log_marginal_likelihood
+            return SparsePosterior(
+                kernel, rebuilt, np.exp(theta[n : n + P]), shares_of(problem.data)
+            ).log_marginal_likelihood
 
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise), features.theta])
         assert_gradient(posterior.bound_gradient(), bound, theta, rtol=1e-5, atol=1e-4)
@@ -80,7 +82,7 @@ class TestBound:
 
     def test_of_a_trend_alone_is_the_likelihood(self, one_problem):
         trend = one_problem.kernel.k1
-        posterior = SparsePosterior(trend, trend.features(Z), one_problem.noise, one_problem.data)
+        posterior = SparsePosterior(trend, trend.features(Z), one_problem.noise, shares_of(one_problem.data))
         exact = ExactPosterior(trend, one_problem.noise, one_problem.data)
         assert posterior.log_marginal_likelihood == pytest.approx(exact.log_marginal_likelihood)
         np.testing.assert_allclose(posterior.predict(NEW, True), exact.predict(NEW, True), rtol=1e-8)
@@ -129,7 +131,7 @@ class TestRows:
     def test_how_samples_are_cut_does_not_matter(self, problem, threads, monkeypatch):
         posterior = sparse(problem)
         expected = posterior.log_marginal_likelihood, posterior.bound_gradient(), *posterior.predict(NEW, True)
-        monkeypatch.setattr(_sparse, "ROWS", 3)
+        monkeypatch.setattr(_shares, "ROWS", 3)
         with threadpool_limits(threads, user_api="blas"):
             again = sparse(problem)
             got = again.log_marginal_likelihood, again.bound_gradient(), *again.predict(NEW, True)

@@ -12,7 +12,8 @@ import numpy as np
 
 from skdgp._linalg import cholesky_inverse, cholesky_solve, jittered_cholesky, log_determinant, triangular_solve
 from skdgp._threads import thread_map, threads_for
-from skdgp.inference._shares import Share, bound_slope, own_factor, row_slices, statistics
+from skdgp.inference._bound import bound_gradient
+from skdgp.inference._shares import Share, own_factor, row_slices, statistics
 
 
 class SparsePosterior:
@@ -80,25 +81,7 @@ class SparsePosterior:
 
     def bound_gradient(self):
         """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
-        a, kernel, features = self.weights, self.kernel, self.features
-        d_noise = np.empty(len(self.noise))
-        for i, s in enumerate(self.statistics):
-            c = features.columns(i)
-            w = self.white[c]
-            fit = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + w @ s.outer @ w
-            d_noise[i] = 0.5 * ((fit + s.square - 2 * w @ s.inner + self.missing[i]) / self.noise[i] - s.n)
-        gap = self._coloured(np.eye(features.size) - self.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Kfu / noise)^-1
-        Wuu = 0.5 * (self._coloured(2 * np.eye(features.size) - self.B_inverse - self.B) - np.outer(a, a))
-
-        total, diagonal = bound_slope(kernel, features, self.noise, a, gap, self.shares)
-        total += features.gradient_uu(Wuu)
-        n = kernel.n_dims
-        return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
-
-    def _coloured(self, M):
-        """Return Lu^-T M Lu^-1 of a symmetric M, (K, K)."""
-        half = triangular_solve(self.Lu, np.asfortranarray(M), transposed=True)
-        return triangular_solve(self.Lu, np.asfortranarray(half.T), transposed=True)
+        return bound_gradient(self)
 
     def predict(self, Xs, return_variance=False):
         """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""

@@ -1,0 +1,36 @@
+"""The gradient of the sparse bound: sums over samples once more, with what the first sums have taught."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skdgp._linalg import triangular_solve
+from skdgp.inference._shares import bound_slope
+
+
+def bound_gradient(posterior) -> np.ndarray:
+    """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
+    a, kernel, features = posterior.weights, posterior.kernel, posterior.features
+    d_noise = np.empty(len(posterior.noise))
+    for i, s in enumerate(posterior.statistics):
+        c = features.columns(i)
+        w = posterior.white[c]
+        fit = np.einsum("ab,ab->", posterior.B_inverse[np.ix_(c, c)], s.outer) + w @ s.outer @ w
+        d_noise[i] = 0.5 * ((fit + s.square - 2 * w @ s.inner + posterior.missing[i]) / posterior.noise[i] - s.n)
+    gap = _coloured(
+        posterior.Lu, np.eye(features.size) - posterior.B_inverse
+    )  # Kuu^-1 - (Kuu + sum Kuf Kfu / noise)^-1
+    Wuu = 0.5 * (
+        _coloured(posterior.Lu, 2 * np.eye(features.size) - posterior.B_inverse - posterior.B) - np.outer(a, a)
+    )
+
+    total, diagonal = bound_slope(kernel, features, posterior.noise, a, gap, posterior.shares)
+    total += features.gradient_uu(Wuu)
+    n = kernel.n_dims
+    return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
+
+
+def _coloured(Lu, M):
+    """Return Lu^-T M Lu^-1 of a symmetric M, (K, K)."""
+    half = triangular_solve(Lu, np.asfortranarray(M), transposed=True)
+    return triangular_solve(Lu, np.asfortranarray(half.T), transposed=True)

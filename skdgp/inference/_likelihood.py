@@ -5,10 +5,11 @@ Only this file knows how the N x N matrix is laid out; kernels only ever see one
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations, combinations_with_replacement, pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.blas import dsyr
 
 from skdgp._linalg import (
     cholesky_inverse,
@@ -18,7 +19,8 @@ from skdgp._linalg import (
 )
 from skdgp._threads import thread_map, threads_for
 
-TILE = 384  # a tile of doubles and its temporaries stay in the second-level cache
+TILE = 768  # values of an output a side: the kernel cuts further, for the cache
+HALF = 256  # a side on the diagonal, where every tile computes its mirror image too
 
 
 class Data(NamedTuple):
@@ -45,21 +47,30 @@ class Tile(NamedTuple):
     all: slice  # within the stacked values
 
 
-def tiles_of(sizes):
+def tiles_of(sizes, side=None):
     """Cut outputs of the given sizes into tiles."""
     tiles, start = [], 0
     for i, size in enumerate(sizes):
-        n_pieces = -(-size // TILE)
-        edges = np.linspace(0, size, n_pieces + 1).astype(int)
-        for a, b in pairwise(edges):
-            tiles.append(Tile(i, slice(a, b), slice(start + a, start + b)))
+        tiles += _cut(Tile(i, slice(0, size), slice(start, start + size)), side or TILE)
         start += size
     return tiles
 
 
-def _pairs(tiles):
-    """Return the pairs of tiles on and above the diagonal."""
-    return [(a, b) for k, a in enumerate(tiles) for b in tiles[k:]]
+def _cut(tile, side):
+    size, own, everywhere = tile.own.stop - tile.own.start, tile.own.start, tile.all.start
+    edges = np.linspace(0, size, -(-size // side) + 1).astype(int)
+    return [
+        Tile(tile.output, slice(own + a, own + b), slice(everywhere + a, everywhere + b)) for a, b in pairwise(edges)
+    ]
+
+
+def _pairs(kernel, sizes):
+    """Return the pairs of tiles, on and above the diagonal, that the kernel couples."""
+    tiles = tiles_of(sizes)
+    pairs = list(combinations(tiles, 2))
+    for tile in tiles:
+        pairs += combinations_with_replacement(_cut(tile, HALF), 2)
+    return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
 def covariance(kernel, noise, X) -> np.ndarray:
@@ -67,17 +78,23 @@ def covariance(kernel, noise, X) -> np.ndarray:
 
     ``noise`` is the noise variance of each output, (P,).
     """
-    tiles = tiles_of([len(x) for x in X])
-    N = sum(len(x) for x in X)
-    upper = np.empty((N, N))  # in C order: its transpose is the lower triangle in Fortran order
+    sizes = [len(x) for x in X]
+    pairs = _pairs(kernel, sizes)
+    # In C order: its transpose is the lower triangle in Fortran order.
+    upper = (np.empty if all_coupled(kernel) else np.zeros)((sum(sizes), sum(sizes)))
 
     def fill(pair):
         a, b = pair
         upper[a.all, b.all] = kernel.block(a.output, b.output, X[a.output][a.own], X[b.output][b.own])
 
-    thread_map(fill, _pairs(tiles))
-    np.einsum("ii->i", upper)[:] += np.repeat(noise, [len(x) for x in X])
+    thread_map(fill, pairs)
+    np.einsum("ii->i", upper)[:] += np.repeat(noise, sizes)
     return upper.T
+
+
+def all_coupled(kernel) -> bool:
+    """Return whether the kernel couples every pair of outputs."""
+    return all(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
 
 
 def log_likelihood(kernel, noise, data: Data, eval_gradient=False):
@@ -95,23 +112,20 @@ def log_likelihood(kernel, noise, data: Data, eval_gradient=False):
 
 
 def _gradient(kernel, noise, data, alpha, L):
-    inverse = cholesky_inverse(L).T  # its upper triangle, in C order
-    tiles = tiles_of([len(x) for x in data.X])
+    # -W, of which only one triangle is computed, and read; in C order its upper one.
+    minus_W = dsyr(-1.0, alpha, a=cholesky_inverse(L), lower=1, overwrite_a=1).T
 
     def contract(pair):
         a, b = pair
-        W = np.multiply.outer(alpha[a.all], alpha[b.all])
-        W -= inverse[a.all, b.all]
+        W = minus_W[a.all, b.all]
         if a is b:
-            W = np.triu(W, 1)
-            W += W.T
-            np.einsum("ii->i", W)[:] = alpha[a.all] ** 2 - np.einsum("ii->i", inverse[a.all, a.all])
-            W *= 0.5
-        # Off the diagonal the tile stands for its mirror image too: twice one half.
+            W = np.triu(W)
+            np.einsum("ii->i", W)[:] *= 0.5
+        # The tile stands for its mirror image too: twice one half.
         return kernel.block_gradient(a.output, b.output, data.X[a.output][a.own], data.X[b.output][b.own], W)
 
-    d_theta = np.sum(thread_map(contract, _pairs(tiles)), axis=0)
-    diagonal = alpha**2 - np.einsum("ii->i", inverse)
-    ends = np.cumsum([0, *(len(x) for x in data.X)])
-    d_noise = [0.5 * s * diagonal[a:b].sum() for s, (a, b) in zip(noise, pairwise(ends), strict=True)]
+    sizes = [len(x) for x in data.X]
+    d_theta = -np.sum(thread_map(contract, _pairs(kernel, sizes)), axis=0)
+    edges = np.cumsum([0, *sizes[:-1]])
+    d_noise = -0.5 * noise * np.add.reduceat(np.einsum("ii->i", minus_W), edges)
     return np.concatenate([d_theta, d_noise])

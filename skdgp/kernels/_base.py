@@ -108,6 +108,10 @@ class MultiOutputKernel(Kernel):
     def stationary_part(self) -> MultiOutputKernel | None:
         """Return what of the covariance depends on the separation alone, None if nothing does."""
 
+    def couples(self, i: int, j: int) -> bool:
+        """Return whether cov(y_i, y_j) can differ from zero: where it cannot, no block is asked for."""
+        return True
+
     def unexplained(self, X, Y) -> np.ndarray:
         """Return what of Y, (n, P), this kernel leaves to the others of a sum when they choose starting values."""
         return Y
@@ -288,8 +292,15 @@ class Sum(_SklearnSum, MultiOutputKernel):
             raise ValueError(f"Got a sum of kernels with {name} {first} and {second}, but expected the same number.")
         return first
 
+    def couples(self, i, j):
+        return self.k1.couples(i, j) or self.k2.couples(i, j)
+
     def block(self, i, j, Xi, Xj):
-        return self.k1.block(i, j, Xi, Xj) + self.k2.block(i, j, Xi, Xj)
+        if not (self.k1.couples(i, j) and self.k2.couples(i, j)):
+            return (self.k1 if self.k1.couples(i, j) else self.k2).block(i, j, Xi, Xj)
+        K = self.k1.block(i, j, Xi, Xj)
+        K += self.k2.block(i, j, Xi, Xj)
+        return K
 
     def block_gradient(self, i, j, Xi, Xj, W):
         return np.concatenate([k.block_gradient(i, j, Xi, Xj, W) for k in (self.k1, self.k2)])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, number, or_default
 from skdgp.kernels._features import ConvolvedFeatures
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._start import starting_values
+from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 LOST = 0.1  # an amplitude below this fraction of the starting one means that the output was taken for noise
@@ -247,7 +250,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         weight = np.maximum(w**2, 1e-12) * self._value("feeds")
         weight /= weight.sum(axis=1, keepdims=True)
         width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
-        return ConvolvedFeatures(self, np.tile(Z, (len(w), 1, 1)), width, _widened)
+        return ConvolvedFeatures(self, np.tile(Z, (len(w), 1, 1)), width)
 
     def peaks(self, i, j, d):
         # Terms of either sign may cancel at their centres and peak beside them: a width or two along each axis.
@@ -330,26 +333,28 @@ class ConvolvedGaussian(MultiOutputKernel):
             cache[i, j] = both, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
         return cache[i, j]
 
-    def _exponentials(self, i, j, Xi, Xj):
-        """Yield for each latent its place in the pair and exp(-1/2 (delta - mu)^T Sigma (delta - mu)), (n_i, n_j)."""
-        _, _, _, F, shift = self._pair(i, j)
-        for k in range(len(F)):
-            middle = _middle(Xj)
-            a, b = Xi - (shift[k] + middle), Xj - middle
-            a, b = (a * F[k], b * F[k]) if F.ndim == 2 else (a @ F[k], b @ F[k])
-            # One product gives the whole exponent: a b - a^2 / 2 - b^2 / 2.
-            left = np.column_stack([a, np.einsum("nk,nk->n", a, a) * -0.5, np.ones(len(a))])
-            right = np.column_stack([b, np.ones(len(b)), np.einsum("nk,nk->n", b, b) * -0.5])
-            E = left @ right.T
-            yield k, np.exp(E, out=E)
+    def couples(self, i, j):
+        return len(self._pair(i, j)[0]) > 0
+
+    def _exponents(self, i, j, Xi, Xj, shifts=None):
+        """Return, for each latent, the exponent -1/2 (delta - mu)^T Sigma (delta - mu), plus shifts."""
+        _, _, _, F, mu = self._pair(i, j)
+        middle = _middle(Xj)
+        b = Xj - middle
+        found = []
+        for k, root in enumerate(F):
+            a = Xi - (mu[k] + middle)
+            pair = (a * root, b * root) if root.ndim == 1 else (a @ root, b @ root)
+            found.append(Exponent.between(*pair, 0.0 if shifts is None else shifts[k]))
+        return found
 
     def block(self, i, j, Xi, Xj):
-        K = np.zeros((len(Xi), len(Xj)))
         gains = self._pair(i, j)[1]
-        for k, E in self._exponentials(i, j, Xi, Xj):
-            E *= gains[k]
-            K += E
-        return K
+        felt = gains != 0.0
+        with np.errstate(divide="ignore"):
+            exponents = self._exponents(i, j, Xi, Xj, np.log(np.abs(gains)))
+        exponents = [exponent for exponent, one in zip(exponents, felt, strict=True) if one]
+        return signed_sum(exponents, np.sign(gains[felt]), (len(Xi), len(Xj)))
 
     def block_diag(self, i, Xi):
         return np.full(len(Xi), (self._value("amplitude")[:, i] ** 2).sum())
@@ -363,8 +368,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
         _, gains, _, _, shift = self._pair(i, j)
         D = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
-        for k, E in self._exponentials(i, j, Xi, Xj):
+        for k, exponent in enumerate(self._exponents(i, j, Xi, Xj)):
             S = self._precision(i, j, k)
+            E = exponent.exponential(slice(None), np.empty(D.shape[1:]))
             E *= gains[k]
             D -= E * (((Xi - shift[k]) @ S).T[:, :, None] - (Xj @ S).T[:, None, :])
         return D
@@ -375,6 +381,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         return np.broadcast_to(variance, np.shape(Xi))
 
     def block_gradient(self, i, j, Xi, Xj, W):
+        if not self.couples(i, j):
+            return np.zeros(self.n_dims)
         return self.pull_back(self.entry_gradients(i, j, Xi, Xj, W))
 
     def entry_gradients(self, i, j, Xi, Xj, W, inputs=False):
@@ -383,20 +391,17 @@ class ConvolvedGaussian(MultiOutputKernel):
         With ``inputs`` also by the rows of Xj, (n_j, d).
         """
         gains, shift = self._pair(i, j)[1], self._pair(i, j)[-1]
-        d_inputs = np.zeros(np.shape(Xj)) if inputs else None
         middle = _middle(Xj)
+        b = Xj - middle
+        a = [Xi - (mu + middle) for mu in shift]
+        sums = weighted_sums(self._exponents(i, j, Xi, Xj), W, a, b, transposed=inputs)
         full = self.covariance_type == "full"
-        mass, first = np.zeros(len(shift)), np.zeros(shift.shape)
-        second = np.zeros((*shift.shape, shift.shape[1]) if full else shift.shape)
-        for k, E in self._exponentials(i, j, Xi, Xj):
-            E *= W
-            a, b = Xi - (shift[k] + middle), Xj - middle
-            mass[k], first[k], second[k] = moments(E, a, b, full)
-            if inputs:
-                pull = E.T @ a - E.sum(axis=0)[:, None] * b
-                d_inputs += gains[k] * pull @ self._precision(i, j, k)
+        mass, first, second = (np.array(m) for m in zip(*map(partial(moments, b=b, full=full), sums, a), strict=True))
         entries = self._chain(i, j, mass, first, second)
-        return (entries, d_inputs) if inputs else entries
+        if not inputs:
+            return entries
+        pulls = [gains[k] * (G.left - G.columns[:, None] * b) @ self._precision(i, j, k) for k, G in enumerate(sums)]
+        return entries, sum(pulls)
 
     def _chain(self, i, j, mass, first, second):
         """Return the gradients from the moments of W * E over delta - mu: of order 0, 1 and 2."""
@@ -428,19 +433,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_stationary(self):
         """Return True: the covariance depends on the separation alone."""
         return True
-
-
-def _widened(kernel, width):
-    """Return the kernel with one more output for each latent: the latent itself, at unit variance and given width."""
-    M = len(width)
-    lengths = np.tile(width[:, None, :], (1, M, 1))
-    extra = {"amplitude": np.eye(M), "length_scale": lengths, "feeds": np.eye(M)}
-    arrays = {}
-    for name in (*PARAMETERS, "feeds"):
-        value = kernel._value(name)
-        arrays[name] = np.concatenate([value, extra.get(name, np.zeros((M, M, *value.shape[2:])))], axis=1)
-    covariance_type = "full" if kernel.covariance_type == "full" else "diag"
-    return ConvolvedGaussian(covariance_type=covariance_type, **arrays)
 
 
 def _middle(X):

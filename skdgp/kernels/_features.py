@@ -70,13 +70,11 @@ class ConvolvedFeatures(Features):
         Inducing inputs of each latent.
     width : ndarray (M, d)
         Length scale of each u_m.
-    widened : callable
-        kernel, width -> the kernel with M further outputs.
     """
 
-    def __init__(self, kernel, Z, width, widened):
-        self.kernel, self.Z, self.width, self._widened = kernel, Z, width, widened
-        self.joint = widened(kernel, width)
+    def __init__(self, kernel, Z, width):
+        self.kernel, self.Z, self.width = kernel, Z, width
+        self.joint = _widened(kernel, width)
         self.fed = self.joint._value("feeds")[:, : kernel.n_outputs].astype(bool)
         self.size = Z.shape[0] * Z.shape[1]
 
@@ -143,7 +141,20 @@ class ConvolvedFeatures(Features):
 
     def rebuild(self, kernel, theta):
         width = np.exp(theta[: self.width.size]).reshape(self.width.shape)
-        return ConvolvedFeatures(kernel, theta[self.width.size :].reshape(self.Z.shape), width, self._widened)
+        return ConvolvedFeatures(kernel, theta[self.width.size :].reshape(self.Z.shape), width)
+
+
+def _widened(kernel, width):
+    """Return the kernel with one more output for each latent: the latent itself, at unit variance and given width."""
+    M = len(width)
+    lengths = np.tile(width[:, None, :], (1, M, 1))
+    extra = {"amplitude": np.eye(M), "length_scale": lengths, "feeds": np.eye(M)}
+    arrays = {}
+    for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
+        value = kernel._value(name)
+        arrays[name] = np.concatenate([value, extra.get(name, np.zeros((M, M, *value.shape[2:])))], axis=1)
+    covariance_type = "full" if kernel.covariance_type == "full" else "diag"
+    return type(kernel)(covariance_type=covariance_type, **arrays)
 
 
 class TrendFeatures(Features):

@@ -30,13 +30,12 @@ def precision(R):
     return 2.0 * R @ np.swapaxes(R, -1, -2)
 
 
-def moments(G, a, b, full):
+def moments(sums, a, b, full):
     """Return sum G, sum G delta and sum G delta delta^T (or its diagonal) over delta = a_i - b_j.
 
-    One matrix product and row and column sums: the (n_i, n_j, d) array of separations is never formed.
+    From row sums, column sums and one matrix product: the (n_i, n_j, d) array of separations is never formed.
     """
-    rows, columns = G.sum(axis=1), G.sum(axis=0)
-    Gb = G @ b
+    rows, columns, Gb, _ = sums
     first = rows @ a - columns @ b
     if full:
         cross = a.T @ Gb

@@ -152,6 +152,9 @@ class LinearTrend(MultiOutputKernel):
     def _weighted(self, i, X):
         return (np.asarray(X, dtype=float) - self._value("center")) * self._scales(i)[1]
 
+    def couples(self, i, j):
+        return i == j
+
     def block(self, i, j, Xi, Xj):
         if i != j:
             return np.zeros((len(Xi), len(Xj)))

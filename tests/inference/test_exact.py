@@ -203,6 +203,7 @@ class TestTiles:
         posterior = posterior_of(problem)
         expected = posterior.predict(NEW, True), posterior.covariance(NEW), posterior.gradient(NEW, True)
         monkeypatch.setattr(_likelihood, "TILE", tile)
+        monkeypatch.setattr(_likelihood, "HALF", 2)
         monkeypatch.setattr(_exact, "CHUNK_BYTES", 100)
         with threadpool_limits(threads, user_api="blas"):
             again, again_gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)

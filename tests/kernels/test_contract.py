@@ -9,7 +9,7 @@ import pytest
 from sklearn.base import clone
 
 import skdgp.kernels
-from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum
+from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, _strips
 
 
 def convolved(n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds):
@@ -134,6 +134,22 @@ class TestContract:
         for i, Xi in enumerate(X):
             for j, Zj in enumerate(Z):
                 equal(K[rows[i] : rows[i + 1], columns[j] : columns[j + 1]], kernel.block(i, j, Xi, Zj))
+
+    def test_blocks_of_outputs_that_are_not_coupled_are_zero(self, kernel):
+        X = inputs(kernel)
+        for i, Xi in enumerate(X):
+            for j, Xj in enumerate(X):
+                assert kernel.couples(i, j) == kernel.couples(j, i)
+                assert kernel.couples(i, j) or not kernel.block(i, j, Xi, Xj).any()
+
+    def test_how_rows_are_cut_does_not_matter(self, kernel, monkeypatch):
+        X, last = inputs(kernel, (40, 30, 20)), kernel.n_outputs - 1
+        W = np.random.default_rng(1).normal(size=(len(X[0]), len(X[last])))
+        args = 0, last, X[0], X[last]
+        block, slope = kernel.block(*args), kernel.block_gradient(*args, W)
+        monkeypatch.setattr(_strips, "STRIP", 1)
+        equal(kernel.block(*args), block)
+        equal(kernel.block_gradient(*args, W), slope, rtol=1e-10, atol=1e-11)
 
     def test_one_array_for_each_output_picks_rows_of_the_common_matrix(self, kernel):
         P = kernel.n_outputs

@@ -1,0 +1,92 @@
+"""The inner loops of the convolved Gaussian: exponentials of squared distances, a strip of rows at a time.
+
+A strip, and what is done with it, stays in the second-level cache; what is kept are sums over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+STRIP = 2**16  # doubles
+
+
+class Exponent(NamedTuple):
+    """left @ right.T is shift - |a - b|^2 / 2 for every row a and b: one matrix product gives the whole exponent."""
+
+    left: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def between(cls, a, b, shift=0.0) -> Exponent:
+        """Return the exponent of rows a (n_i, d) and b (n_j, d)."""
+        left, right = np.empty((len(a), a.shape[1] + 2)), np.empty((len(b), b.shape[1] + 2))
+        left[:, :-2], right[:, :-2] = a, b
+        left[:, -1], right[:, -2] = 1.0, 1.0
+        np.einsum("nk,nk->n", a, a, out=left[:, -2])
+        np.einsum("nk,nk->n", b, b, out=right[:, -1])
+        left[:, -2] *= -0.5
+        right[:, -1] *= -0.5
+        right[:, -1] += shift
+        return cls(left, right)
+
+    def exponential(self, rows, out):
+        """Return exp of some rows, written to ``out``."""
+        np.matmul(self.left[rows], self.right.T, out=out)
+        return np.exp(out, out=out)
+
+
+def strips(n_rows, n_columns) -> Iterator[slice]:
+    """Cut rows so that a strip of them has about STRIP entries."""
+    step = max(8, STRIP // max(n_columns, 1))
+    return (slice(a, min(a + step, n_rows)) for a in range(0, n_rows, step))
+
+
+def signed_sum(exponents, signs, shape) -> np.ndarray:
+    """Return sum_k sign_k exp(exponent_k), (n_i, n_j)."""
+    total = np.empty(shape) if exponents else np.zeros(shape)
+    buffer = np.empty(min(total.size, STRIP + 8 * shape[1]))
+    for rows in strips(*shape):
+        out = total[rows]
+        for k, (exponent, sign) in enumerate(zip(exponents, signs, strict=True)):
+            if k == 0:
+                exponent.exponential(rows, out)
+                if sign < 0:
+                    np.negative(out, out=out)
+            else:
+                E = exponent.exponential(rows, buffer[: out.size].reshape(out.shape))
+                (np.add if sign > 0 else np.subtract)(out, E, out=out)
+    return total
+
+
+class Sums(NamedTuple):
+    """Of G = W * exp(exponent): row sums (n_i,), column sums (n_j,), G b (n_i, d) and, on request, G^T a (n_j, d)."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    right: np.ndarray
+    left: np.ndarray | None
+
+
+def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
+    """Return the sums of G for each exponent; a is a list of one (n_i, d) for each, b is (n_j, d)."""
+    (n_i, n_j), d = W.shape, b.shape[1]
+    padded = np.column_stack([b, np.ones(n_j)])
+    ones = np.ones(n_i)
+    products = np.empty((len(exponents), n_i, d + 1))
+    columns = np.zeros((len(exponents), n_j))
+    lefts = np.zeros((len(exponents), n_j, d)) if transposed else [None] * len(exponents)
+    buffer = np.empty(min(W.size, STRIP + 8 * n_j))
+    for rows in strips(n_i, n_j):
+        own = W[rows]
+        G = buffer[: own.size].reshape(own.shape)
+        for k, exponent in enumerate(exponents):
+            exponent.exponential(rows, G)
+            np.multiply(G, own, out=G)
+            np.matmul(G, padded, out=products[k, rows])
+            columns[k] += ones[rows] @ G
+            if transposed:
+                lefts[k] += G.T @ a[k][rows]
+    return [Sums(p[:, d], c, p[:, :d], left) for p, c, left in zip(products, columns, lefts, strict=True)]

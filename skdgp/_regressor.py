@@ -7,7 +7,6 @@ from functools import partial
 from numbers import Integral
 
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import r2_score
@@ -15,6 +14,7 @@ from sklearn.utils import check_array, check_random_state
 from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from skdgp._parallel import check_n_jobs, fit_map
 from skdgp._targets import check_enough, check_memory, check_targets, warn_of_indices, warn_of_samples
 from skdgp.inference import fit_exact, fit_sparse, output_correlation
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
@@ -76,7 +76,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Whether each output is divided by its standard deviation inside. The kernel and the noise in ``kernel_``
         are then in these units.
     n_jobs : int or None
-        Processes for the restarts, as in joblib.
+        Processes for the restarts, as in joblib. None: as the active ``joblib.parallel_config`` says, else one.
     random_state : int, RandomState or None
         Seed of the starting values.
 
@@ -197,6 +197,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             When the search for hyperparameters was interrupted (the best ones so far are kept), or stopped at
             ``max_iter`` far from an optimum.
         """
+        check_n_jobs(self.n_jobs)
         index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         warn_of_indices(index, y)
@@ -250,14 +251,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         search = partial(search, kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter)
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
         starts = [{"random_state": int(seed), "spread": float(k > 0)} for k, seed in enumerate(seeds)]
-        if effective_n_jobs(self.n_jobs) > 1 and len(starts) > 1:
-            fits = Parallel(n_jobs=self.n_jobs)(delayed(search)(**start) for start in starts)
-        else:
-            fits = []
-            for start in starts:
-                fits.append(search(**start))
-                if fits[-1].interrupted:
-                    break
+        fits = fit_map(search, starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.posterior.log_marginal_likelihood)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))
 

@@ -11,6 +11,7 @@ from sklearn.cluster import KMeans
 from sklearn.utils import check_random_state
 
 from skdgp._linalg import column_scale
+from skdgp._parallel import sharing
 from skdgp._threads import thread_map
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
@@ -116,7 +117,8 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
 
     theta = np.concatenate([kernel.theta, np.log(noise), features.theta])
     bounds = np.concatenate([_bounds(kernel, noise_bounds), features.bounds])
-    best = maximize(bound, theta, bounds, optimizer=optimizer, max_iter=max_iter, stage="bound")
+    with sharing(shares):
+        best = maximize(bound, theta, bounds, optimizer=optimizer, max_iter=max_iter, stage="bound")
     n_evaluations = first.n_evaluations + best.n_evaluations
     return Fit(rebuilt(best.theta), best.n_iter, n_evaluations, best.interrupted, best.rising)
 

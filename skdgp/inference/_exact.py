@@ -6,11 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
-from skdgp._linalg import cholesky_solve, jittered_cholesky, log_determinant, triangular_solve
-from skdgp._threads import thread_map, threads_for
+from skdgp._linalg import jittered_cholesky
+from skdgp._threads import n_threads, thread_map, threads_for
+from skdgp.inference._factor import Factor
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, tiles_of
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
+ROWS = 256  # samples whose means are summed at a time, tile by tile
 
 
 class ExactPosterior:
@@ -22,42 +24,115 @@ class ExactPosterior:
     noise : ndarray (P,)
         Noise variance of each output.
     data : Data
+
+    Attributes
+    ----------
+    log_marginal_likelihood : float
     """
 
     def __init__(self, kernel, noise, data: Data):
         self.kernel, self.noise, self.data = kernel, np.asarray(noise, dtype=float), data
-        y = np.concatenate(data.y)
-        self.alpha = cholesky_solve(self.L, y)
-        self.log_marginal_likelihood = -0.5 * (y @ self.alpha + log_determinant(self.L) + len(y) * np.log(2 * np.pi))
+        self._rows = slice(None)
+        self._solve()
+
+    def _solve(self):
+        square, determinant = self._white @ self._white, self.factor.log_determinant()
+        self.log_marginal_likelihood = -0.5 * (square + determinant + self.data.n_values * np.log(2 * np.pi))
 
     @cached_property
-    def L(self):
-        """Cholesky factor of Kff + noise, (N, N); factored again where it was left behind.
+    def factor(self) -> Factor:
+        """Cholesky factor of Kff + noise, its rows being the stacked values ``_rows``; made again where left behind.
 
-        To the same bits on the same number of BLAS threads.
+        To the same bits on the same number of BLAS threads, unless it had grown.
         """
         with threads_for(self.data.n_values):
-            return jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data.X))
+            return Factor(jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data.X)))
+
+    @cached_property
+    def _white(self):
+        """L^-1 y, by the factor's rows."""
+        with threads_for(self.data.n_values):
+            return self.factor.half(np.concatenate(self.data.y)[self._rows])
+
+    @cached_property
+    def alpha(self) -> np.ndarray:
+        """K^-1 y of the stacked values, (N,)."""
+        alpha = np.empty(self.data.n_values)
+        with threads_for(len(alpha)):
+            alpha[self._rows] = self.factor.other_half(self._white)
+        return alpha
+
+    @property
+    def L(self) -> np.ndarray:
+        """Cholesky factor of Kff + noise, (N, N): its lower triangle."""
+        return self.factor.matrix()
 
     def __getstate__(self):
         # A saved model holds the samples, not the N x N factor: megabytes instead of hundreds of them.
-        return {name: value for name, value in self.__dict__.items() if name != "L"}
+        left_behind = {"factor", "_rows", "_white"}
+        self.alpha  # noqa: B018 - means need no factor
+        return {name: value for name, value in self.__dict__.items() if name not in left_behind}
+
+    def __setstate__(self, state):
+        self.__dict__.update(state)
+        self._rows = slice(None)
+
+    def updated(self, data: Data) -> ExactPosterior:
+        """Return the posterior that knows further values too: rows are appended to the factor.
+
+        Of order N^2 for each new value, where conditioning on everything again is N^3.
+        """
+        new = object.__new__(ExactPosterior)
+        new.kernel, new.noise = self.kernel, self.noise
+        both = zip((*self.data.X, *self.data.y), (*data.X, *data.y), strict=True)
+        parts = [np.concatenate(pair) for pair in both]
+        P = len(data.X)
+        new.data = Data(parts[:P], parts[P:])
+        new._rows = self._appended_rows([len(y) for y in data.y])
+        with threads_for(self.data.n_values):
+            half = self._half(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))
+            new.factor = self.factor.extended(half, covariance(self.kernel, self.noise, data.X))
+        new._solve()
+        return new
+
+    def _appended_rows(self, added):
+        """Return which of the stacked values, old and new, each row of the grown factor is."""
+        sizes = [len(y) for y in self.data.y]
+        before = np.cumsum([0, *added[:-1]])
+        old = np.arange(sum(sizes)) + np.repeat(before, sizes)
+        new = np.arange(sum(added)) + np.repeat(np.cumsum(sizes), added)
+        return np.concatenate([old[self._rows], new])
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
         """Return the log likelihood of the same data at other hyperparameters, and its gradient on request."""
         return log_likelihood(kernel, noise, self.data, eval_gradient)
 
+    # -- prediction ------------------------------------------------------------------------------------
+
     def cross(self, i, Xs) -> np.ndarray:
         """Return cov(y_i(Xs), all observed values), (n, N)."""
-        tiles, rows = tiles_of([len(x) for x in self.data.X]), tiles_of([len(Xs)])
-        K = np.empty((len(Xs), len(self.alpha)))
+        return self._cross([i], Xs)
+
+    def _cross(self, outputs, Xs):
+        """Return cov(y_i(Xs), all observed values) of some outputs, one after another, (len(outputs) n, N)."""
+        tiles, rows = tiles_of([len(x) for x in self.data.X]), tiles_of([len(Xs)] * len(outputs))
+        K = np.empty((len(outputs) * len(Xs), self.data.n_values))
 
         def fill(pair):
             a, b = pair
-            K[a.own, b.all] = self.kernel.block(i, b.output, Xs[a.own], self.data.X[b.output][b.own])
+            i = outputs[a.output]
+            K[a.all, b.all] = (
+                self.kernel.block(i, b.output, Xs[a.own], self.data.X[b.output][b.own])
+                if self.kernel.couples(i, b.output)
+                else 0.0
+            )
 
         thread_map(fill, [(a, b) for a in rows for b in tiles])
         return K
+
+    def _half(self, K):
+        """Return L^-1 K^T, (N, n); K (n, N), covariances with the stacked values, is overwritten."""
+        return self.factor.half((K if isinstance(self._rows, slice) else np.take(K, self._rows, axis=1)).T)
 
     def _chunks(self, n, per_row):
         """Cut n rows so that ``per_row`` doubles for each fit the working memory."""
@@ -66,21 +141,38 @@ class ExactPosterior:
 
     def predict(self, Xs, return_variance=False):
         """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""
+        if not return_variance:
+            return self._mean(Xs)
         P = self.kernel.n_outputs
-        mean = np.empty((len(Xs), P))
-        variance = np.empty((len(Xs), P)) if return_variance else None
-        for rows in self._chunks(len(Xs), len(self.alpha)):
-            for i in range(P):
-                K = self.cross(i, Xs[rows])
-                mean[rows, i] = K @ self.alpha
-                if return_variance:
-                    half = triangular_solve(self.L, K.T)
-                    variance[rows, i] = self.kernel.block_diag(i, Xs[rows]) - np.einsum("ab,ab->b", half, half)
-        return (mean, np.maximum(variance, 0.0)) if return_variance else mean
+        mean, variance = np.empty((2, len(Xs), P))
+        for rows in self._chunks(len(Xs), P * self.data.n_values):
+            x = Xs[rows]
+            K = self._cross(range(P), x)
+            mean[rows] = (K @ self.alpha).reshape(P, -1).T
+            half = self._half(K).T
+            prior = np.concatenate([self.kernel.block_diag(i, x) for i in range(P)])
+            variance[rows] = (prior - np.einsum("ab,ab->a", half, half)).reshape(P, -1).T
+        return mean, np.maximum(variance, 0.0)
+
+    def _mean(self, Xs):
+        """Return the mean alone: covariances are made tile by tile, used while in the cache, and never kept."""
+        mean = np.zeros((len(Xs), self.kernel.n_outputs))
+        tiles = tiles_of([len(x) for x in self.data.X])
+        side = min(ROWS, -(-len(Xs) // n_threads()))
+
+        def add(row):
+            i = row.output
+            for b in tiles:
+                if self.kernel.couples(i, b.output):
+                    block = self.kernel.block(i, b.output, Xs[row.own], self.data.X[b.output][b.own])
+                    mean[row.own, i] += block @ self.alpha[b.all]
+
+        thread_map(add, tiles_of([len(Xs)] * self.kernel.n_outputs, max(1, side)))
+        return mean
 
     def covariance(self, Xs) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
-        half = triangular_solve(self.L, np.concatenate([self.cross(i, Xs) for i in range(self.kernel.n_outputs)]).T)
+        half = self._half(self._cross(range(self.kernel.n_outputs), Xs))
         return self.kernel(Xs) - half.T @ half
 
     def gradient(self, Xs, return_variance=False):
@@ -88,7 +180,7 @@ class ExactPosterior:
         P, d = self.kernel.n_outputs, np.shape(Xs)[1]
         mean = np.empty((len(Xs), P, d))
         variance = np.empty((len(Xs), P, d)) if return_variance else None
-        for rows in self._chunks(len(Xs), d * len(self.alpha)):
+        for rows in self._chunks(len(Xs), d * self.data.n_values):
             for i in range(P):
                 x = Xs[rows]
                 K = np.concatenate(
@@ -96,7 +188,7 @@ class ExactPosterior:
                 )
                 mean[rows, i] = (K @ self.alpha).T
                 if return_variance:
-                    half = triangular_solve(self.L, K.reshape(-1, len(self.alpha)).T)
+                    half = self._half(K.reshape(-1, K.shape[-1]))
                     explained = np.einsum("ab,ab->b", half, half).reshape(d, -1).T
                     variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, x) - explained, 0.0)
         return (mean, variance) if return_variance else mean

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.linalg.blas import dtrsm
+from scipy.linalg.blas import dsyrk, dtrsm
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
 
@@ -91,6 +91,17 @@ def triangular_solve(L: np.ndarray, B: np.ndarray, *, transposed: bool = False) 
     if B.ndim == 1:
         return dtrsm(1.0, L, B[:, None], lower=1, trans_a=int(transposed))[:, 0]
     return dtrsm(1.0, L, B, lower=1, trans_a=int(transposed), overwrite_b=1)
+
+
+def add_outer(total: np.ndarray, V: np.ndarray) -> None:
+    """Add V V^T to the lower triangle of ``total``, in place; both in Fortran order."""
+    dsyrk(1.0, V, beta=1.0, c=total, lower=1, overwrite_c=1)
+
+
+def symmetric(lower: np.ndarray) -> np.ndarray:
+    """Return the full matrix of which the lower triangle is given."""
+    full = np.tril(lower)
+    return full + np.tril(full, -1).T
 
 
 def log_determinant(L: np.ndarray) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._linalg import cholesky_inverse, cholesky_solve, jittered_cholesky, log_determinant, triangular_solve
+from skdgp._linalg import cholesky_inverse, cholesky_solve, jittered_cholesky, log_determinant, symmetric, triangular_solve
 from skdgp._threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
 from skdgp.inference._shares import Share, own_factor, row_slices, statistics
@@ -63,7 +63,7 @@ class SparsePosterior:
         self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
         self.white = cholesky_solve(self.LB, b)
         self.weights = triangular_solve(self.Lu, self.white, transposed=True)
-        self.B_inverse = _symmetric(cholesky_inverse(self.LB.copy(order="F")))
+        self.B_inverse = symmetric(cholesky_inverse(self.LB.copy(order="F")))
         n = np.array([s.n for s in self.statistics])
         square = np.array([s.square for s in self.statistics])
         self.missing = np.array([s.variance - np.trace(s.outer) for s in self.statistics])
@@ -130,9 +130,3 @@ class SparsePosterior:
                     learned = np.einsum("an,an->n", V, self._learned(c) @ V).reshape(d, -1).T
                     variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - learned, 0.0)
         return (mean, variance) if return_variance else mean
-
-
-def _symmetric(lower):
-    """Return the full matrix of which the lower triangle is given."""
-    full = np.tril(lower)
-    return full + np.tril(full, -1).T

@@ -10,7 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._linalg import cholesky_inverse, cholesky_solve, jittered_cholesky, log_determinant, symmetric, triangular_solve
+from skdgp._linalg import (
+    cholesky_inverse,
+    cholesky_solve,
+    jittered_cholesky,
+    log_determinant,
+    symmetric,
+    triangular_solve,
+)
 from skdgp._threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
 from skdgp.inference._shares import Share, own_factor, row_slices, statistics

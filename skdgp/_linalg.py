@@ -73,6 +73,17 @@ def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
     return L
 
 
+def pivoted_cholesky(K: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return, step by step, which variable is least explained by those before it, and what of its variance is left.
+
+    ``K`` (N, N), in Fortran order, is overwritten. Ends when less than ``tolerance`` is left of any.
+    """
+    L, pivots, rank, info = lapack.dpstrf(K, tol=tolerance, lower=1, overwrite_a=1)
+    if info < 0:
+        raise np.linalg.LinAlgError(f"The pivoted Cholesky factorisation failed (pstrf info {info}).")
+    return pivots[:rank] - 1, np.einsum("ii->i", L)[:rank] ** 2
+
+
 def cholesky_solve(L: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return K^-1 b from the lower factor of K."""
     return lapack.dpotrs(L, b, lower=1)[0]

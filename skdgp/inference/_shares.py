@@ -40,18 +40,28 @@ def shares_of(data) -> list[Share]:
     return [
         Share(i, *part)
         for i, both in enumerate(zip(data.X, data.y, strict=True))
+        if len(both[1])
         for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in both), strict=True)
     ]
 
 
 def statistics(kernel, features, Lu, shares) -> list[Statistics]:
-    """Return the sums for each output."""
+    """Return the sums for each output; zeros where it has no share."""
     parts = share_map(_statistics, (kernel, features, Lu), shares)
     found = []
     for i in range(kernel.n_outputs):
         own = [part for share, part in zip(shares, parts, strict=True) if share.output == i]
-        found.append(Statistics(*map(sum, zip(*own, strict=True))))
+        found.append(summed(own) if own else _nothing(len(features.columns(i))))
     return found
+
+
+def summed(parts) -> Statistics:
+    """Return the sums over the samples of all parts."""
+    return Statistics(*map(sum, zip(*parts, strict=True)))
+
+
+def _nothing(c):
+    return Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0)
 
 
 def _statistics(kernel, features, Lu, share):
@@ -64,6 +74,18 @@ def _statistics(kernel, features, Lu, share):
         inner += V @ y[rows]
         variance += kernel.block_diag(i, X[rows]).sum()
     return Statistics(symmetric(outer), inner, y @ y, variance, len(y))
+
+
+def packed(s: Statistics) -> Statistics:
+    """Return the statistics with the lower triangle of ``outer`` alone, row by row: half of it says all."""
+    return s._replace(outer=s.outer[np.tril_indices(len(s.outer))])
+
+
+def unpacked(s: Statistics) -> Statistics:
+    """Return the statistics that were packed."""
+    outer = np.zeros((len(s.inner), len(s.inner)))
+    outer[np.tril_indices(len(outer))] = s.outer
+    return s._replace(outer=symmetric(outer))
 
 
 def bound_slope(kernel, features, noise, weights, gap, shares):

@@ -8,6 +8,8 @@ enter through sums alone, so time is linear in them and memory does not grow.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from skdgp._linalg import (
@@ -20,7 +22,18 @@ from skdgp._linalg import (
 )
 from skdgp._threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
-from skdgp.inference._shares import Share, own_factor, row_slices, statistics
+from skdgp.inference._likelihood import Data
+from skdgp.inference._readout import Readout
+from skdgp.inference._shares import (
+    ROWS,
+    Share,
+    packed,
+    row_slices,
+    shares_of,
+    statistics,
+    summed,
+    unpacked,
+)
 
 
 class SparsePosterior:
@@ -32,8 +45,10 @@ class SparsePosterior:
     features : Features
     noise : ndarray (P,)
         Noise variance of each output.
-    shares : list of Share
-        The observed values, see ``shares_of``.
+    shares : list of Share or None
+        The observed values, see ``shares_of``. None: they are forgotten, and ``statistics`` is what is left of them.
+    statistics : list of Statistics, optional
+        Sums over the samples of each output, where they are known already.
 
     Attributes
     ----------
@@ -41,24 +56,41 @@ class SparsePosterior:
         Its lower bound.
     """
 
-    def __init__(self, kernel, features, noise, shares: list[Share]):
+    def __init__(self, kernel, features, noise, shares: list[Share] | None, statistics=None):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
-        self.shares = shares
+        self.shares, self.statistics = shares, statistics
         self._solve()
 
     def __getstate__(self):
-        return {name: self.__dict__[name] for name in ("kernel", "features", "noise", "shares")}
+        state = {name: self.__dict__[name] for name in ("kernel", "features", "noise", "shares")}
+        # Samples are smaller than their sums; where they are forgotten, half of each symmetric sum.
+        state["statistics"] = [packed(s) for s in self.statistics] if self.shares is None else None
+        return state
 
     def __setstate__(self, state):
         self.__dict__.update(state)
+        if self.shares is None:
+            self.statistics = [unpacked(s) for s in self.statistics]
         self._solve()
 
     def _solve(self):
         with threads_for(self.features.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
-        self.statistics = statistics(self.kernel, self.features, self.Lu, self.shares)
+        if self.statistics is None:
+            self.statistics = statistics(self.kernel, self.features, self.Lu, self.shares)
         with threads_for(self.features.size):
             self._condition()
+
+    def without_samples(self) -> SparsePosterior:
+        """Return the same posterior, of the same predictions, that holds no samples: their sums alone."""
+        return SparsePosterior(self.kernel, self.features, self.noise, None, self.statistics)
+
+    def updated(self, data: Data) -> SparsePosterior:
+        """Return the posterior that knows further values too: their sums are added."""
+        added = statistics(self.kernel, self.features, self.Lu, shares_of(data))
+        total = [summed(pair) for pair in zip(self.statistics, added, strict=True)]
+        shares = None if self.shares is None else shares_of(_with_shares(data, self.shares))
+        return SparsePosterior(self.kernel, self.features, self.noise, shares, total)
 
     def _condition(self):
         """Whitened, u = Lu w: B = I + sum_i V_i V_i^T / noise_i, the mean of w is B^-1 b, and the bound follows."""
@@ -81,6 +113,11 @@ class SparsePosterior:
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
         """Return the bound for the same data and features at other hyperparameters, and its gradient on request."""
+        if self.shares is None:
+            raise ValueError(
+                "A compact model holds no samples, so its likelihood is known at the fitted hyperparameters alone. Ask "
+                "the model it was made from."
+            )
         other = SparsePosterior(kernel, self.features.rebuild(kernel, self.features.theta), noise, self.shares)
         if not eval_gradient:
             return other.log_marginal_likelihood
@@ -90,28 +127,19 @@ class SparsePosterior:
         """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
         return bound_gradient(self)
 
+    @cached_property
+    def readout(self) -> Readout:
+        """What predictions need, made when they are first asked for."""
+        with threads_for(self.features.size):
+            return Readout(self.kernel, self.features, self.Lu, self.B_inverse, self.weights)
+
     def predict(self, Xs, return_variance=False):
         """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""
-        P = self.kernel.n_outputs
-        mean = np.empty((len(Xs), P))
-        variance = np.empty((len(Xs), P)) if return_variance else None
-
-        def over(task):
-            i, rows = task
-            c = self.features.columns(i)
-            A = self.features.Kfu(i, Xs[rows])
-            mean[rows, i] = A @ self.weights[c]
-            if return_variance:
-                V = triangular_solve(own_factor(self.Lu, c), A.T)
-                learned = np.einsum("an,an->n", V, self._learned(c) @ V)
-                variance[rows, i] = self.kernel.block_diag(i, Xs[rows]) - learned
-
-        thread_map(over, [(i, rows) for rows in row_slices(len(Xs)) for i in range(P)])
-        return (mean, np.maximum(variance, 0.0)) if return_variance else mean
-
-    def _learned(self, c):
-        """Return I - B^-1 of some whitened features: what the data took from their prior variance."""
-        return np.eye(len(c)) - self.B_inverse[np.ix_(c, c)]
+        answer = self.readout.mean_and_variance if return_variance else self.readout.mean
+        if len(Xs) <= ROWS:
+            return answer(Xs)
+        parts = thread_map(lambda rows: answer(Xs[rows]), row_slices(len(Xs)))
+        return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
 
     def covariance(self, Xs) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
@@ -133,7 +161,13 @@ class SparsePosterior:
                 D = self.features.Kfu_derivative(i, Xs[rows])
                 mean[rows, i] = (D @ self.weights[c]).T
                 if return_variance:
-                    V = triangular_solve(own_factor(self.Lu, c), D.reshape(-1, len(c)).T.copy(order="F"))
-                    learned = np.einsum("an,an->n", V, self._learned(c) @ V).reshape(d, -1).T
+                    learned = self.readout.learned(i, D.reshape(-1, len(c))).reshape(d, -1).T
                     variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - learned, 0.0)
         return (mean, variance) if return_variance else mean
+
+
+def _with_shares(data, shares):
+    """Return the observed values of the shares, then those of ``data``."""
+    own = [[share for share in shares if share.output == i] for i in range(len(data.X))]
+    X = [np.concatenate([*(share.X for share in parts), x]) for parts, x in zip(own, data.X, strict=True)]
+    return Data(X, [np.concatenate([*(share.y for share in parts), y]) for parts, y in zip(own, data.y, strict=True)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -78,6 +79,13 @@ class MultiOutputKernel(Kernel):
     @abstractmethod
     def features(self, Z) -> Features:
         """Return inducing features for sparse inference, placed at Z (k, d)."""
+
+    @abstractmethod
+    def feature_ranking(self, X, scale, random_state) -> Callable[[int], Features]:
+        """Return a function n -> the features that n variables are best spent on, to know the outputs at X (n, d).
+
+        ``scale`` (P,) says how exactly each output is to be kept. Every term of a sum spends n.
+        """
 
     @abstractmethod
     def peaks(self, i: int, j: int, d: int) -> np.ndarray:
@@ -337,6 +345,10 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def features(self, Z):
         return SumFeatures(self.k1.features(Z), self.k2.features(Z))
+
+    def feature_ranking(self, X, scale, random_state):
+        best = [k.feature_ranking(X, scale, random_state) for k in (self.k1, self.k2)]
+        return lambda n: SumFeatures(*(best_of(n) for best_of in best))
 
     def peaks(self, i, j, d):
         return np.concatenate([self.k1.peaks(i, j, d), self.k2.peaks(i, j, d)])

@@ -9,6 +9,7 @@ import numpy as np
 from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, number, or_default
 from skdgp.kernels._features import ConvolvedFeatures
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
+from skdgp.kernels._parts import rank_parts
 from skdgp.kernels._start import starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
@@ -251,6 +252,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         weight /= weight.sum(axis=1, keepdims=True)
         width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
         return ConvolvedFeatures(self, np.tile(Z, (len(w), 1, 1)), width)
+
+    def feature_ranking(self, X, scale, random_state):
+        return rank_parts(self, X, scale, random_state)
 
     def peaks(self, i, j, d):
         # Terms of either sign may cancel at their centres and peak beside them: a width or two along each axis.

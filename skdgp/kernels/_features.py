@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
+
+from skdgp.kernels._rows import ExponentialRows, LinearRows, SumRows
 
 JITTER = 1e-6
 """White noise of the inducing variables, part of their definition: the bound stays a bound."""
@@ -29,6 +32,10 @@ class Features(ABC):
     @abstractmethod
     def Kfu(self, i: int, X) -> np.ndarray:
         """Return cov(y_i(X), u) of the columns of i, (n, c_i)."""
+
+    @abstractmethod
+    def rows(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Return a function X (n, d) -> Kfu of all outputs side by side, made for few samples at a time."""
 
     @abstractmethod
     def Kfu_derivative(self, i: int, X) -> np.ndarray:
@@ -99,6 +106,10 @@ class ConvolvedFeatures(Features):
     def Kfu(self, i, X):
         P = self.kernel.n_outputs
         return np.hstack([self.joint.block(i, P + m, X, self.Z[m]) for m in self._latents(i)])
+
+    def rows(self):
+        P = self.kernel.n_outputs
+        return ExponentialRows(self.joint, [[(P + m, self.Z[m]) for m in self._latents(i)] for i in range(P)])
 
     def Kfu_derivative(self, i, X):
         P = self.kernel.n_outputs
@@ -174,6 +185,9 @@ class TrendFeatures(Features):
     def Kfu(self, i, X):
         return self.kernel.basis(i, X)
 
+    def rows(self):
+        return LinearRows(self.kernel)
+
     def Kfu_derivative(self, i, X):
         return self.kernel.basis_derivative(i, X)
 
@@ -213,6 +227,9 @@ class SumFeatures(Features):
 
     def Kfu(self, i, X):
         return np.hstack([self.first.Kfu(i, X), self.second.Kfu(i, X)])
+
+    def rows(self):
+        return SumRows(self.first.rows(), self.second.rows())
 
     def Kfu_derivative(self, i, X):
         return np.concatenate([self.first.Kfu_derivative(i, X), self.second.Kfu_derivative(i, X)], axis=2)

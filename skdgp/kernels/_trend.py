@@ -120,6 +120,9 @@ class LinearTrend(MultiOutputKernel):
     def features(self, Z):
         return TrendFeatures(self)
 
+    def feature_ranking(self, X, scale, random_state):
+        return lambda n: TrendFeatures(self)
+
     def _by_entry(self, i, by_intercept, by_slope):
         intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_features))
         intercept[i], slope[i] = by_intercept, by_slope

@@ -1,0 +1,67 @@
+"""Predictions from inducing features: few products, of matrices made beforehand."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from skdgp._linalg import jittered_cholesky, triangular_solve
+from skdgp.inference._shares import own_factor
+
+NEGLIGIBLE = 1e-12  # of the prior variance
+
+
+class Readout:
+    """Mean and variance of every output, from the features it feels.
+
+    With whitened features V = Lu^-1 Kuf, the data took V^T (I - B^-1) V from the prior variance. With I - B^-1 = R R^T
+    for the features of output i that is |Kfu Lu^-T R|^2, a product and a sum of squares.
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+    features : Features
+    Lu, B_inverse : ndarray (K, K)
+    weights : ndarray (K,)
+        Posterior mean of the features, coloured.
+    """
+
+    def __init__(self, kernel, features, Lu, B_inverse, weights):
+        self.kernel, self._Lu, self._B_inverse = kernel, Lu, B_inverse
+        self.columns = [features.columns(i) for i in range(kernel.n_outputs)]
+        self.rows = features.rows()
+        edges = np.cumsum([0, *map(len, self.columns)])
+        self.own = [slice(a, b) for a, b in pairwise(edges)]
+        self.weights = np.zeros((edges[-1], kernel.n_outputs))
+        for i, (own, columns) in enumerate(zip(self.own, self.columns, strict=True)):
+            self.weights[own, i] = weights[columns]
+
+    @cached_property
+    def roots(self) -> list[np.ndarray]:
+        """Lu^-T R of the features of each output, (c, c)."""
+        return [self._root(columns) for columns in self.columns]
+
+    def _root(self, columns):
+        learned = -self._B_inverse[np.ix_(columns, columns)]
+        np.einsum("ii->i", learned)[:] += 1.0 + NEGLIGIBLE
+        R = np.tril(jittered_cholesky(lambda: learned.copy(order="F")))
+        return triangular_solve(own_factor(self._Lu, columns), np.asfortranarray(R), transposed=True)
+
+    def learned(self, i, A):
+        """Return what the data took from the variance of functions whose covariance with the features is A (n, c)."""
+        half = A @ self.roots[i]
+        return np.einsum("nc,nc->n", half, half)
+
+    def mean(self, X) -> np.ndarray:
+        """Return the mean at X (n, d), (n, P)."""
+        return self.rows(X) @ self.weights
+
+    def mean_and_variance(self, X) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and variance at X (n, d), (n, P) each."""
+        A = self.rows(X)
+        variance = np.empty((len(X), len(self.own)))
+        for i, own in enumerate(self.own):
+            variance[:, i] = self.kernel.block_diag(i, X) - self.learned(i, A[:, own])
+        return A @ self.weights, np.maximum(variance, 0.0)

@@ -1,0 +1,85 @@
+"""The features that every output feels, for few samples at once: one product, one exponential.
+
+``sizes`` (P,) says how many columns are each output's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class ExponentialRows:
+    """Covariances of outputs with inducing variables of a convolved Gaussian, one column after another.
+
+    Every column is gain * exp(-1/2 |F (x - mu - z)|^2). With x taken from a middle, the square is |F x|^2, the same
+    for all columns of a pair, plus what is linear in x.
+
+    Parameters
+    ----------
+    joint : ConvolvedGaussian
+        Whose further outputs are the variables, each fed by one latent.
+    columns : list of lists of (j, Z)
+        For each output: further output, and where it stands, (k, d).
+    """
+
+    def __init__(self, joint, columns):
+        self.sizes = np.array([sum(len(Z) for _, Z in own) for own in columns])
+        columns = [(i, j, Z) for i, own in enumerate(columns) for j, Z in own if len(Z)]
+        d = joint.n_features
+        self.middle = np.concatenate([np.zeros((1, d)), *(Z for *_, Z in columns)]).mean(axis=0)
+        roots, slopes, constants = [], [], []
+        for i, j, Z in columns:
+            _, (gain,), _, (F,), (mu,) = joint._pair(i, j)
+            F = np.diag(F) if F.ndim == 1 else F
+            b = (Z - self.middle + mu) @ F
+            roots.append(F)
+            slopes.append(b @ F.T)
+            constants.append(np.stack([-0.5 * np.einsum("kd,kd->k", b, b), np.full(len(b), gain)]))
+        self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
+        self.roots = np.array([np.diag(F) ** 2 for F in roots]).T if self.diagonal else np.hstack(roots)
+        self.slopes = np.concatenate([np.zeros((0, d)), *slopes]).T.copy()
+        self.constant, self.gain = np.hstack([np.zeros((2, 0)), *constants])
+        self.counts = np.array([len(Z) for *_, Z in columns], dtype=int)
+
+    def __call__(self, X) -> np.ndarray:
+        """Return all columns at X (n, d), (n, C)."""
+        x = X - self.middle
+        if self.diagonal:
+            squares = (x * x) @ self.roots
+        else:
+            squares = ((x @ self.roots).reshape(len(x), len(self.counts), -1) ** 2).sum(axis=2)
+        E = x @ self.slopes
+        E += self.constant
+        E -= np.repeat(0.5 * squares, self.counts, axis=1)
+        np.exp(E, out=E)
+        E *= self.gain
+        return E
+
+
+class LinearRows:
+    """The basis functions of a linear trend of every output, (1, x - c) times their scales."""
+
+    def __init__(self, kernel):
+        self.center = np.broadcast_to(kernel._value("center"), kernel.n_features)
+        self.scales = np.column_stack([kernel._value("intercept_scale"), kernel._value("slope_scale")]).ravel()
+        self.sizes = np.full(kernel.n_outputs, kernel.n_features + 1)
+
+    def __call__(self, X) -> np.ndarray:
+        """Return all columns at X (n, d), (n, C)."""
+        basis = np.column_stack([np.ones(len(X)), X - self.center])
+        return np.tile(basis, len(self.sizes)) * self.scales
+
+
+class SumRows:
+    """Of the features of a sum: for each output those of the first term, then those of the second."""
+
+    def __init__(self, first, second):
+        self.first, self.second = first, second
+        self.sizes = first.sizes + second.sizes
+        parts = [np.split(np.arange(rows.sizes.sum()), np.cumsum(rows.sizes)[:-1]) for rows in (first, second)]
+        offset = first.sizes.sum()
+        self.order = np.concatenate([np.concatenate([a, offset + b]) for a, b in zip(*parts, strict=True)])
+
+    def __call__(self, X) -> np.ndarray:
+        """Return all columns at X (n, d), (n, C)."""
+        return np.take(np.hstack([self.first(X), self.second(X)]), self.order, axis=1)

@@ -18,7 +18,6 @@ from contextvars import ContextVar
 from numbers import Integral
 from uuid import uuid4
 
-import numpy as np
 from joblib import Parallel, cpu_count, delayed, effective_n_jobs
 from joblib.parallel import get_active_backend
 
@@ -31,6 +30,7 @@ PATIENCE = 1.0  # seconds between looks at who is still there
 
 _crew: ContextVar[_Crew | None] = ContextVar("skdgp_crew", default=None)
 _stopped: set[str] = set()  # names of the work that shall come to an end, in this process
+_former: list = []  # what Ctrl-C did before, in this process
 
 
 def check_n_jobs(n_jobs) -> None:
@@ -63,8 +63,8 @@ def share_map(function: Callable, state: tuple, shares: Sequence) -> list:
 def sharing(shares: Sequence) -> Iterator[None]:
     """Let joblib's active backend, if it has other processes or machines, hold the shares and work on them.
 
-    The shares are sent once, the state with every call. A worker that dies is replaced by the others; where none is
-    left, the call is finished here, with a warning.
+    The shares are sent once, the state with every call. What a worker was to do when it died, others do; where none
+    is left, the call is finished here, with a warning.
     """
     workers = _workers(None)
     token = _crew.set(_Crew(workers, shares) if workers else None)
@@ -88,13 +88,12 @@ class _Crew:
                 if n == 0 or self.failures >= FAILURES:
                     break
                 parts = self.workers.work(function, state, [self.shares[k::n] for k in range(n)])
-            except np.linalg.LinAlgError:
-                raise  # said by the function: the search knows what to do
             except (Exception, CancelledError) as caught:
-                error = f"{type(caught).__name__}: {caught}"
+                error = _in_short(caught)
                 self.workers.forget()
             else:
                 self.failures = 0
+                _raise_first(parts)
                 return [parts[k % n][k // n] for k in range(len(self.shares))]
         return self._here(function, state, error)
 
@@ -106,19 +105,34 @@ class _Crew:
         return thread_map(lambda share: function(*state, share), self.shares)
 
 
+def _work(function, state, shares):
+    """Be a worker: one core, so one thread of BLAS. What the function raises is a result too."""
+    try:
+        with one_blas_thread():
+            return [function(*state, share) for share in shares]
+    except MemoryError:
+        raise  # another machine may have more
+    except Exception as error:
+        return error
+
+
+def _raise_first(results):
+    for result in results:
+        if isinstance(result, Exception):
+            raise result
+
+
+def _in_short(error):
+    return f"{type(error).__name__}: {error}".splitlines()[0]
+
+
 def _warn_of_loss(error):
     warnings.warn(
-        f"The workers were lost ({error}). Nothing else is: their work is done in this process, until there are "
-        "workers again.",
+        f"Work given to other processes or machines did not come back ({error}). Nothing is lost: it was done in this "
+        "process.",
         RuntimeWarning,
         stacklevel=2,
     )
-
-
-def _work(function, state, shares):
-    """Be a worker: one core, so one thread of BLAS."""
-    with one_blas_thread():
-        return [function(*state, share) for share in shares]
 
 
 # -- whole fits side by side ---------------------------------------------------------------------------
@@ -142,7 +156,7 @@ def fit_map(fit: Callable, starts: Sequence[dict], n_jobs=None) -> list:
 
 def _elsewhere(workers, fit, starts):
     """Return the fits that workers could finish or, interrupted, begin; Ctrl-C when none was begun."""
-    found, error = {}, None
+    found, error = {}, "interrupted there"
     name = os.path.join(tempfile.gettempdir(), f"skdgp-stop-{uuid4().hex}")
     stop = threading.Event()
     with _first_interrupt(stop, name):
@@ -154,13 +168,14 @@ def _elsewhere(workers, fit, starts):
                 for k, end in workers.fits(fit, name, left, stop):
                     found[k] = end
             except (Exception, CancelledError) as caught:
-                error = f"{type(caught).__name__}: {caught}"
+                error = _in_short(caught)
+    _raise_first(found.values())
     ends = {k: end for k, end in found.items() if end is not None}
     if stop.is_set():
         if not ends:
             raise KeyboardInterrupt
         return {k: end._replace(interrupted=True) for k, end in ends.items()}
-    if error is not None and len(ends) < len(starts):
+    if len(ends) < len(starts):
         _warn_of_loss(error)
     return ends
 
@@ -189,7 +204,7 @@ def _first_interrupt(stop, name):
 
 
 def _fit(fit, name, k, start):
-    """Be a worker that stops when the work of that name shall stop; None where there is nothing yet to keep."""
+    """Be a worker that stops when the work of that name shall stop; None where there is nothing to keep yet."""
 
     def heed(*_):
         if name in _stopped or os.path.exists(name):
@@ -200,10 +215,23 @@ def _fit(fit, name, k, start):
             return k, fit(**start)
     except KeyboardInterrupt:
         return k, None
+    except MemoryError:
+        raise
+    except Exception as error:
+        return k, error
 
 
 def _stop_here(name):
     _stopped.add(name)
+
+
+def _be_deaf(deaf):
+    """Let a worker live through a Ctrl-C that is meant for who sent it work: in a terminal it reaches all processes."""
+    with suppress(ValueError):  # not the main thread of a process: nothing reaches it
+        if deaf:
+            _former.append(signal.signal(signal.SIGINT, signal.SIG_IGN) or signal.SIG_DFL)
+        elif _former:
+            signal.signal(signal.SIGINT, _former.pop())
 
 
 def _fit_on_one_core(*task):
@@ -225,7 +253,7 @@ def _workers(n_jobs, threads=False):
     try:
         n = effective_n_jobs(n_jobs)
     except TimeoutError as error:
-        _warn_of_loss(error)
+        _warn_of_loss(_in_short(error))
         return None
     if n < 2:
         return None
@@ -292,6 +320,7 @@ class _Cluster:
 
     def fits(self, fit, name, starts, stop):
         told = self._tell(fit)
+        self.client.run(_be_deaf, True)
         futures = {
             self.client.submit(_fit_on_one_core, told, name, k, start, pure=False): k for k, start in starts.items()
         }
@@ -307,6 +336,8 @@ class _Cluster:
                     del futures[future]
         finally:
             self._drop(list(futures))
+            if self.count():
+                self.client.run(_be_deaf, False)
 
     def _tell(self, thing):
         """Send something to all workers, so that it outlives any of them."""
@@ -317,7 +348,8 @@ class _Cluster:
         from distributed import wait
 
         try:
-            wait(futures, timeout=PATIENCE, return_when=until)
+            with self.client.as_current():
+                wait(futures, timeout=PATIENCE, return_when=until)
         except TimeoutError:
             if self.count() == 0:
                 raise RuntimeError("no worker is left") from None

@@ -33,6 +33,7 @@ FLOORS = [
         "_progress",
         "_files",
         "_targets",
+        "_prediction",
     ],
     ["kernels", "io", "preprocessing", "dynamics"],
     ["inference"],
@@ -45,7 +46,7 @@ FLOORS = [
 FLOOR = {part: number for number, parts in enumerate(FLOORS) for part in parts}
 LEARNING = {"kernels", "inference", "_regressor"}
 AIRCRAFT = {"io", "preprocessing", "dynamics", "datasets", "_vocabulary"}
-EXTRAS = {"matplotlib", "pyarrow", "polars"}  # imported inside the functions that use them
+EXTRAS = {"matplotlib", "pyarrow", "polars", "distributed"}  # imported inside the functions that use them
 
 
 class Import(NamedTuple):

@@ -1,0 +1,300 @@
+"""Work elsewhere: the same results in the same order, whoever dies on the way, and nobody asked who was not invited."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+import warnings
+from threading import Event, Lock
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from joblib import Parallel, cpu_count, delayed, parallel_config
+from sklearn.model_selection import GridSearchCV
+
+from skdgp import DependentGPRegressor
+from skdgp._parallel import _first_interrupt, check_n_jobs, fit_map, share_map, sharing
+from skdgp._threads import n_threads
+
+SHARES = [np.full(3, float(k)) for k in range(7)]
+LOKY = {"backend": "loky", "n_jobs": 2}
+
+
+class Ended(NamedTuple):
+    value: float
+    interrupted: bool = False
+
+
+# Functions for workers are made inside functions: they travel by value, for no worker can import this file.
+
+
+def processes():
+    """A function that says where it is computed, and on how many BLAS threads."""
+
+    def where(factor, share):
+        import os
+        import time
+
+        from skdgp._threads import n_threads
+
+        time.sleep(0.05)
+        return factor * share.sum(), os.getpid(), n_threads()
+
+    return where
+
+
+def deadly(always=False):
+    """A function that kills its process, once or whenever it is not at home."""
+
+    def work(home, path, share):
+        import os
+        import signal
+
+        if os.getpid() != home:
+            try:
+                os.close(os.open(path, os.O_CREAT | (0 if always else os.O_EXCL)))
+            except FileExistsError:
+                pass
+            else:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return share.sum(), os.getpid()
+
+    return work
+
+
+def values(found):
+    return [part[0] for part in found]
+
+
+SUMS = [share.sum() for share in SHARES]
+
+
+class TestWhoWorks:
+    @pytest.mark.parametrize("config", [{}, {"backend": "threading", "n_jobs": 2}, {"backend": "loky", "n_jobs": 1}])
+    def test_this_process_unless_others_are_asked(self, config):
+        with parallel_config(**config), sharing(SHARES):
+            found = share_map(processes(), (1.0,), SHARES)
+        assert {pid for _, pid, _ in found} == {os.getpid()}
+
+    def test_processes_of_the_active_backend(self):
+        with parallel_config(**LOKY), sharing(SHARES):
+            found = share_map(processes(), (2.0,), SHARES)
+            again = share_map(processes(), (3.0,), SHARES)
+        assert values(found) == [2 * value for value in SUMS]
+        assert values(again) == [3 * value for value in SUMS]
+        assert len({pid for _, pid, _ in found} - {os.getpid()}) == 2
+        assert {threads for _, _, threads in found} == {1}
+
+    def test_only_the_shares_that_were_announced_and_only_inside(self):
+        other = list(SHARES)
+        with parallel_config(**LOKY):
+            with sharing(SHARES):
+                assert {pid for _, pid, _ in share_map(processes(), (1.0,), other)} == {os.getpid()}
+            assert {pid for _, pid, _ in share_map(processes(), (1.0,), SHARES)} == {os.getpid()}
+
+    def test_no_more_workers_than_shares(self):
+        with parallel_config(**LOKY), sharing(SHARES[:1]):
+            assert values(share_map(processes(), (1.0,), SHARES[:1])) == SUMS[:1]
+        with parallel_config(**LOKY), sharing([]):
+            assert share_map(processes(), (1.0,), []) == []
+
+    def test_a_worker_does_not_ask_for_workers_of_its_own(self):
+        def nested(shares):
+            import os
+
+            from skdgp._parallel import fit_map, share_map, sharing
+
+            with sharing(shares):
+                inner = share_map(lambda share: os.getpid(), (), shares)
+            return {os.getpid(), *inner, *fit_map(lambda interrupted: os.getpid(), [], 2)}
+
+        pids = Parallel(n_jobs=2)(delayed(nested)(SHARES) for _ in range(2))
+        assert [len(set(inside)) for inside in pids] == [1, 1]
+
+    def test_blas_is_given_back(self):
+        before = n_threads()
+        with parallel_config(**LOKY), sharing(SHARES):
+            share_map(processes(), (1.0,), SHARES)
+        assert n_threads() == before
+
+
+class TestLoss:
+    def test_a_killed_worker_loses_nothing(self, tmp_path):
+        with parallel_config(**LOKY), sharing(SHARES):
+            found = share_map(deadly(), (os.getpid(), str(tmp_path / "died")), SHARES)
+        assert (tmp_path / "died").exists()
+        assert values(found) == SUMS
+
+    def test_where_all_die_the_work_is_done_here(self, tmp_path):
+        state = (os.getpid(), str(tmp_path / "died"))
+        told = r"did not come back \(TerminatedWorkerError.*\)\. Nothing is lost"
+        with parallel_config(**LOKY), sharing(SHARES), pytest.warns(RuntimeWarning, match=told):
+            found = share_map(deadly(always=True), state, SHARES)
+        assert values(found) == SUMS
+        assert {pid for _, pid in found} == {os.getpid()}
+
+    def test_what_cannot_travel_is_done_here_and_told_once(self):
+        lock = Lock()
+
+        def at_home(share):
+            with lock:
+                return share.sum(), os.getpid()
+
+        with warnings.catch_warnings(record=True) as caught, parallel_config(**LOKY), sharing(SHARES):
+            warnings.simplefilter("always")
+            assert [values(share_map(at_home, (), SHARES)) for _ in range(5)] == [SUMS] * 5
+        (told,) = caught
+        assert "pickle" in str(told.message)
+
+    @pytest.mark.parametrize("error", [np.linalg.LinAlgError("not positive definite"), ArithmeticError("in the work")])
+    def test_an_error_of_the_work_itself_comes_through(self, error):
+        def fail(share):
+            raise error
+
+        with parallel_config(**LOKY), sharing(SHARES), pytest.raises(type(error), match=str(error)):
+            share_map(fail, (), SHARES)
+        with pytest.raises(type(error), match=str(error)):
+            fit_map(fail, [{"share": 0}, {"share": 1}], 2)
+
+
+def data(n=40):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(n, 2))
+    return X, np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 1])]) + 0.1 * rng.normal(size=(n, 2))
+
+
+def quick(**more):
+    return DependentGPRegressor(**({"n_latent": 1, "max_iter": 2, "random_state": 0} | more))
+
+
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+class TestFits:
+    def test_sparse_fit_is_the_same_to_the_last_bit(self):
+        model, (X, Y) = quick(inference="sparse", n_inducing=6), data()
+        here = model.fit(X, Y).theta_
+        with parallel_config(**LOKY):
+            there = model.fit(X, Y).theta_
+        np.testing.assert_array_equal(there, here)
+
+    def test_restarts_follow_the_active_backend(self):
+        model, (X, Y) = quick(n_restarts_optimizer=2), data()
+        here = model.fit(X, Y).theta_
+        with parallel_config(**LOKY):
+            there = model.fit(X, Y).theta_
+        np.testing.assert_allclose(there, here, rtol=1e-6)
+
+    def test_a_killed_restart_is_done_again(self, tmp_path):
+        home, died = os.getpid(), str(tmp_path / "died")
+        kill = deadly()
+
+        def fit(k):
+            from collections import namedtuple
+
+            kill(home, died, np.zeros(1))
+            return namedtuple("Ended", "value interrupted")(k, False)
+
+        found = fit_map(fit, [{"k": k} for k in range(4)], 2)
+        assert (tmp_path / "died").exists()
+        assert [end.value for end in found] == [0, 1, 2, 3]
+
+    def test_fits_on_deadly_workers_are_done_here(self, tmp_path):
+        home, died = os.getpid(), str(tmp_path / "died")
+        kill = deadly(always=True)
+
+        def fit(k):
+            kill(home, died, np.zeros(1))
+            return Ended(k)
+
+        with pytest.warns(RuntimeWarning, match="did not come back"):
+            assert fit_map(fit, [{"k": 0}, {"k": 1}], 2) == [Ended(0), Ended(1)]
+
+    def test_an_interrupted_fit_is_the_last_one(self):
+        assert fit_map(lambda k: Ended(k, k == 1), [{"k": k} for k in range(4)]) == [Ended(0), Ended(1, True)]
+
+    def test_a_search_in_processes_around_a_fit_with_restarts(self):
+        X, Y = data()
+        model = quick(n_restarts_optimizer=1, n_jobs=2, optimizer=None)
+        search = GridSearchCV(model, {"n_latent": [0, 1]}, cv=2, n_jobs=2, error_score="raise").fit(X, Y)
+        assert np.isfinite(search.best_score_)
+
+
+class TestJobs:
+    @pytest.mark.parametrize("n_jobs", [None, 1, 2, 1000, -1, -cpu_count(), np.int64(2)])
+    def test_sense(self, n_jobs):
+        check_n_jobs(n_jobs)
+
+    @pytest.mark.parametrize("n_jobs", [0, "two", 1.5, -1000, True, np.nan, [2]])
+    def test_nonsense(self, n_jobs):
+        with pytest.raises(ValueError, match=r"Got n_jobs=.*, but expected None .* from 1 on, .* -1 is all"):
+            check_n_jobs(n_jobs)
+
+    @pytest.mark.parametrize("n_jobs", [0, "two", 1.5, -1000, True])
+    def test_nonsense_stops_at_the_door(self, n_jobs):
+        with pytest.raises(ValueError, match="n_jobs"):
+            quick(n_jobs=n_jobs).fit(*data(10))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
+class TestInterrupt:
+    """A real Ctrl-C: to the parent alone, as a notebook sends it, or to all processes, as a terminal does."""
+
+    script = """
+        import os, sys, time, warnings, numpy as np
+        from skdgp import DependentGPRegressor
+
+        folder = sys.argv[1]
+
+        def endless(objective, theta, bounds):
+            open(os.path.join(folder, str(os.getpid())), "w").close()
+            while True:
+                objective(theta)
+                time.sleep(0.01)
+
+        if __name__ == "__main__":
+            x = np.linspace(0, 6, 20)[:, None]
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                model = DependentGPRegressor(optimizer=endless, n_restarts_optimizer=3, n_jobs=2, random_state=0)
+                model.fit(x, np.sin(x[:, 0]))
+            assert np.isfinite(model.predict(x, return_std=True)).all()
+            print(*[f"{w.category.__name__}: {w.message}" for w in caught], sep="\\n", flush=True)
+    """
+
+    @pytest.fixture
+    def running(self, tmp_path):
+        """A fit that would never end, in two processes that have begun."""
+        folder = tmp_path / "begun"
+        folder.mkdir()
+        (tmp_path / "script.py").write_text(textwrap.dedent(self.script))
+        command = [sys.executable, "script.py", str(folder)]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        with subprocess.Popen(command, cwd=tmp_path, start_new_session=True, **pipes) as process:
+            deadline = time.monotonic() + 60
+            while len(list(folder.iterdir())) < 2 and time.monotonic() < deadline and process.poll() is None:
+                time.sleep(0.05)
+            yield process
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+
+    @pytest.mark.parametrize("send", [os.kill, os.killpg], ids=["notebook", "terminal"])
+    def test_the_best_so_far_is_kept(self, running, send):
+        send(running.pid, signal.SIGINT)
+        out, err = running.communicate(timeout=30)
+        assert running.returncode == 0, err
+        assert "ConvergenceWarning: The fit was interrupted after" in out
+        assert "best hyperparameters so far are kept" in " ".join(out.split())
+
+
+def test_the_second_ctrl_c_interrupts_as_ever(tmp_path):
+    stop, name, former = Event(), tmp_path / "stop", signal.getsignal(signal.SIGINT)
+    with _first_interrupt(stop, str(name)):
+        signal.raise_signal(signal.SIGINT)
+        assert stop.is_set()
+        assert name.exists()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is former
+    assert not name.exists()

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import eigh, lapack
 from scipy.linalg.blas import dsyrk, dtrsm
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
@@ -82,6 +82,15 @@ def pivoted_cholesky(K: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.nd
     if info < 0:
         raise np.linalg.LinAlgError(f"The pivoted Cholesky factorisation failed (pstrf info {info}).")
     return pivots[:rank] - 1, np.einsum("ii->i", L)[:rank] ** 2
+
+
+def semidefinite_root(M: np.ndarray) -> np.ndarray:
+    """Return R with R R^T = M, (N, N) in Fortran order, of a symmetric matrix that is semidefinite but for rounding."""
+    L, info = lapack.dpotrf(M, lower=1, clean=1)
+    if info == 0:
+        return L
+    values, vectors = eigh(M)
+    return np.asfortranarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def cholesky_solve(L: np.ndarray, b: np.ndarray) -> np.ndarray:

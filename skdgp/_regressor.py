@@ -9,14 +9,23 @@ from numbers import Integral
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.metrics import r2_score
-from sklearn.utils import check_array, check_random_state
+from sklearn.utils import check_random_state
 from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._parallel import check_n_jobs, fit_map
-from skdgp._targets import check_enough, check_memory, check_targets, warn_of_indices, warn_of_samples
-from skdgp.inference import fit_exact, fit_sparse, output_correlation
+from skdgp._prediction import PredictionMixin
+from skdgp._targets import (
+    check_compaction,
+    check_enough,
+    check_memory,
+    check_same_targets,
+    check_targets,
+    warn_of_indices,
+    warn_of_samples,
+    warn_of_tolerance,
+)
+from skdgp.inference import Data, compact, fit_exact, fit_sparse, output_correlation
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
 EXACT_LIMIT = 6000
@@ -26,10 +35,13 @@ FEWER_VALUES = (
     "Use inference='sparse', or observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread "
     "over the log."
 )
-FEWER_SAMPLES = "Ask for fewer samples at a time, or for return_std=True, which needs no joint covariance."
+FEWER_LATER = (
+    "Compact the model first (model.compact(), which goes on learning in memory that does not grow), or fit with "
+    "inference='sparse'."
+)
 
 
-class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
     r"""Gaussian-process regression of several outputs with the dependencies between them.
 
     Output i is a trend, plus a sum of white-noise processes that the outputs share, each through a Gaussian
@@ -88,8 +100,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Variance of the measurement noise, in squared units of the outputs.
     log_marginal_likelihood_value_ : float
         Of the normalised outputs; its lower bound where inference is sparse.
-    inference_ : {"exact", "sparse"}
+    inference_ : {"exact", "sparse", "compact"}
         What was done.
+    compaction_ : Compaction
+        Of a model made by ``compact``: what that changed.
     posterior_ : ExactPosterior or SparsePosterior
         The state of knowledge about the normalised outputs.
     n_iter_, n_evaluations_ : int
@@ -255,94 +269,117 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         best = max(fits, key=lambda fit: fit.posterior.log_marginal_likelihood)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))
 
-    # -- prediction ------------------------------------------------------------------------------------
+    # -- after the fit ---------------------------------------------------------------------------------
 
-    def predict(self, X, return_std=False, return_cov=False, include_noise=False):
-        """Predict the outputs (equations 17 and 18).
+    @_fit_context(prefer_skip_nested_validation=False)
+    def partial_fit(self, X, y):
+        """Learn from further samples, at the hyperparameters found by ``fit``.
+
+        Kernel, noise, and the centre and scale that normalise the outputs stay as they are; the posterior becomes that
+        of all samples so far. An exact posterior appends rows to its factor: of order N^2 for each new value. A sparse
+        or compact one adds to its sums: of order 1, in a compact model without keeping the sample. Not fitted yet, the
+        first call is ``fit``.
 
         Parameters
         ----------
         X : array or DataFrame (n, d)
-        return_std : bool
-            Also return the standard deviation of each output, shaped like the mean.
-        return_cov : bool
-            Also return the joint covariance of all outputs at all samples, (P n, P n), output-major.
-        include_noise : bool
-            Whether these are of a new measurement rather than of the underlying function.
+            Regressors, finite.
+        y : array, Series or DataFrame (n,) or (n, P)
+            Targets; NaN where an output was not observed.
 
         Returns
         -------
-        mean : ndarray (n, P), or (n,) where y was
-        std or cov : ndarray
-            On request.
+        DependentGPRegressor
+            The estimator itself.
 
         Raises
         ------
         ValueError
-            When X is not finite, or both std and cov are asked for.
-        """
-        if return_std and return_cov:
-            raise ValueError("Got return_std=True and return_cov=True, but at most one of them can be returned.")
-        X = self._check_regressors(X)
-        mean = self.posterior_.predict(X, return_variance=return_std)
-        if return_std:
-            mean, variance = mean
-            if include_noise:
-                variance = variance + self.noise_variance_ / self._scale**2
-            return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
-        mean = self._shaped(mean * self._scale + self._center)
-        if not return_cov:
-            return mean
-        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
-        cov = self.posterior_.covariance(X)
-        if include_noise:
-            cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
-        scale = np.repeat(self._scale, len(X))
-        return mean, cov * np.multiply.outer(scale, scale)
+            When columns of X or y are not those of the fit, X is not finite, or the exact posterior of all samples
+            would not fit the machine's memory.
 
-    def predict_gradient(self, X, return_std=False):
-        """Return the slopes of the mean, d mean / d regressor, and on request their standard deviation.
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from skdgp import DependentGPRegressor
+        >>> x = np.linspace(0.0, 6.0, 40)[:, None]
+        >>> model = DependentGPRegressor(n_latent=1, random_state=0).partial_fit(x[:30], np.sin(x[:30, 0]))
+        >>> _, before = model.predict(x[-1:], return_std=True)
+        >>> _, after = model.partial_fit(x[30:], np.sin(x[30:, 0])).predict(x[-1:], return_std=True)
+        >>> bool(after[0] < before[0])
+        True
+        """
+        if not hasattr(self, "posterior_"):
+            return self.fit(X, y)
+        index = getattr(X, "index", None)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        warn_of_indices(index, y)
+        Y, names, _ = check_targets(y, len(X), type(self).__name__)
+        check_same_targets(names, self.output_names_)
+        data = Data.from_table(X, (Y - self._center) / self._scale)
+        if self.inference_ == "exact":
+            check_memory(self.posterior_.data.n_values + data.n_values, "Exact inference on", FEWER_LATER)
+        if data.n_values:
+            self.posterior_ = self.posterior_.updated(data)
+            self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood
+        return self
+
+    def compact(self, n_inducing=1500, *, tolerance=None, random_state=0):
+        """Return a small and fast model of nearly the same predictions, that holds no samples.
+
+        The samples become inducing variables, at the same hyperparameters: what each latent contributes to each output,
+        as many of each, and placed, as explains the outputs best. A row costs microseconds; memory and file do not
+        grow; ``partial_fit`` still learns. What that changed is in ``compaction_``, measured and bounded.
 
         Parameters
         ----------
-        X : array or DataFrame (n, d)
-        return_std : bool
-
-        Returns
-        -------
-        gradient : ndarray (n, P, d), or (n, d) where y was (n,)
-        std : ndarray, the same shape
-            On request.
-        """
-        X = self._check_regressors(X)
-        found = self.posterior_.gradient(X, return_variance=return_std)
-        if not return_std:
-            return self._shaped(found * self._scale[:, None])
-        mean, variance = found
-        return self._shaped(mean * self._scale[:, None]), self._shaped(np.sqrt(variance) * self._scale[:, None])
-
-    def sample_y(self, X, n_samples=1, random_state=0):
-        """Draw from the joint posterior of all outputs at X.
-
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-        n_samples : int
+        n_inducing : int
+            Inducing variables at most, beside the weights of a trend; where the samples give fewer, all.
+        tolerance : float or None
+            Take as few as change, for every output, mean and standard deviation by at most this fraction of the
+            original standard deviation, root mean square over the training inputs and points around them.
         random_state : int, RandomState or None
+            Of the places, and of the points where the change is measured.
 
         Returns
         -------
-        ndarray (n, P, n_samples), or (n, n_samples) where y was (n,)
+        DependentGPRegressor
+            Another one, fitted, with ``inference_ = "compact"``.
+
+        Raises
+        ------
+        ValueError
+            When the numbers make no sense, matrices of that size do not fit the machine, or the model is compact
+            already.
+
+        Warns
+        -----
+        UserWarning
+            When ``n_inducing`` variables do not keep the tolerance.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from skdgp import DependentGPRegressor
+        >>> x = np.linspace(0.0, 6.0, 80)[:, None]
+        >>> y = np.sin(x) + np.random.default_rng(0).normal(0.0, 0.1, x.shape)
+        >>> model = DependentGPRegressor(n_latent=1, random_state=0).fit(x, y)
+        >>> small = model.compact(tolerance=0.01)
+        >>> small.compaction_.change < 0.01, small.compaction_.n_inducing < 80
+        (True, True)
         """
-        X = self._check_regressors(X)
-        mean = self.posterior_.predict(X)
-        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
-        cov = self.posterior_.covariance(X)
-        values, vectors = np.linalg.eigh(cov)  # a posterior covariance may be singular
-        white = check_random_state(random_state).standard_normal((len(values), n_samples))
-        draws = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * white)
-        draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
-        return self._shaped((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
+        check_is_fitted(self)
+        check_compaction(n_inducing, tolerance)
+        posterior, compaction = compact(self.posterior_, int(n_inducing), tolerance, random_state, _allow_compact)
+        if tolerance is not None and compaction.change > tolerance:
+            warn_of_tolerance(tolerance, compaction.change, compaction.n_inducing)
+        small = clone(self)
+        vars(small).update({name: value for name, value in vars(self).items() if name not in self.get_params(False)})
+        small.posterior_, small.compaction_, small.inference_ = posterior, compaction, "compact"
+        small.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
+        return small
+
+    # -- what was learned ------------------------------------------------------------------------------
 
     def log_marginal_likelihood(self, theta=None, eval_gradient=False):
         """Return the log marginal likelihood of the normalised outputs (equation 20).
@@ -396,32 +433,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         found["output_names"] = list(self.output_names_)
         return found
 
-    def score(self, X, y, sample_weight=None):
-        """Return R^2, averaged over the outputs, of the targets that were observed.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-        y : array, Series or DataFrame (n,) or (n, P)
-            NaN where an output was not observed; an output without a target is left out.
-        sample_weight : array (n,) or None
-        """
-        mean = self.predict(X).reshape(len(X), -1)
-        Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
-        if Y.reshape(len(Y), -1).shape != mean.shape:
-            raise ValueError(f"Got y of shape {Y.shape}, but expected {mean.shape}: a row for each of X, all outputs.")
-        scores = []
-        for y_true, y_pred in zip(Y.reshape(mean.shape).T, mean.T, strict=True):
-            seen = np.isfinite(y_true)
-            if seen.any():
-                weight = None if sample_weight is None else np.asarray(sample_weight)[seen]
-                scores.append(r2_score(y_true[seen], y_pred[seen], sample_weight=weight))
-        return float(np.mean(scores)) if scores else float("nan")
-
-    def _check_regressors(self, X):
-        check_is_fitted(self)
-        return validate_data(self, X, dtype=np.float64, reset=False)
-
-    def _shaped(self, values):
-        """Return (n, P, ...) as it is, or (n, ...) where the targets were (n,)."""
-        return values[:, 0] if self._single else values
+def _allow_compact(size):
+    check_memory(size, "A compact model of", "Ask for fewer n_inducing.", n_matrices=8)

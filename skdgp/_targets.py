@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from numbers import Integral, Real
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,7 @@ def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[s
         )
     table = Y.reshape(len(Y), -1)
     named = names is not None and all(isinstance(name, str) for name in names)
-    return table, list(names) if named else [f"y{i}" for i in range(table.shape[1])], Y.ndim == 1
+    return table, list(names) if named else unnamed(table.shape[1]), Y.ndim == 1
 
 
 def check_enough(Y: np.ndarray, names: list[str]) -> None:
@@ -39,14 +40,53 @@ def check_enough(Y: np.ndarray, names: list[str]) -> None:
         )
 
 
-def check_memory(n_values: int, what: str, remedy: str) -> None:
-    """Refuse what needs two matrices of n_values x n_values doubles and would not fit the machine."""
-    needed, there = 8 * 2 * n_values**2, _physical_memory()
+def check_memory(n_values: int, what: str, remedy: str, n_matrices: int = 2) -> None:
+    """Refuse what needs so many matrices of n_values x n_values doubles and would not fit the machine."""
+    needed, there = 8 * n_matrices * n_values**2, _physical_memory()
     if needed > 0.8 * there:
         raise ValueError(
             f"{what} {n_values} values needs about {needed / 2**30:.0f} GiB, but this machine has "
             f"{there / 2**30:.0f} GiB. {remedy}"
         )
+
+
+def check_same_targets(names: list[str], expected: list[str]) -> None:
+    """Refuse further targets that are not of the outputs that were fitted."""
+    if len(names) != len(expected):
+        raise ValueError(
+            f"Got y with {len(names)} outputs, but expected the {len(expected)} that were fitted: {expected}. Set the "
+            "targets of an output that was not observed to NaN."
+        )
+    if names != expected and unnamed(len(names)) not in (names, expected):
+        raise ValueError(f"Got y with the columns {names}, but expected those of the fit, in their order: {expected}.")
+
+
+def check_compaction(n_inducing, tolerance) -> None:
+    """Refuse numbers that make no sense."""
+    if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:
+        raise ValueError(f"Got n_inducing={n_inducing!r}, but expected a number of inducing variables from 1 on.")
+    if tolerance is None:
+        return
+    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < tolerance < np.inf:
+        raise ValueError(
+            f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard deviation, such as 0.1, or "
+            "None."
+        )
+
+
+def warn_of_tolerance(tolerance: float, reached: float, n_inducing: int) -> None:
+    """Warn that a tolerance could not be kept."""
+    warnings.warn(
+        f"Got tolerance={tolerance:g}, but {n_inducing} inducing variables change mean or deviation of an output by "
+        f"{reached:.2g} of its standard deviation. Raise n_inducing, or see compaction_ for which output it is.",
+        UserWarning,
+        stacklevel=3,
+    )
+
+
+def unnamed(n: int) -> list[str]:
+    """Return the names of outputs that came without."""
+    return [f"y{i}" for i in range(n)]
 
 
 def warn_of_indices(index, y) -> None:

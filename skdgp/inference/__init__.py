@@ -1,5 +1,6 @@
 """The posterior: exact and sparse inference, and the search for hyperparameters."""
 
+from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._fit import Fit, fit_exact, fit_sparse
@@ -9,11 +10,13 @@ from skdgp.inference._shares import shares_of
 from skdgp.inference._sparse import SparsePosterior
 
 __all__ = [
+    "Compaction",
     "Data",
     "ExactPosterior",
     "Fit",
     "Optimum",
     "SparsePosterior",
+    "compact",
     "fit_exact",
     "fit_sparse",
     "log_likelihood",

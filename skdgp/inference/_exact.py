@@ -84,10 +84,7 @@ class ExactPosterior:
         """
         new = object.__new__(ExactPosterior)
         new.kernel, new.noise = self.kernel, self.noise
-        both = zip((*self.data.X, *self.data.y), (*data.X, *data.y), strict=True)
-        parts = [np.concatenate(pair) for pair in both]
-        P = len(data.X)
-        new.data = Data(parts[:P], parts[P:])
+        new.data = self.data.joined(data)
         new._rows = self._appended_rows([len(y) for y in data.y])
         with threads_for(self.data.n_values):
             half = self._half(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))

@@ -35,6 +35,11 @@ class Data(NamedTuple):
         seen = np.isfinite(Y)
         return cls([X[s] for s in seen.T], [y[s] for y, s in zip(Y.T, seen.T, strict=True)])
 
+    def joined(self, other: Data) -> Data:
+        """Return these values, then the other's, output by output."""
+        pairs = ((zip(mine, theirs, strict=True)) for mine, theirs in zip(self, other, strict=True))
+        return Data(*([np.concatenate(pair) for pair in arrays] for arrays in pairs))
+
     @property
     def n_values(self) -> int:
         """Number of observed values N."""

@@ -7,10 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from skdgp._linalg import jittered_cholesky, triangular_solve
+from skdgp._linalg import semidefinite_root, triangular_solve
 from skdgp.inference._shares import own_factor
-
-NEGLIGIBLE = 1e-12  # of the prior variance
 
 
 class Readout:
@@ -45,9 +43,8 @@ class Readout:
 
     def _root(self, columns):
         learned = -self._B_inverse[np.ix_(columns, columns)]
-        np.einsum("ii->i", learned)[:] += 1.0 + NEGLIGIBLE
-        R = np.tril(jittered_cholesky(lambda: learned.copy(order="F")))
-        return triangular_solve(own_factor(self._Lu, columns), np.asfortranarray(R), transposed=True)
+        np.einsum("ii->i", learned)[:] += 1.0
+        return triangular_solve(own_factor(self._Lu, columns), semidefinite_root(learned), transposed=True)
 
     def learned(self, i, A):
         """Return what the data took from the variance of functions whose covariance with the features is A (n, c)."""

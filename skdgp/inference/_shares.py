@@ -12,6 +12,7 @@ import numpy as np
 
 from skdgp._linalg import add_outer, symmetric, triangular_solve
 from skdgp._parallel import share_map
+from skdgp.inference._likelihood import Data
 
 ROWS = 512  # samples at a time: their covariances stay in the cache
 SHARES = 8  # of each output
@@ -43,6 +44,14 @@ def shares_of(data) -> list[Share]:
         if len(both[1])
         for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in both), strict=True)
     ]
+
+
+def data_of(shares, n_outputs) -> Data:
+    """Return the observed values that shares were cut from."""
+    own = [[share for share in shares if share.output == i] for i in range(n_outputs)]
+    return Data(
+        [np.concatenate([s.X for s in parts]) for parts in own], [np.concatenate([s.y for s in parts]) for parts in own]
+    )
 
 
 def statistics(kernel, features, Lu, shares) -> list[Statistics]:

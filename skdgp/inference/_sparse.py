@@ -27,6 +27,7 @@ from skdgp.inference._readout import Readout
 from skdgp.inference._shares import (
     ROWS,
     Share,
+    data_of,
     packed,
     row_slices,
     shares_of,
@@ -89,7 +90,7 @@ class SparsePosterior:
         """Return the posterior that knows further values too: their sums are added."""
         added = statistics(self.kernel, self.features, self.Lu, shares_of(data))
         total = [summed(pair) for pair in zip(self.statistics, added, strict=True)]
-        shares = None if self.shares is None else shares_of(_with_shares(data, self.shares))
+        shares = None if self.shares is None else shares_of(data_of(self.shares, len(data.X)).joined(data))
         return SparsePosterior(self.kernel, self.features, self.noise, shares, total)
 
     def _condition(self):
@@ -164,10 +165,3 @@ class SparsePosterior:
                     learned = self.readout.learned(i, D.reshape(-1, len(c))).reshape(d, -1).T
                     variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - learned, 0.0)
         return (mean, variance) if return_variance else mean
-
-
-def _with_shares(data, shares):
-    """Return the observed values of the shares, then those of ``data``."""
-    own = [[share for share in shares if share.output == i] for i in range(len(data.X))]
-    X = [np.concatenate([*(share.X for share in parts), x]) for parts, x in zip(own, data.X, strict=True)]
-    return Data(X, [np.concatenate([*(share.y for share in parts), y]) for parts, y in zip(own, data.y, strict=True)])

@@ -1,0 +1,148 @@
+"""What a fitted regressor answers: the posterior, in the units of the targets."""
+
+from __future__ import annotations
+
+import numpy as np
+from sklearn.metrics import r2_score
+from sklearn.utils import check_array, check_random_state
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from skdgp._targets import check_memory
+
+FEWER_SAMPLES = "Ask for fewer samples at a time, or for return_std=True, which needs no joint covariance."
+
+
+class PredictionMixin:
+    """Predictions from ``posterior_``, which knows normalised outputs: y = ``_center`` + ``_scale`` z."""
+
+    def predict(self, X, return_std=False, return_cov=False, include_noise=False):
+        """Predict the outputs (equations 17 and 18).
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        return_std : bool
+            Also return the standard deviation of each output, shaped like the mean.
+        return_cov : bool
+            Also return the joint covariance of all outputs at all samples, (P n, P n), output-major.
+        include_noise : bool
+            Whether these are of a new measurement rather than of the underlying function.
+
+        Returns
+        -------
+        mean : ndarray (n, P), or (n,) where y was
+        std or cov : ndarray
+            On request.
+
+        Raises
+        ------
+        ValueError
+            When X is not finite, or both std and cov are asked for.
+        """
+        if return_std and return_cov:
+            raise ValueError("Got return_std=True and return_cov=True, but at most one of them can be returned.")
+        X = self._check_regressors(X)
+        mean = self.posterior_.predict(X, return_variance=return_std)
+        if return_std:
+            mean, variance = mean
+            if include_noise:
+                variance = variance + self.noise_variance_ / self._scale**2
+            return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
+        mean = self._shaped(mean * self._scale + self._center)
+        if not return_cov:
+            return mean
+        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
+        cov = self.posterior_.covariance(X)
+        if include_noise:
+            cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
+        scale = np.repeat(self._scale, len(X))
+        return mean, cov * np.multiply.outer(scale, scale)
+
+    def predict_gradient(self, X, return_std=False):
+        """Return the slopes of the mean, d mean / d regressor, and on request their standard deviation.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        return_std : bool
+
+        Returns
+        -------
+        gradient : ndarray (n, P, d), or (n, d) where y was (n,)
+        std : ndarray, the same shape
+            On request.
+        """
+        X = self._check_regressors(X)
+        found = self.posterior_.gradient(X, return_variance=return_std)
+        if not return_std:
+            return self._shaped(found * self._scale[:, None])
+        mean, variance = found
+        return self._shaped(mean * self._scale[:, None]), self._shaped(np.sqrt(variance) * self._scale[:, None])
+
+    def sample_y(self, X, n_samples=1, random_state=0):
+        """Draw from the joint posterior of all outputs at X.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        n_samples : int
+        random_state : int, RandomState or None
+
+        Returns
+        -------
+        ndarray (n, P, n_samples), or (n, n_samples) where y was (n,)
+        """
+        X = self._check_regressors(X)
+        mean = self.posterior_.predict(X)
+        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
+        cov = self.posterior_.covariance(X)
+        values, vectors = np.linalg.eigh(cov)  # a posterior covariance may be singular
+        white = check_random_state(random_state).standard_normal((len(values), n_samples))
+        draws = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * white)
+        draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
+        return self._shaped((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
+
+    def score(self, X, y, sample_weight=None):
+        """Return R^2, averaged over the outputs, of the targets that were observed.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        y : array, Series or DataFrame (n,) or (n, P)
+            NaN where an output was not observed; an output without a target is left out.
+        sample_weight : array (n,) or None
+        """
+        mean = self.predict(X).reshape(len(X), -1)
+        Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+        if Y.reshape(len(Y), -1).shape != mean.shape:
+            raise ValueError(f"Got y of shape {Y.shape}, but expected {mean.shape}: a row for each of X, all outputs.")
+        scores = []
+        for y_true, y_pred in zip(Y.reshape(mean.shape).T, mean.T, strict=True):
+            seen = np.isfinite(y_true)
+            if seen.any():
+                weight = None if sample_weight is None else np.asarray(sample_weight)[seen]
+                scores.append(r2_score(y_true[seen], y_pred[seen], sample_weight=weight))
+        return float(np.mean(scores)) if scores else float("nan")
+
+    def _check_regressors(self, X):
+        if self._is_plain(X):
+            return X
+        check_is_fitted(self)
+        return validate_data(self, X, dtype=np.float64, reset=False)
+
+    def _is_plain(self, X):
+        """Return whether X is what ``validate_data`` would return as it is: for a row that is most of the time."""
+        return (
+            type(X) is np.ndarray
+            and X.dtype == np.float64
+            and X.ndim == 2
+            and len(X) > 0
+            and X.shape[1] == getattr(self, "n_features_in_", None)
+            and hasattr(self, "posterior_")
+            and not hasattr(self, "feature_names_in_")
+            and bool(np.isfinite(X).all())
+        )
+
+    def _shaped(self, values):
+        """Return (n, P, ...) as it is, or (n, ...) where the targets were (n,)."""
+        return values[:, 0] if self._single else values

@@ -1,0 +1,172 @@
+"""A posterior made small: the samples become inducing variables, and what that changed is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+from sklearn.utils import check_random_state
+
+from skdgp.inference._exact import ExactPosterior
+from skdgp.inference._likelihood import Data
+from skdgp.inference._shares import data_of, shares_of
+from skdgp.inference._sparse import SparsePosterior
+
+CHECKED = 1000  # training inputs, at most, and as many around them, where the change is measured
+AROUND = 0.5  # standard deviations of the regressors that these are moved by
+FIRST, GROWTH, CLOSE = 50, 1.6, 1.1  # of the search for the smallest number
+
+
+class Compaction(NamedTuple):
+    """What compacting changed.
+
+    Measured at up to 1000 training inputs and as many points around them (moved by half a standard deviation of each
+    regressor, at random), for every output: the change of the mean, in standard deviations of the original posterior
+    there, and the new standard deviation over the original one.
+
+    What holds everywhere, and for every output, follows from the divergence KL(new || original) of the two processes,
+    which for an exact original is its log marginal likelihood less the collapsed bound (Matthews et al. 2016), and
+    which no marginal exceeds (Burt et al. 2019): with Gaussians of mean change c original deviations and ratio r of
+    deviations, (r^2 - 1 - log r^2 + c^2) / 2 <= KL.
+
+    Attributes
+    ----------
+    n_inducing : int
+        Variables that stand for the samples, the weights of a trend included.
+    n_checked : int
+        Points at which the change was measured.
+    mean_rms, mean_max : ndarray (P,)
+        Root mean square and largest change of the mean, in the original's standard deviations.
+    std_rms : ndarray (P,)
+        Root mean square of the relative change of the standard deviation.
+    std_min, std_max : ndarray (P,)
+        Smallest and largest ratio of standard deviations, new over original.
+    divergence : float
+        KL(new || original) in nats; NaN where the original was not exact.
+    mean_bound : float
+        No mean, anywhere, changed by more of the original's standard deviations. NaN where divergence is.
+    std_bounds : tuple (low, high)
+        No ratio of standard deviations, anywhere, is outside.
+    """
+
+    n_inducing: int
+    n_checked: int
+    mean_rms: np.ndarray
+    mean_max: np.ndarray
+    std_rms: np.ndarray
+    std_min: np.ndarray
+    std_max: np.ndarray
+    divergence: float
+    mean_bound: float
+    std_bounds: tuple[float, float]
+
+    @property
+    def change(self) -> float:
+        """The largest, over the outputs, of the root mean square changes of mean and standard deviation."""
+        return float(max(self.mean_rms.max(), self.std_rms.max()))
+
+
+def compact(posterior, n_inducing: int, tolerance: float | None, random_state, allow: Callable[[int], None]):
+    """Return a posterior of at most so many inducing variables, without samples, and what that changed.
+
+    Parameters
+    ----------
+    posterior : ExactPosterior or SparsePosterior
+    n_inducing : int
+        Variables, beside the weights of a trend.
+    tolerance : float or None
+        Take fewer variables, as long as ``Compaction.change`` stays below.
+    random_state : int, RandomState or None
+    allow : callable
+        Called with the number of variables before matrices of that size are made; raises where they are too large.
+
+    Returns
+    -------
+    SparsePosterior, Compaction
+    """
+    data = _values(posterior)
+    random_state = check_random_state(random_state)
+    X = np.unique(np.concatenate(data.X), axis=0)
+    inputs = X[random_state.permutation(len(X))[:CHECKED]]
+    around = inputs + AROUND * X.std(axis=0) * random_state.standard_normal(inputs.shape)
+    points = np.concatenate([inputs, around])
+    original = posterior.predict(points, return_variance=True)
+    scale = np.sqrt(original[1][: len(inputs)].mean(axis=0))
+    floor = 1e-6 * np.sqrt([posterior.kernel.block_diag(i, inputs).mean() for i in range(len(scale))])
+    best = posterior.kernel.feature_ranking(X, np.maximum(scale, floor), random_state)
+    shares = shares_of(data)
+
+    def summary(n):
+        features = best(n)
+        allow(features.size)
+        new = SparsePosterior(posterior.kernel, features, posterior.noise, shares).without_samples()
+        return new, _changed(posterior, original, new, points)
+
+    return summary(n_inducing) if tolerance is None else _smallest(summary, n_inducing, tolerance)
+
+
+def _smallest(summary, most, tolerance):
+    """Return the summary of fewest variables that keeps the tolerance, or that of the most."""
+    too_few, n = 0, min(FIRST, most)
+    found = summary(n)
+    while found[1].change > tolerance and n < most:
+        size, too_few, n = found[1].n_inducing, n, min(int(GROWTH * n), most)
+        found = summary(n)
+        if found[1].n_inducing == size:  # there are no more
+            return found
+    if found[1].change > tolerance:
+        return found
+    while n > CLOSE * too_few + 1 and n - too_few > 1:
+        middle = (n + too_few) // 2
+        tried = summary(middle)
+        if tried[1].change > tolerance:
+            too_few = middle
+        else:
+            n, found = middle, tried
+    return found
+
+
+def _values(posterior) -> Data:
+    """Return the observed values that a posterior holds."""
+    if isinstance(posterior, ExactPosterior):
+        return posterior.data
+    if posterior.shares is None:
+        raise ValueError("A compact model holds no samples to be compacted again. Compact the model it was made from.")
+    return data_of(posterior.shares, posterior.kernel.n_outputs)
+
+
+def _changed(posterior, original, new, points) -> Compaction:
+    (m0, v0), (m1, v1) = original, new.predict(points, return_variance=True)
+    least = 1e-12 * np.stack([posterior.kernel.block_diag(i, points) for i in range(m0.shape[1])], axis=1)
+    s0, s1 = np.sqrt(np.maximum(v0, least)), np.sqrt(np.maximum(v1, least))
+    moved, ratio = np.abs(m1 - m0) / s0, s1 / s0
+    divergence = np.nan
+    if isinstance(posterior, ExactPosterior):
+        divergence = max(posterior.log_marginal_likelihood - new.log_marginal_likelihood, 0.0)
+    return Compaction(
+        n_inducing=new.features.size,
+        n_checked=len(points),
+        mean_rms=np.sqrt((moved**2).mean(axis=0)),
+        mean_max=moved.max(axis=0),
+        std_rms=np.sqrt(((ratio - 1) ** 2).mean(axis=0)),
+        std_min=ratio.min(axis=0),
+        std_max=ratio.max(axis=0),
+        divergence=divergence,
+        mean_bound=float(np.sqrt(2 * divergence)),
+        std_bounds=_ratio_bounds(divergence),
+    )
+
+
+def _ratio_bounds(divergence):
+    """Return the ratios r of deviations with (r^2 - 1 - log r^2) / 2 = divergence, below and above one."""
+    if not divergence > 0:
+        return (1.0, 1.0) if divergence == 0 else (np.nan, np.nan)
+
+    def excess(log_square):
+        return np.expm1(log_square) - log_square - 2 * divergence
+
+    low = brentq(excess, -1.0 - 2 * divergence, 0.0)
+    high = brentq(excess, 0.0, np.log1p(4 * divergence + 2 * np.sqrt(divergence)) + 1e-9)
+    return float(np.exp(low / 2)), float(np.exp(high / 2))

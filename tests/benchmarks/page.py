@@ -1,0 +1,126 @@
+"""Bring the page of benchmarks up to date: its tables and pictures from the results of the other scripts.
+
+    python tests/benchmarks/page.py FOLDER
+
+FOLDER is what the scripts were given as --out. A table stands on the page between ``<!-- NAME:TABLE -->`` and
+``<!-- end -->``, and is that TABLE of NAME.json; ``NAME:machine`` says where it was measured.
+What has no results stays as it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from pathlib import Path
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+
+from skdgp.plotting._style import PALETTE, tidy
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}
+COLOURS |= {"mogptk": "orange", "least": "grey"}
+
+
+def main(folder, docs=DOCS):
+    results = {path.stem: json.loads(path.read_text()) for path in sorted(Path(folder).glob("*.json"))}
+    page = docs / "benchmarks.md"
+    page.write_text(filled(page.read_text(encoding="utf-8"), results), encoding="utf-8")
+    (docs / "images").mkdir(exist_ok=True)
+    with mpl.rc_context({"font.size": 9, "figure.dpi": 110, "savefig.dpi": 110}):
+        for name, draw in PICTURES.items():
+            if name in results:
+                draw(results[name]).savefig(docs / "images" / f"benchmark_{name}.png")
+    plt.close("all")
+
+
+def filled(page, results):
+    """Return the page with its tables replaced by those of the results."""
+
+    def replaced(match):
+        name, table = match["name"], match["table"]
+        if not results.get(name, {}).get(table):
+            return match[0]
+        content = results[name][table]
+        lines = described(content) if table == "machine" else markdown(content)
+        return f"<!-- {name}:{table} -->\n{lines}\n<!-- end -->"
+
+    return re.sub(r"<!-- (?P<name>\w+):(?P<table>\w+) -->\n.*?<!-- end -->", replaced, page, flags=re.DOTALL)
+
+
+def markdown(rows):
+    heads = list(rows[0])
+    lines = [heads, ["---"] * len(heads), *([cell(row[head], head) for head in heads] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def cell(value, head=""):
+    """Return a number with the digits that mean something."""
+    if value is None:
+        return "-"
+    if not isinstance(value, float):
+        return str(value)
+    if "NRMSE" in head or head == "best":
+        return f"{value:.3f}"
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def described(machine):
+    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items() if name != "skdgp")
+    return (
+        f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, {machine['blas']}; Python "
+        f"{machine['python']}, {versions}; {machine['date']}, load before {machine['load']}."
+    )
+
+
+def colour(name):
+    return PALETTE[next((colour for start, colour in COLOURS.items() if name.startswith(start)), "sky")]
+
+
+def heldout(results):
+    """Draw error over seconds, a line for each method."""
+    rows = results["error_over_time"]
+    figure, ax = plt.subplots(figsize=(6.6, 3.8), layout="constrained")
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = sorted((row["seconds"], row["NRMSE"]) for row in rows if row["method"] == method)
+        style = {"color": colour(method), "label": method, "linestyle": "--" if "exact" in method else "-"}
+        if method == "least squares":
+            ax.axhline(own[0][1], linewidth=1, **style | {"linestyle": ":"})
+        else:
+            ax.plot(*zip(*own, strict=True), marker="o", markersize=4, **style)
+    ax.set(xscale="log", xlabel="seconds of fitting", ylabel="NRMSE on the test flight")
+    tidy(ax)
+    ax.margins(x=0.03)
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.legend(frameon=False, fontsize="small")
+    return figure
+
+
+def growth(results):
+    """Draw seconds over N, a line for each contender, and ours over LAPACK for variants."""
+    figure, (ax, beside) = plt.subplots(1, 2, figsize=(8.8, 3.8), layout="constrained", width_ratios=[1.5, 1])
+    rows = results["samples"]
+    for name in list(rows[0])[2:]:
+        points = [(row["N"], row[name]) for row in rows if row[name] is not None]
+        ax.loglog(*zip(*points, strict=True), marker="o", markersize=4, color=colour(name), label=name)
+    ax.set(xlabel="N, values observed", ylabel="seconds, one likelihood and gradient")
+    tidy(ax)
+    ax.margins(x=0.03)
+    ax.legend(frameon=False, fontsize="small")
+    rows = [row for table in ("latents", "regressors", "variants") for row in results[table]]
+    beside.barh([row[""] for row in rows], [row["ratio"] for row in rows], color=PALETTE["blue"], height=0.6)
+    beside.axvline(1, color=PALETTE["grey"], linewidth=1)
+    beside.set(xlabel="times LAPACK potrf + potri")
+    beside.invert_yaxis()
+    tidy(beside)
+    return figure
+
+
+PICTURES = {"heldout": heldout, "growth": growth}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="what the benchmarks were given as --out")
+    main(parser.parse_args().folder)

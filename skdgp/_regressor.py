@@ -244,6 +244,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
                 ConvergenceWarning,
                 stacklevel=3,
             )
+        vars(self).pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.posterior.noise * self._scale**2
@@ -334,7 +335,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         Parameters
         ----------
         n_inducing : int
-            Inducing variables at most, beside the weights of a trend; where the samples give fewer, all.
+            Inducing variables at most, beside the weights of a trend; where the samples give fewer, all. A sparse
+            model that has no more keeps its own.
         tolerance : float or None
             Take as few as change, for every output, mean and standard deviation by at most this fraction of the
             original standard deviation, root mean square over the training inputs and points around them.

@@ -75,7 +75,7 @@ def compact(posterior, n_inducing: int, tolerance: float | None, random_state, a
     ----------
     posterior : ExactPosterior or SparsePosterior
     n_inducing : int
-        Variables, beside the weights of a trend.
+        Variables, beside the weights of a trend. A sparse posterior that has no more keeps its own.
     tolerance : float or None
         Take fewer variables, as long as ``Compaction.change`` stays below.
     random_state : int, RandomState or None
@@ -99,6 +99,8 @@ def compact(posterior, n_inducing: int, tolerance: float | None, random_state, a
     shares = shares_of(data)
 
     def summary(n):
+        if isinstance(posterior, SparsePosterior) and n >= posterior.features.size:
+            return posterior.without_samples(), _changed(posterior, original, posterior, points)
         features = best(n)
         allow(features.size)
         new = SparsePosterior(posterior.kernel, features, posterior.noise, shares).without_samples()

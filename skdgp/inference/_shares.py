@@ -48,10 +48,9 @@ def shares_of(data) -> list[Share]:
 
 def data_of(shares, n_outputs) -> Data:
     """Return the observed values that shares were cut from."""
-    own = [[share for share in shares if share.output == i] for i in range(n_outputs)]
-    return Data(
-        [np.concatenate([s.X for s in parts]) for parts in own], [np.concatenate([s.y for s in parts]) for parts in own]
-    )
+    nothing = Share(-1, shares[0].X[:0], shares[0].y[:0])
+    own = [[nothing, *(share for share in shares if share.output == i)] for i in range(n_outputs)]
+    return Data(*([np.concatenate([share[k] for share in parts]) for parts in own] for k in (1, 2)))
 
 
 def statistics(kernel, features, Lu, shares) -> list[Statistics]:

@@ -156,11 +156,13 @@ def rank_parts(kernel, X, scale, random_state) -> Callable[[int], PartFeatures]:
     random_state = np.random.RandomState(seed)
     X = np.unique(X, axis=0)
     rankings = [_rank(kernel, m, X, scale, random_state) for m in range(len(kernel._value("feeds")))]
+    for ranking in rankings:
+        ranking.gain[0] = np.inf  # no latent is left out: no output is without features
     order = np.sort(np.concatenate([ranking.gain for ranking in rankings]))[::-1]
     some = X[np.sort(random_state.permutation(len(X))[:CLUSTERED])]
 
     def best(n):
-        least = order[min(n, len(order)) - 1]
+        least = order[min(max(n, len(rankings)), len(order)) - 1]
         parts, Z = [], []
         for m, ranking in enumerate(rankings):
             outputs = ranking.output[ranking.gain >= least]

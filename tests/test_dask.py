@@ -1,9 +1,11 @@
 """A real cluster of two worker processes: the same numbers as in one process, whoever is killed on the way."""
 
 import os
+import re
 import signal
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -268,3 +270,13 @@ def _until(condition, seconds=30):
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def test_code_of_the_page_runs():
+    page = Path(__file__).resolve().parents[1] / "docs" / "scaling.md"
+    names = {}
+    for number, block in enumerate(
+        re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    ):
+        exec(compile(block, f"scaling.md, block {number + 1}", "exec"), names)
+    assert names["client"].status == "closed"

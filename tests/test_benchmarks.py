@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 FOLDER = Path(__file__).parent / "benchmarks"
-SCRIPTS = ("likelihood", "growth", "heldout", "prediction_peers")
+SCRIPTS = ("likelihood", "growth", "heldout", "prediction_peers", "prediction")
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ def bound_gradient(posterior) -> np.ndarray:
         c = features.columns(i)
         w = posterior.white[c]
         fit = np.einsum("ab,ab->", posterior.B_inverse[np.ix_(c, c)], s.outer) + w @ s.outer @ w
-        d_noise[i] = 0.5 * ((fit + s.square - 2 * w @ s.inner + posterior.missing[i]) / posterior.noise[i] - s.n)
+        d_noise[i] = 0.5 * ((fit + s.square - 2 * w @ s.inner + s.missing) / posterior.noise[i] - s.n)
     gap = _coloured(
         posterior.Lu, np.eye(features.size) - posterior.B_inverse
     )  # Kuu^-1 - (Kuu + sum Kuf Kfu / noise)^-1

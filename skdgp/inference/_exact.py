@@ -136,22 +136,24 @@ class ExactPosterior:
     def _chunks(self, n, per_row):
         """Cut n rows so that ``per_row`` doubles for each fit the working memory."""
         step = max(1, int(CHUNK_BYTES / 8 / max(per_row, 1)))
-        return [slice(a, min(a + step, n)) for a in range(0, n, step)]
+        return [slice(a, min(a + step, n)) for a in range(0, max(n, 1), step)]
 
     def predict(self, Xs, return_variance=False):
         """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""
         if not return_variance:
             return self._mean(Xs)
+        chunks = self._chunks(len(Xs), self.kernel.n_outputs * self.data.n_values)
+        mean, variance = map(np.concatenate, zip(*(self._mean_and_variance(Xs[rows]) for rows in chunks), strict=True))
+        return mean, variance
+
+    def _mean_and_variance(self, x):
         P = self.kernel.n_outputs
-        mean, variance = np.empty((2, len(Xs), P))
-        for rows in self._chunks(len(Xs), P * self.data.n_values):
-            x = Xs[rows]
-            K = self._cross(range(P), x)
-            mean[rows] = (K @ self.alpha).reshape(P, -1).T
-            half = self._half(K).T
-            prior = np.concatenate([self.kernel.block_diag(i, x) for i in range(P)])
-            variance[rows] = (prior - np.einsum("ab,ab->a", half, half)).reshape(P, -1).T
-        return mean, np.maximum(variance, 0.0)
+        K = self._cross(range(P), x)
+        mean = K @ self.alpha
+        half = self._half(K).T
+        prior = np.concatenate([self.kernel.block_diag(i, x) for i in range(P)])
+        variance = np.maximum(prior - np.einsum("ab,ab->a", half, half), 0.0)
+        return mean.reshape(P, -1).T, variance.reshape(P, -1).T
 
     def _mean(self, Xs):
         """Return the mean alone: covariances are made tile by tile, used while in the cache, and never kept."""

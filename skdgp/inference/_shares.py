@@ -35,6 +35,11 @@ class Statistics(NamedTuple):
     variance: float
     n: int
 
+    @property
+    def missing(self) -> float:
+        """What of the prior variance the features do not explain."""
+        return self.variance - float(np.trace(self.outer))
+
 
 def shares_of(data) -> list[Share]:
     """Cut the observed values alike whatever the number of threads: sums keep their bits."""
@@ -82,18 +87,6 @@ def _statistics(kernel, features, Lu, share):
         inner += V @ y[rows]
         variance += kernel.block_diag(i, X[rows]).sum()
     return Statistics(symmetric(outer), inner, y @ y, variance, len(y))
-
-
-def packed(s: Statistics) -> Statistics:
-    """Return the statistics with the lower triangle of ``outer`` alone, row by row: half of it says all."""
-    return s._replace(outer=s.outer[np.tril_indices(len(s.outer))])
-
-
-def unpacked(s: Statistics) -> Statistics:
-    """Return the statistics that were packed."""
-    outer = np.zeros((len(s.inner), len(s.inner)))
-    outer[np.tril_indices(len(outer))] = s.outer
-    return s._replace(outer=symmetric(outer))
 
 
 def bound_slope(kernel, features, noise, weights, gap, shares):

@@ -28,13 +28,12 @@ from skdgp.inference._shares import (
     ROWS,
     Share,
     data_of,
-    packed,
     row_slices,
     shares_of,
     statistics,
     summed,
-    unpacked,
 )
+from skdgp.inference._sums import Sums
 
 
 class SparsePosterior:
@@ -46,71 +45,84 @@ class SparsePosterior:
     features : Features
     noise : ndarray (P,)
         Noise variance of each output.
-    shares : list of Share or None
-        The observed values, see ``shares_of``. None: they are forgotten, and ``statistics`` is what is left of them.
-    statistics : list of Statistics, optional
-        Sums over the samples of each output, where they are known already.
+    shares : list of Share
+        The observed values, see ``shares_of``.
 
     Attributes
     ----------
+    shares : list of Share or None
+        None where they were forgotten: ``sums`` is what is left of them.
     log_marginal_likelihood : float
         Its lower bound.
     """
 
-    def __init__(self, kernel, features, noise, shares: list[Share] | None, statistics=None):
+    def __init__(self, kernel, features, noise, shares: list[Share]):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
-        self.shares, self.statistics = shares, statistics
-        self._solve()
+        self.shares = shares
+        self._begin()
 
     def __getstate__(self):
         state = {name: self.__dict__[name] for name in ("kernel", "features", "noise", "shares")}
-        # Samples are smaller than their sums; where they are forgotten, half of each symmetric sum.
-        state["statistics"] = [packed(s) for s in self.statistics] if self.shares is None else None
+        if self.shares is None:  # else the samples are smaller than their sums
+            state["sums"] = self.sums.packed(self.features, self.kernel.n_outputs)
         return state
 
     def __setstate__(self, state):
         self.__dict__.update(state)
         if self.shares is None:
-            self.statistics = [unpacked(s) for s in self.statistics]
-        self._solve()
+            self.sums = self.sums.unpacked(self.features, self.kernel.n_outputs)
+        self._begin()
 
-    def _solve(self):
+    def _begin(self):
         with threads_for(self.features.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
-        if self.statistics is None:
+        if self.shares is not None:
             self.statistics = statistics(self.kernel, self.features, self.Lu, self.shares)
+            self.sums = Sums.of(self.features, self.noise, self.statistics)
+        self._condition()
+
+    def _condition(self):
+        """Whitened, u = Lu w: B = I + sum_i V_i V_i^T / noise_i, the mean of w is B^-1 b, and the bound follows."""
+        b = self.sums.inner
         with threads_for(self.features.size):
-            self._condition()
+            self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
+            self.white = cholesky_solve(self.LB, b)
+            self.weights = triangular_solve(self.Lu, self.white, transposed=True)
+        self.log_marginal_likelihood = -0.5 * (self.sums.rest + log_determinant(self.LB) - b @ self.white)
+
+    @property
+    def B(self) -> np.ndarray:
+        """Precision of the whitened features, (K, K)."""
+        B = self.sums.outer.copy()
+        np.einsum("ii->i", B)[:] += 1.0
+        return B
+
+    @cached_property
+    def B_inverse(self) -> np.ndarray:
+        """Covariance of the whitened features, (K, K)."""
+        with threads_for(self.features.size):
+            return symmetric(cholesky_inverse(self.LB.copy(order="F")))
+
+    def _with(self, shares, statistics, sums) -> SparsePosterior:
+        """Return the posterior of other samples, at the same features."""
+        new = object.__new__(SparsePosterior)
+        new.kernel, new.features, new.noise, new.Lu = self.kernel, self.features, self.noise, self.Lu
+        new.shares, new.statistics, new.sums = shares, statistics, sums
+        new._condition()
+        return new
 
     def without_samples(self) -> SparsePosterior:
         """Return the same posterior, of the same predictions, that holds no samples: their sums alone."""
-        return SparsePosterior(self.kernel, self.features, self.noise, None, self.statistics)
+        return self._with(None, None, self.sums)
 
     def updated(self, data: Data) -> SparsePosterior:
         """Return the posterior that knows further values too: their sums are added."""
         added = statistics(self.kernel, self.features, self.Lu, shares_of(data))
+        sums = self.sums.plus(Sums.of(self.features, self.noise, added))
+        if self.shares is None:
+            return self._with(None, None, sums)
         total = [summed(pair) for pair in zip(self.statistics, added, strict=True)]
-        shares = None if self.shares is None else shares_of(data_of(self.shares, len(data.X)).joined(data))
-        return SparsePosterior(self.kernel, self.features, self.noise, shares, total)
-
-    def _condition(self):
-        """Whitened, u = Lu w: B = I + sum_i V_i V_i^T / noise_i, the mean of w is B^-1 b, and the bound follows."""
-        self.B, b = np.eye(self.features.size), np.zeros(self.features.size)
-        for i, s in enumerate(self.statistics):
-            columns = self.features.columns(i)
-            self.B[np.ix_(columns, columns)] += s.outer / self.noise[i]
-            b[columns] += s.inner / self.noise[i]
-        self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
-        self.white = cholesky_solve(self.LB, b)
-        self.weights = triangular_solve(self.Lu, self.white, transposed=True)
-        self.B_inverse = symmetric(cholesky_inverse(self.LB.copy(order="F")))
-        n = np.array([s.n for s in self.statistics])
-        square = np.array([s.square for s in self.statistics])
-        self.missing = np.array([s.variance - np.trace(s.outer) for s in self.statistics])
-        value = (
-            n.sum() * np.log(2 * np.pi) + (n * np.log(self.noise)).sum() + ((square + self.missing) / self.noise).sum()
-        )
-        self.log_marginal_likelihood = -0.5 * (value + log_determinant(self.LB) - b @ self.white)
+        return self._with(shares_of(data_of(self.shares, len(data.X)).joined(data)), total, sums)
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
         """Return the bound for the same data and features at other hyperparameters, and its gradient on request."""

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skdgp._linalg import jittered_cholesky
+from skdgp._linalg import jittered_cholesky, triangular_solve
 from skdgp._threads import n_threads, thread_map, threads_for
 from skdgp.inference._factor import Factor
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, tiles_of
@@ -90,7 +90,9 @@ class ExactPosterior:
         new._rows = self._appended_rows([len(y) for y in data.y])
         with threads_for(self.data.n_values):
             half = self._half(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))
-            new.factor = self.factor.extended(half, covariance(self.kernel, self.noise, data.X))
+            new.factor, corner = self.factor.extended(half, covariance(self.kernel, self.noise, data.X))
+            last = triangular_solve(corner, np.concatenate(data.y) - half.T @ self._white)
+            new._white = np.concatenate([self._white, last])
         new._solve()
         return new
 

@@ -57,8 +57,8 @@ class Factor:
         first = triangular_solve(self.head, b[:n] - self.below.T @ last, transposed=True)
         return np.concatenate([first, last])
 
-    def extended(self, half, K) -> Factor:
-        """Return the factor of the matrix with further rows and columns.
+    def extended(self, half, K) -> tuple[Factor, np.ndarray]:
+        """Return the factor of the matrix with further rows and columns, and its last corner, (m, m).
 
         Parameters
         ----------
@@ -81,8 +81,8 @@ class Factor:
             below = np.concatenate([self.below, half[:n].T])
             tail = _stacked(self.tail, half[n:].T, corner)
         if TAIL * len(tail) > n:
-            return Factor(_stacked(self.head, below, tail))
-        return Factor(self.head, np.asfortranarray(below), tail)
+            return Factor(_stacked(self.head, below, tail)), corner
+        return Factor(self.head, np.asfortranarray(below), tail), corner
 
 
 def _stacked(head, below, tail):

@@ -115,8 +115,9 @@ class TestFactor:
         factor, n = Factor(np.asfortranarray(np.linalg.cholesky(K[:20, :20]))), 20
         for m in steps:
             half = factor.half(np.array(K[:n, n : n + m], order="F"))
-            factor = factor.extended(half, np.array(K[n : n + m, n : n + m], order="F"))
+            factor, corner = factor.extended(half, np.array(K[n : n + m, n : n + m], order="F"))
             n += m
+            np.testing.assert_allclose(np.tril(corner), np.tril(factor.matrix())[n - m :, n - m :])
         L, b = np.linalg.cholesky(K), rng.normal(size=(size, 3))
         assert factor.size == size
         np.testing.assert_allclose(np.tril(factor.matrix()), L, rtol=1e-8, atol=1e-10)

@@ -76,11 +76,14 @@ def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
 def pivoted_cholesky(K: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Return, step by step, which variable is least explained by those before it, and what of its variance is left.
 
-    ``K`` (N, N), in Fortran order, is overwritten. Ends when less than ``tolerance`` is left of any.
+    ``K`` (N, N), in Fortran order, is overwritten. Ends when less than ``tolerance`` is left of any; one is always
+    returned.
     """
     L, pivots, rank, info = lapack.dpstrf(K, tol=tolerance, lower=1, overwrite_a=1)
     if info < 0:
         raise np.linalg.LinAlgError(f"The pivoted Cholesky factorisation failed (pstrf info {info}).")
+    if rank == 0:
+        return np.zeros(1, dtype=int), np.zeros(1)
     return pivots[:rank] - 1, np.einsum("ii->i", L)[:rank] ** 2
 
 

@@ -221,6 +221,15 @@ class TestCompact:
             models["exact"].compact(10, tolerance=1e-3)
         assert caught[0].filename == __file__
 
+    @pytest.mark.parametrize("n", [2, 3, 6])
+    @pytest.mark.parametrize("trend", ["linear", "constant", None])
+    def test_of_few_samples(self, data, n, trend):
+        X, y = data[0][:n], data[1][:n, 0]
+        model = DependentGPRegressor(optimizer=None, trend=trend, n_latent=1, random_state=0).fit(X, y)
+        small = model.compact()
+        np.testing.assert_allclose(small.predict(NEW), model.predict(NEW), rtol=1e-3)
+        assert small.partial_fit(X[:1] + 1.0, y[:1]).predict(NEW).shape == (7,)
+
     def test_seed_decides(self, models):
         first, again = (models["exact"].compact(20, random_state=4).predict(NEW) for _ in range(2))
         np.testing.assert_array_equal(first, again)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -21,44 +20,42 @@ class Readout:
     ----------
     kernel : MultiOutputKernel
     features : Features
-    Lu, B_inverse : ndarray (K, K)
     weights : ndarray (K,)
         Posterior mean of the features, coloured.
     """
 
-    def __init__(self, kernel, features, Lu, B_inverse, weights):
-        self.kernel, self._Lu, self._B_inverse = kernel, Lu, B_inverse
+    def __init__(self, kernel, features, weights):
+        self.kernel, self.rows = kernel, features.rows()
         self.columns = [features.columns(i) for i in range(kernel.n_outputs)]
-        self.rows = features.rows()
         edges = np.cumsum([0, *map(len, self.columns)])
         self.own = [slice(a, b) for a, b in pairwise(edges)]
         self.weights = np.zeros((edges[-1], kernel.n_outputs))
         for i, (own, columns) in enumerate(zip(self.own, self.columns, strict=True)):
             self.weights[own, i] = weights[columns]
 
-    @cached_property
-    def roots(self) -> list[np.ndarray]:
-        """Lu^-T R of the features of each output, (c, c)."""
-        return [self._root(columns) for columns in self.columns]
-
-    def _root(self, columns):
-        learned = -self._B_inverse[np.ix_(columns, columns)]
-        np.einsum("ii->i", learned)[:] += 1.0
-        return triangular_solve(own_factor(self._Lu, columns), semidefinite_root(learned), transposed=True)
-
-    def learned(self, i, A):
-        """Return what the data took from the variance of functions whose covariance with the features is A (n, c)."""
-        half = A @ self.roots[i]
-        return np.einsum("nc,nc->n", half, half)
+    def roots(self, Lu, B_inverse) -> list[np.ndarray]:
+        """Return Lu^-T R of the features of each output, (c, c)."""
+        roots = []
+        for columns in self.columns:
+            learned = -B_inverse[np.ix_(columns, columns)]
+            np.einsum("ii->i", learned)[:] += 1.0
+            roots.append(triangular_solve(own_factor(Lu, columns), semidefinite_root(learned), transposed=True))
+        return roots
 
     def mean(self, X) -> np.ndarray:
         """Return the mean at X (n, d), (n, P)."""
         return self.rows(X) @ self.weights
 
-    def mean_and_variance(self, X) -> tuple[np.ndarray, np.ndarray]:
+    def mean_and_variance(self, X, roots) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and variance at X (n, d), (n, P) each."""
         A = self.rows(X)
         variance = np.empty((len(X), len(self.own)))
-        for i, own in enumerate(self.own):
-            variance[:, i] = self.kernel.block_diag(i, X) - self.learned(i, A[:, own])
+        for i, (own, root) in enumerate(zip(self.own, roots, strict=True)):
+            variance[:, i] = self.kernel.block_diag(i, X) - learned_from(A[:, own], root)
         return A @ self.weights, np.maximum(variance, 0.0)
+
+
+def learned_from(A, root):
+    """Return what the data took from the variance of functions whose covariance with the features is A (n, c)."""
+    half = A @ root
+    return np.einsum("nc,nc->n", half, half)

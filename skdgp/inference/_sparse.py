@@ -8,7 +8,7 @@ enter through sums alone, so time is linear in them and memory does not grow.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from skdgp._linalg import (
 from skdgp._threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
 from skdgp.inference._likelihood import Data
-from skdgp.inference._readout import Readout
+from skdgp.inference._readout import Readout, learned_from
 from skdgp.inference._shares import (
     ROWS,
     Share,
@@ -142,13 +142,19 @@ class SparsePosterior:
 
     @cached_property
     def readout(self) -> Readout:
-        """What predictions need, made when they are first asked for."""
+        """What means need, made when they are first asked for."""
+        return Readout(self.kernel, self.features, self.weights)
+
+    @cached_property
+    def roots(self) -> list[np.ndarray]:
+        """What variances need besides."""
         with threads_for(self.features.size):
-            return Readout(self.kernel, self.features, self.Lu, self.B_inverse, self.weights)
+            return self.readout.roots(self.Lu, self.B_inverse)
 
     def predict(self, Xs, return_variance=False):
         """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""
-        answer = self.readout.mean_and_variance if return_variance else self.readout.mean
+        readout = self.readout
+        answer = partial(readout.mean_and_variance, roots=self.roots) if return_variance else readout.mean
         if len(Xs) <= ROWS:
             return answer(Xs)
         parts = thread_map(lambda rows: answer(Xs[rows]), row_slices(len(Xs)))
@@ -174,6 +180,6 @@ class SparsePosterior:
                 D = self.features.Kfu_derivative(i, Xs[rows])
                 mean[rows, i] = (D @ self.weights[c]).T
                 if return_variance:
-                    learned = self.readout.learned(i, D.reshape(-1, len(c))).reshape(d, -1).T
+                    learned = learned_from(D.reshape(-1, len(c)), self.roots[i]).reshape(d, -1).T
                     variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - learned, 0.0)
         return (mean, variance) if return_variance else mean

@@ -64,6 +64,15 @@ class TestParts:
         features = one_problem.kernel.feature_ranking(one_problem.X, np.array([1.0, 1.0, 1e3]), 0)(20).second
         assert sum(len(Z) for (_, i), Z in zip(features.parts, features.Z, strict=True) if i == 2) == 1
 
+    @pytest.mark.filterwarnings("error")
+    def test_latents_that_do_nothing_and_samples_that_repeat(self, one_problem):
+        kernel = one_problem.kernel.clone_with_theta(one_problem.kernel.theta)
+        kernel.k2.amplitude = kernel.k2.amplitude * np.array([1.0, 0.0, 1.0, 0.0, 1.0])[:, None]
+        X = np.round(np.tile(one_problem.X, (3, 1)))
+        for n in (1, 9, 1000):
+            features = kernel.feature_ranking(X, np.sqrt(one_problem.noise), 0)(n)
+            assert np.isfinite(sparse(one_problem, features).predict(NEW, True)).all()
+
     def test_seed_decides(self, one_problem):
         first, again = (parts(one_problem, 12).theta for _ in range(2))
         np.testing.assert_array_equal(first, again)

@@ -2,9 +2,10 @@
 
     python tests/benchmarks/workers.py ../shared/data [--out FOLDER]
 
-The regressors and coefficients of a whole flight, and the flight several times over: what workers cost more than threads
-does not grow with the samples. All use the same cores, so nobody can win here: the difference is the price of sending
-the state and fetching the sums. Without the folder of flights, random numbers of the same shape.
+The regressors and coefficients of a whole flight, and the flight several times over. All use the same cores, so nobody
+can win by having more of them. The price of a call is measured with matrices of the same size and nothing to compute:
+sending the state, fetching the sums; an evaluation with its gradient has one such call and one with small sums. Without
+the folder of flights, random numbers of the same shape.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from _common import finish, interleaved, parser_of
 from joblib import parallel_config
 
-from skdgp._parallel import sharing
+from skdgp._parallel import share_map, sharing
 from skdgp.inference import Data, SparsePosterior, shares_of
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -48,18 +49,25 @@ def evaluation(X, Y, n_inducing, shares):
     return evaluate
 
 
-def measure(X, Y, n_inducing, configs, repeats):
-    shares = shares_of(Data.from_table(X, Y))
-    evaluate = evaluation(X, Y, n_inducing, shares)
-    row, seconds = {"samples": len(X)}, {}
+def seconds(call, shares, configs, repeats):
+    """Return the shortest time of a call under each configuration of joblib, the shares being there already."""
+    found = dict.fromkeys(configs, np.inf)
     for _ in range(repeats):
         for name, config in configs.items():
             with parallel_config(**config) if config else nullcontext(), sharing(shares):
-                evaluate()  # the shares are sent
-                found = interleaved({name: evaluate}, 2)
-            seconds[name] = min(found[name], seconds.get(name, np.inf))
-    row |= {f"{name} [s]": value for name, value in seconds.items()}
-    return row
+                call()
+                found[name] = min(found[name], interleaved({name: call}, 2)[name])
+    return {f"{name} [s]": value for name, value in found.items()}
+
+
+def price(n_features, shares):
+    """Return a call that sends and fetches as the first sums do."""
+    state, own = np.zeros((n_features, n_features)), max(1, n_features * 3 // 8)
+
+    def sums(state, share):
+        return np.ones((own, own))
+
+    return lambda: share_map(sums, (state,), shares)
 
 
 def main(words=None):
@@ -73,8 +81,16 @@ def main(words=None):
     with cluster(options) as client:
         if client is not None:
             configs["dask"] = {"backend": "dask", "client": client}
-        rows = [measure(np.tile(X, (k, 1)), np.tile(Y, (k, 1)), n_inducing, configs, options.repeats) for k in copies]
-    finish(options, "workers", one_evaluation=rows)
+        evaluations, prices = [], []
+        for k in copies:
+            data = np.tile(X, (k, 1)), np.tile(Y, (k, 1))
+            shares = shares_of(Data.from_table(*data))
+            call = evaluation(*data, n_inducing, shares)
+            evaluations.append({"samples": len(data[0])} | seconds(call, shares, configs, options.repeats))
+        for n_features in (8 * n_inducing, 4 * n_inducing):
+            call = price(n_features, shares)
+            prices.append({"features": n_features} | seconds(call, shares, configs, options.repeats))
+    finish(options, "workers", one_evaluation=evaluations, price_of_a_call=prices)
 
 
 def cluster(options):
@@ -82,10 +98,13 @@ def cluster(options):
     if options.no_peers:
         return nullcontext()
     try:
+        import dask
         from distributed import Client
     except ImportError:
         print("dask.distributed is not installed", file=sys.stderr)
         return nullcontext()
+    memory = {"MALLOC_TRIM_THRESHOLD_": 2**27, "MALLOC_MMAP_THRESHOLD_": 2**25}  # see docs/scaling.md
+    dask.config.set({f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in memory.items()})
     return Client(n_workers=options.workers, threads_per_worker=1, dashboard_address="127.0.0.1:0")
 
 

@@ -61,10 +61,12 @@ def check_same_targets(names: list[str], expected: list[str]) -> None:
         raise ValueError(f"Got y with the columns {names}, but expected those of the fit, in their order: {expected}.")
 
 
-def check_compaction(n_inducing, tolerance) -> None:
+def check_compaction(n_inducing, tolerance, max_iter) -> None:
     """Refuse numbers that make no sense."""
     if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:
         raise ValueError(f"Got n_inducing={n_inducing!r}, but expected a number of inducing variables from 1 on.")
+    if not isinstance(max_iter, Integral) or isinstance(max_iter, bool) or max_iter < 0:
+        raise ValueError(f"Got max_iter={max_iter!r}, but expected a number of iterations, or 0 for none.")
     if tolerance is None:
         return
     if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < tolerance < np.inf:

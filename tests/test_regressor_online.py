@@ -244,6 +244,11 @@ class TestCompact:
         with pytest.raises(ValueError, match=r"Got tolerance=.*positive fraction"):
             models["exact"].compact(10, tolerance=tolerance)
 
+    @pytest.mark.parametrize("max_iter", [-1, 2.5, None, True])
+    def test_iterations_without_sense(self, models, max_iter):
+        with pytest.raises(ValueError, match=r"Got max_iter=.*or 0 for none"):
+            models["exact"].compact(10, max_iter=max_iter)
+
     def test_not_fitted(self):
         with pytest.raises(NotFittedError):
             DependentGPRegressor().compact()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ from sklearn.utils import check_random_state
 
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
+from skdgp.inference._optimize import maximize
 from skdgp.inference._shares import data_of, shares_of
 from skdgp.inference._sparse import SparsePosterior
 
@@ -68,7 +68,7 @@ class Compaction(NamedTuple):
         return float(max(self.mean_rms.max(), self.std_rms.max()))
 
 
-def compact(posterior, n_inducing: int, tolerance: float | None, random_state, allow: Callable[[int], None]):
+def compact(posterior, n_inducing: int, tolerance: float | None, max_iter: int, random_state, allow):
     """Return a posterior of at most so many inducing variables, without samples, and what that changed.
 
     Parameters
@@ -78,6 +78,8 @@ def compact(posterior, n_inducing: int, tolerance: float | None, random_state, a
         Variables, beside the weights of a trend. A sparse posterior that has no more keeps its own.
     tolerance : float or None
         Take fewer variables, as long as ``Compaction.change`` stays below.
+    max_iter : int
+        Iterations in which their places are improved on the bound, at the end.
     random_state : int, RandomState or None
     allow : callable
         Called with the number of variables before matrices of that size are made; raises where they are too large.
@@ -89,24 +91,40 @@ def compact(posterior, n_inducing: int, tolerance: float | None, random_state, a
     data = _values(posterior)
     random_state = check_random_state(random_state)
     X = np.unique(np.concatenate(data.X), axis=0)
-    inputs = X[random_state.permutation(len(X))[:CHECKED]]
-    around = inputs + AROUND * X.std(axis=0) * random_state.standard_normal(inputs.shape)
-    points = np.concatenate([inputs, around])
-    original = posterior.predict(points, return_variance=True)
-    scale = np.sqrt(original[1][: len(inputs)].mean(axis=0))
-    floor = 1e-6 * np.sqrt([posterior.kernel.block_diag(i, inputs).mean() for i in range(len(scale))])
-    best = posterior.kernel.feature_ranking(X, np.maximum(scale, floor), random_state)
+    check = _Check(posterior, X, random_state)
+    best = posterior.kernel.feature_ranking(X, check.scale(), random_state)
     shares = shares_of(data)
 
     def summary(n):
         if isinstance(posterior, SparsePosterior) and n >= posterior.features.size:
-            return posterior.without_samples(), _changed(posterior, original, posterior, points)
+            return posterior, check.of(posterior)
         features = best(n)
         allow(features.size)
-        new = SparsePosterior(posterior.kernel, features, posterior.noise, shares).without_samples()
-        return new, _changed(posterior, original, new, points)
+        new = SparsePosterior(posterior.kernel, features, posterior.noise, shares)
+        return new, check.of(new)
 
-    return summary(n_inducing) if tolerance is None else _smallest(summary, n_inducing, tolerance)
+    new, found = summary(n_inducing) if tolerance is None else _smallest(summary, n_inducing, tolerance)
+    if max_iter > 0 and new is not posterior and len(new.features.theta):
+        improved = _improved(new, max_iter)
+        after = check.of(improved)
+        if tolerance is None or after.change <= max(tolerance, found.change):
+            new, found = improved, after
+    return new.without_samples(), found
+
+
+def _improved(posterior, max_iter):
+    """Return the posterior after some iterations that raise the bound by moving the variables."""
+    kernel, noise, features = posterior.kernel, posterior.noise, posterior.features
+
+    def moved(theta):
+        return SparsePosterior(kernel, features.rebuild(kernel, theta), noise, posterior.shares)
+
+    def bound(theta):
+        new = moved(theta)
+        return new.log_marginal_likelihood, new.bound_gradient()[kernel.n_dims + len(noise) :]
+
+    best = maximize(bound, features.theta, features.bounds, max_iter=max_iter, stage="compact")
+    return moved(best.theta)
 
 
 def _smallest(summary, most, tolerance):
@@ -139,26 +157,44 @@ def _values(posterior) -> Data:
     return data_of(posterior.shares, posterior.kernel.n_outputs)
 
 
-def _changed(posterior, original, new, points) -> Compaction:
-    (m0, v0), (m1, v1) = original, new.predict(points, return_variance=True)
-    least = 1e-12 * np.stack([posterior.kernel.block_diag(i, points) for i in range(m0.shape[1])], axis=1)
-    s0, s1 = np.sqrt(np.maximum(v0, least)), np.sqrt(np.maximum(v1, least))
-    moved, ratio = np.abs(m1 - m0) / s0, s1 / s0
-    divergence = np.nan
-    if isinstance(posterior, ExactPosterior):
-        divergence = max(posterior.log_marginal_likelihood - new.log_marginal_likelihood, 0.0)
-    return Compaction(
-        n_inducing=new.features.size,
-        n_checked=len(points),
-        mean_rms=np.sqrt((moved**2).mean(axis=0)),
-        mean_max=moved.max(axis=0),
-        std_rms=np.sqrt(((ratio - 1) ** 2).mean(axis=0)),
-        std_min=ratio.min(axis=0),
-        std_max=ratio.max(axis=0),
-        divergence=divergence,
-        mean_bound=float(np.sqrt(2 * divergence)),
-        std_bounds=_ratio_bounds(divergence),
-    )
+class _Check:
+    """Where the change is measured, and what the original says there."""
+
+    def __init__(self, posterior, X, random_state):
+        self.posterior = posterior
+        inputs = X[random_state.permutation(len(X))[:CHECKED]]
+        around = inputs + AROUND * X.std(axis=0) * random_state.standard_normal(inputs.shape)
+        self.inputs, self.points = inputs, np.concatenate([inputs, around])
+        self.mean, variance = posterior.predict(self.points, return_variance=True)
+        P = self.mean.shape[1]
+        prior = np.stack([posterior.kernel.block_diag(i, self.points) for i in range(P)], axis=1)
+        self.least = 1e-6 * np.sqrt(prior)  # a deviation below is rounding
+        self.std = np.maximum(np.sqrt(variance), self.least)
+
+    def scale(self):
+        """Return how exactly each output is known at the training inputs, (P,)."""
+        return np.sqrt((self.std[: len(self.inputs)] ** 2).mean(axis=0))
+
+    def of(self, new) -> Compaction:
+        """Return what changed."""
+        mean, variance = new.predict(self.points, return_variance=True)
+        moved = np.abs(mean - self.mean) / self.std
+        ratio = np.maximum(np.sqrt(variance), self.least) / self.std
+        divergence = np.nan
+        if isinstance(self.posterior, ExactPosterior):
+            divergence = max(float(self.posterior.log_marginal_likelihood - new.log_marginal_likelihood), 0.0)
+        return Compaction(
+            n_inducing=new.features.size,
+            n_checked=len(self.points),
+            mean_rms=np.sqrt((moved**2).mean(axis=0)),
+            mean_max=moved.max(axis=0),
+            std_rms=np.sqrt(((ratio - 1) ** 2).mean(axis=0)),
+            std_min=ratio.min(axis=0),
+            std_max=ratio.max(axis=0),
+            divergence=divergence,
+            mean_bound=float(np.sqrt(2 * divergence)),
+            std_bounds=_ratio_bounds(divergence),
+        )
 
 
 def _ratio_bounds(divergence):

@@ -9,7 +9,14 @@
 
 from skdgp.preprocessing._elevons import ElevonSplitter
 from skdgp.preprocessing._rates import RateNondimensionalizer
+from skdgp.preprocessing._reconstruction import FlightPathReconstruction
 from skdgp.preprocessing._selector import RegressorSelector
 from skdgp.preprocessing._smoother import FlightSmoother
 
-__all__ = ["ElevonSplitter", "FlightSmoother", "RateNondimensionalizer", "RegressorSelector"]
+__all__ = [
+    "ElevonSplitter",
+    "FlightPathReconstruction",
+    "FlightSmoother",
+    "RateNondimensionalizer",
+    "RegressorSelector",
+]

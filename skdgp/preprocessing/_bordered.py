@@ -1,0 +1,139 @@
+"""Least squares over a chain of states with a few constants shared by all: banded Cholesky with a border."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
+
+Floats = NDArray[np.float64]
+
+
+class Rows(NamedTuple):
+    """Linear equations residual + here x_k + after x_{k+1} + shared c = 0, in units of their standard deviations.
+
+    A batch of m equations for each of n states. ``after`` is None where they tie a state to nothing.
+    """
+
+    residual: Floats
+    """(n, m)"""
+    here: Floats
+    """(n, m, s)"""
+    after: Floats | None
+    """(n, m, s)"""
+    shared: Floats
+    """(n, m, c)"""
+
+    def changed(self, states, constants) -> Floats:
+        """Return by how much the residuals change, (n, m, k), with k sets of states (N, s, k) and constants (c, k)."""
+        n = len(self.here)
+        total = self.here @ states[:n] + self.shared @ constants
+        return total if self.after is None else total + self.after @ states[1 : n + 1]
+
+
+class Prior(NamedTuple):
+    """What is known without the rows: precision, and how far the expansion point lies from the expected value."""
+
+    states: Floats
+    """(n, s)"""
+    states_off: Floats
+    """(n, s)"""
+    constants: Floats
+    """(c,)"""
+    constants_off: Floats
+    """(c,)"""
+
+
+class Posterior(NamedTuple):
+    """Solution of the bordered normal equations, and samples from the normal distribution around it."""
+
+    states: Floats
+    """(n, s)"""
+    constants: Floats
+    """(c,)"""
+    covariance: Floats
+    """Of the constants, (c, c)."""
+    state_draws: Floats
+    """(n, s, k), mean zero."""
+    constant_draws: Floats
+    """(c, k)"""
+
+
+def solve(ties: Rows, looks: Rows, prior: Prior, draws: Floats) -> Posterior:
+    r"""Return the least-squares solution of ties between neighbours and looks at single states.
+
+    With the states x (n s) and constants c, the normal equations
+
+    .. math:: \begin{pmatrix} A & B \\ B^T & C \end{pmatrix} \begin{pmatrix} x \\ c \end{pmatrix} =
+              - \begin{pmatrix} g \\ h \end{pmatrix}
+
+    have a block-tridiagonal A, of half bandwidth 2 s - 1: A = L L^T in O(n s^3), and c from the small Schur complement
+    C - B^T A^-1 B. The inverse of the whole matrix is the covariance; x = L^-T e - A^-1 B c with standard normal e and
+    c from the inverse of the complement is a sample from it.
+
+    Parameters
+    ----------
+    ties, looks : Rows
+        n - 1 and n batches.
+    prior : Prior
+    draws : ndarray (n s + c, k)
+        Standard normal numbers.
+    """
+    n, s = prior.states.shape
+    band, border, corner, g, h = _normal_equations(ties, looks, prior)
+    factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
+    solved = cho_solve_banded((factor, True), np.column_stack([border, g]), check_finite=False)
+    inner, shift = solved[:, :-1], solved[:, -1]
+    covariance = np.linalg.inv(corner - border.T @ inner)
+    covariance = (covariance + covariance.T) / 2
+    constants = -covariance @ (h - border.T @ shift)
+    states = -shift - inner @ constants
+    constant_draws = np.linalg.cholesky(covariance) @ draws[n * s :]
+    state_draws = _back_substitute(factor, draws[: n * s]) - inner @ constant_draws
+    return Posterior(states.reshape(n, s), constants, covariance, state_draws.reshape(n, s, -1), constant_draws)
+
+
+def _normal_equations(ties, looks, prior):
+    """Return A in lower banded storage, B, C, g and h."""
+    n, s = prior.states.shape
+    seen, tied = _gram(looks), _gram(ties)
+    own, after = slice(0, s), slice(s, 2 * s)
+    diagonal = seen[:, :s, :s]
+    diagonal[:, np.arange(s), np.arange(s)] += prior.states
+    diagonal[:-1] += tied[:, own, own]
+    diagonal[1:] += tied[:, after, after]
+    right = seen[:, :s, s:]
+    right[:-1] += tied[:, own, 2 * s :]
+    right[1:] += tied[:, after, 2 * s :]
+    small = seen[:, s:, s:].sum(axis=0) + tied[:, 2 * s :, 2 * s :].sum(axis=0)
+    right[..., -1] += prior.states * prior.states_off
+    right = right.reshape(n * s, -1)
+    corner = small[:-1, :-1] + np.diag(prior.constants)
+    h = small[:-1, -1] + prior.constants * prior.constants_off
+    return _banded(diagonal, tied[:, own, after]), right[:, :-1], corner, right[:, -1], h
+
+
+def _gram(rows):
+    """Return J^T J of each batch, J = [here, after, shared, residual]."""
+    parts = [rows.here, rows.after, rows.shared, rows.residual[..., None]]
+    J = np.concatenate([part for part in parts if part is not None], axis=2)
+    return J.swapaxes(1, 2) @ J
+
+
+def _banded(diagonal, coupling):
+    """Return a block-tridiagonal matrix in the lower banded storage of LAPACK: row i - j, column j."""
+    n, s, _ = diagonal.shape
+    band = np.zeros((2 * s, n, s))
+    for j in range(s):
+        for i in range(j, s):
+            band[i - j, :, j] = diagonal[:, i, j]
+        for i in range(s):
+            band[s + i - j, :-1, j] = coupling[:, j, i]
+    return band.reshape(2 * s, n * s)
+
+
+def _back_substitute(factor, values):
+    """Return L^-T values for a lower banded factor."""
+    return lapack.dtbtrs(factor, values, uplo="L", trans="T")[0]

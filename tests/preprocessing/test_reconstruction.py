@@ -1,0 +1,335 @@
+"""Flight-path reconstruction: its equations, what it recovers, and what it says when it cannot."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+from sklearn.pipeline import make_pipeline
+
+from skdgp.preprocessing import FlightPathReconstruction, FlightSmoother
+from skdgp.preprocessing._bordered import Prior, Rows, solve
+from skdgp.preprocessing._flight_log import NEEDED, first_guess, flight_logs
+from skdgp.preprocessing._kinematics import CONSTANTS, PLACE, SENSORS, air_data, air_data_rates, looks, ties
+
+GRAVITY = 9.80665
+SHEET = {
+    **dict.fromkeys(["ax", "ay", "az"], 0.05),
+    **dict.fromkeys(["p", "q", "r"], 0.002),
+    **dict.fromkeys(["phi", "theta", "psi", "alpha", "beta"], 0.005),
+    **dict.fromkeys(["v_north", "v_east", "v_down"], 0.1),
+    "airspeed": 0.3,
+}
+"""White noise of the sensors, standard deviation."""
+AIR = ["airspeed", "alpha", "beta"]
+
+
+def flown(seconds=80.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, loop=0.0, lags=None):
+    """A flight whose attitude and motion are given functions of time: all else follows, without the package.
+
+    Heading turns at ``turn`` (0: straight at constant speed), or the nose is carried through the vertical at ``loop``
+    [rad/s]; gusts are a random walk [m/s in one second]; ``lags`` holds how long ago [s] sensors saw what they report.
+    """
+    rng = np.random.default_rng(seed)
+    step = 0.0025
+    t = np.arange(-1.0, seconds + 1.0, step)
+    moving, rolling = turn != 0.0, loop == 0.0
+    wave = [turn * t + 0.1 * moving * np.sin(0.9 * t), 0.15 * np.sin(0.7 * t), 0.4 * rolling * np.sin(0.5 * t)]
+    attitude = Rotation.from_euler("ZYX", np.transpose(wave)) * Rotation.from_euler("Y", (loop * t)[:, None])
+    beside = Rotation.from_rotvec(
+        np.transpose([0.02 * np.sin(t), 0.05 * np.sin(0.8 * t), -0.08 - 0.04 * np.sin(2 * t)])
+    )
+    ahead = beside.as_matrix()[:, :, 0] * [1, 1, -1]
+    mean_wind = np.array([3.0, -2.0, 0.0])
+    velocity = attitude.apply((25 + 3 * moving * np.sin(0.3 * t))[:, None] * ahead) + mean_wind
+    walk = gusts * np.sqrt(step) * np.cumsum(rng.standard_normal((len(t), 3)), axis=0)
+    wind = mean_wind + walk - walk.mean(axis=0)
+    turning = np.zeros((len(t), 3))
+    turning[1:-1] = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * step)
+    air = air_data(attitude.inv().apply(velocity - wind))
+    euler = attitude.as_euler("ZYX")[:, ::-1]
+    force = attitude.inv().apply(CubicSpline(t, velocity)(t, 1) - [0, 0, GRAVITY])
+    truth = np.column_stack([force, turning, np.unwrap(euler, axis=0), air, velocity, wind])
+    names = ["ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", *AIR, "v_north", "v_east", "v_down"]
+    names += ["wind_north", "wind_east", "wind_down"]
+    clock = np.arange(0, seconds, 1 / rate)
+    table = pd.DataFrame({"time": clock, "flight": "one"})
+    for name, values in zip(names, truth.T, strict=True):
+        table[f"{name}_true"] = np.interp(clock, t, values)
+        if name in SHEET:
+            seen = np.interp(clock - (lags or {}).get(name, 0.0), t, values)
+            table[name] = seen + noise * rng.normal(0, SHEET[name], len(clock))
+    return table
+
+
+def error(table, out, name):
+    """Root mean square."""
+    gap = out[name] - table[f"{name}_true"]
+    return float(np.sqrt(np.mean(np.angle(np.exp(1j * gap)) ** 2 if name in ("phi", "psi") else gap**2)))
+
+
+def guess(table, **constants):
+    """The log, and a path near it that is no solution."""
+    log = flight_logs(table, GRAVITY)[0][2]
+    values = np.zeros(len(CONSTANTS))
+    for name, value in constants.items():
+        values[PLACE[name]] = value
+    rng = np.random.default_rng(4)
+    return log, first_guess(log, values).moved(0.1 * rng.standard_normal((len(table), 9)), 0.0)
+
+
+class TestEquations:
+    @pytest.mark.parametrize("rows", [looks, lambda path, log: ties(path, log, np.full(len(log.time) - 1, 0.9))])
+    def test_slopes_are_those_of_the_residuals(self, rows):
+        log, path = guess(flown(0.5), alpha_scale=0.1, airspeed_scale=-0.05, beta_bias=0.02, p_bias=0.01, wind_east=4.0)
+        base, eps = rows(path, log), 1e-6
+        states, constants = np.zeros((len(log.time), 9)), np.zeros(len(CONSTANTS))
+        for place in range(9):
+            for first in (0, 1):  # every other sample moves, so that each equation feels one of its two
+                moved = states.copy()
+                moved[first::2, place] = eps
+                slope = (rows(path.moved(moved, constants), log).residual - base.residual) / eps
+                np.testing.assert_allclose(slope[first::2], base.here[first::2, :, place], atol=2e-3, rtol=2e-3)
+                if base.after is not None:
+                    np.testing.assert_allclose(
+                        slope[1 - first :: 2], base.after[1 - first :: 2, :, place], atol=2e-3, rtol=2e-3
+                    )
+        for name, place in PLACE.items():
+            if name.endswith("_lag"):
+                continue  # to first order only: see the recovery of lags
+            moved = constants.copy()
+            moved[place] = eps
+            slope = (rows(path.moved(states, moved), log).residual - base.residual) / eps
+            np.testing.assert_allclose(slope, base.shared[:, :, place], atol=1e-3, rtol=1e-3)
+
+    def test_rates_of_change_are_those_of_air_data_in_steady_air(self):
+        table = flown(4.0, 400.0, noise=0.0)
+        log = flight_logs(table, GRAVITY)[0][2]
+        constants = np.zeros(len(CONSTANTS))
+        constants[[PLACE["wind_north"], PLACE["wind_east"]]] = 3.0, -2.0
+        rates = air_data_rates(first_guess(log, constants), log)
+        np.testing.assert_allclose(rates, CubicSpline(table.time, table[AIR])(table.time, 1), atol=2e-3)
+
+    def test_the_bordered_solution_is_that_of_the_dense_problem(self):
+        rng = np.random.default_rng(0)
+        n, s, c, k = 6, 3, 2, 40_000
+        tied = Rows(*(rng.normal(size=shape) for shape in [(n - 1, 2), (n - 1, 2, s), (n - 1, 2, s), (n - 1, 2, c)]))
+        seen = Rows(rng.normal(size=(n, 4)), rng.normal(size=(n, 4, s)), None, rng.normal(size=(n, 4, c)))
+        prior = Prior(np.full((n, s), 0.3), rng.normal(size=(n, s)), np.full(c, 0.5), rng.normal(size=c))
+        J, r = [], []
+        for i in range(n):
+            for rows in (tied, seen) if i < n - 1 else (seen,):
+                block = np.zeros((rows.here.shape[1], n * s + c))
+                block[:, i * s : (i + 1) * s] = rows.here[i]
+                if rows.after is not None:
+                    block[:, (i + 1) * s : (i + 2) * s] = rows.after[i]
+                block[:, n * s :] = rows.shared[i]
+                J.append(block)
+                r.append(rows.residual[i])
+        J.append(np.diag(np.sqrt(np.r_[prior.states.ravel(), prior.constants])))
+        r.append(J[-1] @ np.r_[prior.states_off.ravel(), prior.constants_off])
+        J, r = np.vstack(J), np.concatenate(r)
+        covariance = np.linalg.inv(J.T @ J)
+        solution = -covariance @ J.T @ r
+        found = solve(tied, seen, prior, rng.standard_normal((n * s + c, k)))
+        np.testing.assert_allclose(np.r_[found.states.ravel(), found.constants], solution, atol=1e-10)
+        np.testing.assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
+        draws = np.vstack([found.state_draws.reshape(n * s, k), found.constant_draws])
+        std = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose(np.cov(draws) / np.outer(std, std), covariance / np.outer(std, std), atol=0.03)
+
+
+class TestRecovery:
+    def test_in_calm_air_the_vanes_noise_all_but_vanishes(self):
+        table = flown()
+        reconstruction = FlightPathReconstruction()
+        out = reconstruction.fit_transform(table)
+        for name, share in {"airspeed": 0.1, "alpha": 0.15, "beta": 0.15, "phi": 0.2, "theta": 0.2, "psi": 0.2}.items():
+            assert error(table, out, name) < share * SHEET[name], name
+        for name in ("wind_north", "wind_east", "wind_down"):
+            assert error(table, out, name) < 0.05
+        for name, sheet in {"airspeed": "airspeed", "alpha": "alpha", "v_down": "v_down", "tilt": "theta"}.items():
+            assert reconstruction.noise_std_[name] == pytest.approx(SHEET[sheet], rel=0.06)
+
+    @pytest.mark.parametrize("gusts", [0.1, 0.5])
+    def test_error_std_is_honest_and_gusts_are_followed(self, gusts):
+        table = flown(gusts=gusts)
+        reconstruction = FlightPathReconstruction()
+        out = reconstruction.fit_transform(table)
+        for name in AIR:
+            left = error(table, out, name)
+            assert left == pytest.approx(reconstruction.error_std_[name], rel=0.25), name
+            assert left < 0.65 * SHEET[name]
+
+    def test_injected_errors_are_found_and_removed(self):
+        put = {"ax_bias": 0.15, "ay_bias": -0.1, "az_bias": 0.2, "p_bias": 0.01, "q_bias": -0.008, "r_bias": 0.012}
+        put |= {"airspeed_scale": 0.06, "alpha_bias": 0.03, "alpha_scale": 0.15, "beta_bias": -0.02}
+        put |= {"beta_scale": -0.1}
+        table = flown()
+        for name in SHEET:
+            scale, bias = put.get(f"{name}_scale", 0.0), put.get(f"{name}_bias", 0.0)
+            table[name] += scale * table[f"{name}_true"] + bias
+        reconstruction = FlightPathReconstruction(calibrate="all").fit(table)
+        found = reconstruction.calibration_.set_index("constant")
+        for name in (name for name in CONSTANTS if not name.startswith("wind")):
+            assert found.observable[name], name
+            assert abs(found.estimate[name] - put.get(name, 0.0)) < 4 * found["std"][name], name
+        assert reconstruction.sensors_["airspeed_scale"] == pytest.approx(0.06, abs=0.002)
+        out = reconstruction.transform(table)
+        for name, limit in {"airspeed": 0.06, "alpha": 0.002, "beta": 0.001, "ax": 0.06, "r": 0.0022}.items():
+            assert error(table, out, name) < limit, name
+
+    def test_lags_are_found(self):
+        lags = {"alpha": 0.06, "beta": 0.06, "airspeed": 0.0, **dict.fromkeys(["v_north", "v_east", "v_down"], 0.11)}
+        names = ["vane_lag", "velocity_lag", "attitude_lag"]
+        found = FlightPathReconstruction(calibrate=names).fit(flown(lags=lags)).sensors_
+        assert found["vane_lag"] == pytest.approx(0.06, abs=0.006)
+        assert found["velocity_lag"] == pytest.approx(0.11, abs=0.003)
+        assert found["attitude_lag"] == pytest.approx(0.0, abs=0.002)
+
+    def test_through_the_vertical(self):
+        table = flown(40.0, loop=0.5, turn=0.0)
+        assert np.abs(table.theta_true).max() > 1.5
+        out = FlightPathReconstruction().fit_transform(table)
+        turned = [
+            Rotation.from_euler("ZYX", t[[f"{n}{s}" for n in ("psi", "theta", "phi")]])
+            for t, s in ((table, "_true"), (out, ""))
+        ]
+        assert (turned[0].inv() * turned[1]).magnitude().max() < 0.006
+        assert error(table, out, "alpha") < 0.0015
+
+    def test_without_vanes(self):
+        table = flown()
+        out = FlightPathReconstruction().fit_transform(table.drop(columns=["alpha", "beta"]))
+        assert error(table, out, "alpha") < 0.003
+        assert error(table, out, "beta") < 0.003
+        assert {"alpha", "beta", "alpha_dot", "beta_dot"} <= set(out)
+
+    def test_slow_and_silent_sensors(self):
+        table = flown()
+        slow = table.copy()
+        row = np.arange(len(table))
+        slow.loc[row % 5 != 0, ["v_north", "v_east", "v_down"]] = np.nan  # GPS at 5 Hz
+        slow.loc[row % 3 != 0, ["alpha"]] = np.nan
+        slow.loc[(row > 700) & (row < 750), ["phi", "theta", "psi", "airspeed"]] = np.nan
+        slow.loc[row % 50 == 7, ["p", "ax"]] = np.nan
+        out = FlightPathReconstruction().fit_transform(slow)
+        assert out[[*AIR, "p", "ax", "psi", "wind_down"]].notna().all(axis=None)
+        for name in AIR:
+            assert error(table, out, name) < 0.3 * SHEET[name], name
+
+    def test_a_gap_is_not_bridged(self):
+        table = flown()
+        parts = table[(table.time < 30) | (table.time > 45)].reset_index(drop=True)
+        out = FlightPathReconstruction().fit_transform(parts)
+        for name in AIR:
+            assert error(parts, out, name) < 0.25 * SHEET[name], name
+
+
+class TestHonesty:
+    def test_flights_are_not_mixed(self):
+        one, two = flown(30.0), flown(20.0, seed=1, gusts=0.3).assign(flight="two")
+        reconstruction = FlightPathReconstruction().fit(one)
+        both = reconstruction.transform(pd.concat([one, two], ignore_index=True))
+        apart = pd.concat([reconstruction.transform(one), reconstruction.transform(two)], ignore_index=True)
+        pd.testing.assert_frame_equal(both, apart)
+
+    def test_what_a_straight_flight_does_not_show_is_said(self):
+        straight, turning = (flown(40.0, turn=turn, gusts=0.05).drop(columns=["alpha", "beta"]) for turn in (0.0, 0.3))
+        with pytest.warns(UserWarning, match="hardly show airspeed_scale"):
+            hidden = FlightPathReconstruction(calibrate=["airspeed_scale"], gust_time=60.0).fit(straight).calibration_
+        shown = FlightPathReconstruction(calibrate=["airspeed_scale"], gust_time=60.0).fit(turning).calibration_
+        hidden, shown = (part.set_index("constant").loc["airspeed_scale"] for part in (hidden, shown))
+        assert not hidden.observable
+        assert shown.observable
+        assert hidden.confounded_with == "wind_north"
+        assert abs(hidden.correlation) > 0.9
+
+    def test_calibration_of_another_flight(self):
+        reconstruction = FlightPathReconstruction().fit(flown(30.0))
+        other = flown(30.0, seed=2)
+        other["q"] += 0.01
+        found = reconstruction.calibration(other).set_index("constant")
+        assert found.estimate["q_bias"] == pytest.approx(0.01, abs=0.001)
+        assert found.estimate["wind_north"] == pytest.approx(3.0, abs=0.2)
+        assert reconstruction.calibration_.set_index("constant").estimate["q_bias"] == pytest.approx(0, abs=0.001)
+
+    def test_errors_of_sensors_are_shared_by_the_flights_of_fit(self):
+        table = pd.concat([flown(30.0, seed=k).assign(flight=k) for k in range(2)], ignore_index=True)
+        table["beta"] += 0.03
+        reconstruction = FlightPathReconstruction(calibrate=["beta_bias"]).fit(table)
+        each = reconstruction.calibration_.query("constant == 'beta_bias'")
+        assert reconstruction.sensors_["beta_bias"] == pytest.approx(
+            np.average(each.estimate, weights=each["std"] ** -2), abs=1e-4
+        )
+        assert set(reconstruction.sensors_) == set(SENSORS)
+        out = reconstruction.transform(flown(30.0, seed=5).assign(beta=lambda t: t.beta + 0.03))
+        assert abs((out.beta - out.beta_true).mean()) < 0.002
+
+    def test_the_smoother_after_it_leaves_air_data_alone(self):
+        table = flown(gusts=0.3)
+        out = FlightPathReconstruction().fit_transform(table)
+        after = FlightSmoother().fit_transform(out)
+        for name in AIR:
+            assert error(table, after, name) == pytest.approx(error(table, out, name), rel=0.05)
+
+    @pytest.mark.parametrize("rates", ["air", "steady"])
+    def test_rates_of_change(self, rates):
+        table = flown()
+        out = FlightPathReconstruction(rates=rates).fit_transform(table)
+        for name in ("alpha", "beta"):
+            truth = CubicSpline(table.time, table[f"{name}_true"])(table.time, 1)
+            assert np.std(out[f"{name}_dot"] - truth) < 0.12 * truth.std()  # gyros as they are
+
+    def test_heading_keeps_its_turn(self):
+        table = flown(30.0)
+        wrapped = table.assign(psi=table.psi % (2 * np.pi))
+        out = FlightPathReconstruction().fit_transform(wrapped)
+        assert np.abs(out.psi - wrapped.psi).max() < 0.05
+
+
+class TestBadInput:
+    @pytest.mark.parametrize("name", NEEDED)
+    def test_missing_column(self, name):
+        with pytest.raises(ValueError, match=f"lacks the columns '{name}'"):
+            FlightPathReconstruction().fit(flown(2.0).drop(columns=name))
+
+    def test_silent_sensor_is_named_with_its_flight(self):
+        with pytest.raises(ValueError, match="no value of v_east in flight 'one'"):
+            FlightPathReconstruction().fit(flown(2.0).assign(v_east=np.nan))
+
+    def test_degrees(self):
+        with pytest.raises(ValueError, match=r"numpy\.deg2rad"):
+            FlightPathReconstruction().fit(flown(20.0).assign(theta=lambda t: np.rad2deg(t.theta)))
+
+    def test_unknown_error(self):
+        with pytest.raises(ValueError, match=r"Got \['alpha_slope'\] in calibrate"):
+            FlightPathReconstruction(calibrate=["alpha_slope"]).fit(flown(2.0))
+
+    def test_wrong_sign_shows_in_the_noise(self):
+        table = flown(30.0)
+        right = FlightPathReconstruction().fit(table)
+        wrong = FlightPathReconstruction().fit(table.assign(q=-table.q))
+        assert wrong.noise_std_["gyro"] > 10 * right.noise_std_["gyro"]
+
+    @pytest.mark.parametrize("rows", [1, 2, 5])
+    def test_very_short_flights(self, rows):
+        out = FlightPathReconstruction().fit_transform(flown(1.0)[:rows])
+        assert np.isfinite(out.select_dtypes("number").to_numpy()).all()
+
+
+@pytest.mark.shared
+def test_shared_calm_flight_after_a_gusty_one(shared_data):
+    train, test = (
+        pd.read_parquet(shared_data / "flights" / f"c172p_{part}.parquet")[:4000]
+        for part in ("train_latlon", "test_calm")
+    )
+    chain = make_pipeline(FlightPathReconstruction(), FlightSmoother())
+    chain.fit(train)
+    noise = chain[0].noise_std_  # the sensors' data sheet
+    for name, sheet in {"airspeed": 0.3, "alpha": np.deg2rad(0.3), "v_down": 0.1, "tilt": np.deg2rad(0.3)}.items():
+        assert noise[name] == pytest.approx(sheet, rel=0.05)
+    for table, limits in (train, (0.0019, 0.0019)), (test, (0.0006, 0.0006)):
+        out = chain.transform(table)
+        for name, limit in zip(["alpha", "beta"], limits, strict=True):
+            assert error(table, out, name) < limit, name

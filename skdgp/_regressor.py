@@ -325,7 +325,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
             self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood
         return self
 
-    def compact(self, n_inducing=1500, *, tolerance=None, random_state=0):
+    def compact(self, n_inducing=1500, *, tolerance=None, max_iter=10, random_state=0):
         """Return a small and fast model of nearly the same predictions, that holds no samples.
 
         The samples become inducing variables, at the same hyperparameters: what each latent contributes to each output,
@@ -340,6 +340,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         tolerance : float or None
             Take as few as change, for every output, mean and standard deviation by at most this fraction of the
             original standard deviation, root mean square over the training inputs and points around them.
+        max_iter : int
+            Iterations in which the places are improved at the end, on the bound of the likelihood; Ctrl-C stops them.
         random_state : int, RandomState or None
             Of the places, and of the points where the change is measured.
 
@@ -371,8 +373,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         (True, True)
         """
         check_is_fitted(self)
-        check_compaction(n_inducing, tolerance)
-        posterior, compaction = compact(self.posterior_, int(n_inducing), tolerance, random_state, _allow_compact)
+        check_compaction(n_inducing, tolerance, max_iter)
+        posterior, compaction = compact(self.posterior_, n_inducing, tolerance, max_iter, random_state, _allow_compact)
         if tolerance is not None and compaction.change > tolerance:
             warn_of_tolerance(tolerance, compaction.change, compaction.n_inducing)
         small = clone(self)

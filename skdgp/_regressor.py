@@ -247,7 +247,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         vars(self).pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
-        self.noise_variance_ = best.posterior.noise * self._scale**2
+        self.noise_variance_ = best.noise * self._scale**2
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_ = best.n_iter, best.n_evaluations
         return self
@@ -267,7 +267,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
         starts = [{"random_state": int(seed), "spread": float(k > 0)} for k, seed in enumerate(seeds)]
         fits = fit_map(search, starts, self.n_jobs)
-        best = max(fits, key=lambda fit: fit.posterior.log_marginal_likelihood)
+        best = max(fits, key=lambda fit: fit.value)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))
 
     # -- after the fit ---------------------------------------------------------------------------------

@@ -16,23 +16,51 @@ from skdgp._threads import thread_map
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import maximize
+from skdgp.inference._repeats import autocorrelation_time
 from skdgp.inference._shares import shares_of
 from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
 STRETCHES, TRY_ITERATIONS = (1.0, 0.3, 0.1), 40  # widths tried first, and how long
-SUBSET = 2400  # values of the exact fit from which the sparse one starts
+SUBSET, SPARSE_SINGLE = 2400, 1200  # values that sparse inference learns from: jointly, and of each output alone
+FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
 NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
 
 
 class Fit(NamedTuple):
-    """A posterior and how its hyperparameters were found."""
+    """A posterior, and how its hyperparameters were found.
+
+    ``noise`` (P,) is the variance of a measurement, which in a sparse posterior counts for less where neighbours repeat
+    each other; ``value`` is the likelihood, or its bound, by which fits of the same data can be compared.
+    """
 
     posterior: ExactPosterior | SparsePosterior
+    noise: np.ndarray
+    value: float
     n_iter: int
     n_evaluations: int
-    interrupted: bool
+    interrupted: bool = False
     rising: bool = False
+    converged: bool = True
+
+
+class _Found(NamedTuple):
+    """Hyperparameters, and how they were found."""
+
+    kernel: object
+    noise: np.ndarray
+    n_iter: int = 0
+    n_evaluations: int = 0
+    interrupted: bool = False
+    rising: bool = False
+    converged: bool = True
+
+    def fit(self, posterior, value=None, more=None) -> Fit:
+        """Return the posterior with the story of how it was found; ``more`` is an Optimum that followed."""
+        value = posterior.log_marginal_likelihood if value is None else value
+        n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
+        interrupted = self.interrupted or bool(more and more.interrupted)
+        return Fit(posterior, self.noise, value, self.n_iter, n_evaluations, interrupted, self.rising, self.converged)
 
 
 def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) -> Fit:
@@ -53,19 +81,65 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) ->
     spread : float
         Standard deviation of what is added to the starting theta: for restarts.
     """
+    found = _learn(kernel, X, Y, slice(None), SINGLE, optimizer, max_iter, check_random_state(random_state), spread)
+    return found.fit(ExactPosterior(found.kernel, found.noise, Data.from_table(X, Y)))
+
+
+def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, spread=0.0) -> Fit:
+    """Return the sparse posterior on all samples, at hyperparameters learned from some of them.
+
+    Parameters are those of ``fit_exact``, and
+
+    n_inducing : int
+        Inducing inputs of each latent process; they start at the centres of k-means and are learned.
+    """
     random_state = check_random_state(random_state)
+    rows = _some_rows(Y, random_state)
+    found = _learn(kernel, X, Y, rows, SPARSE_SINGLE, optimizer, max_iter, random_state, spread)
+    kernel, noise = found.kernel, found.noise
+    features = kernel.features(_centres(X, n_inducing, random_state))
+    shares = shares_of(Data.from_table(X, Y))
+    with sharing(shares):
+        posterior = SparsePosterior(kernel, features, noise, shares)
+        if optimizer is None or found.interrupted:
+            return found.fit(posterior)
+        # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
+        noise = noise * _repeats(posterior, X, Y)
+
+        def at(theta):
+            return SparsePosterior(kernel, features.rebuild(kernel, theta), noise, shares)
+
+        def bound(theta):
+            tried = at(theta)
+            return tried.log_marginal_likelihood, tried.bound_gradient()[-len(theta) :]
+
+        best = maximize(bound, features.theta, features.bounds, max_iter=FEATURE_ITERATIONS, stage="bound")
+        return found.fit(at(best.theta), posterior.log_marginal_likelihood, best)
+
+
+def _repeats(posterior, X, Y):
+    """Return, for each output, how many neighbouring samples count as one."""
+    residual = Y - posterior.predict(X)
+    return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
+
+
+def _learn(kernel, X, Y, rows, n_single, optimizer, max_iter, random_state, spread) -> _Found:
+    """Return hyperparameters: of each output alone from n_single of its values, then of all jointly from the rows."""
     P = Y.shape[1]
-    open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
     noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
+    open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
     noise = np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), *noise_bounds.T)
-    data = Data.from_table(X, Y)
     if optimizer is None:
-        return Fit(ExactPosterior(kernel, noise, data), 0, 0, False)
+        return _Found(kernel, noise)
     stop = Event()
     search = partial(maximize, optimizer=optimizer, stop=stop)
     singles, n_evaluations, n_iter = None, 0, 0
     if P > 1 and not open_kernel.is_given():
-        singles, noise, n_evaluations = _single_outputs(open_kernel, noise, noise_bounds, X, Y, search, random_state)
+        singles, noise, n_evaluations = _single_outputs(
+            open_kernel, noise, noise_bounds, X, Y, n_single, search, random_state
+        )
+    X, Y = X[rows], Y[rows]
+    data = Data.from_table(X, Y)
 
     def climb(kernel, noise, max_iter, spread=0.0):
         theta = np.concatenate([kernel.theta, np.log(noise)])
@@ -83,57 +157,27 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) ->
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     kernel, noise, best = climb(kernel, noise, max_iter - n_iter, spread)
     n_evaluations, n_iter = n_evaluations + best.n_evaluations, n_iter + best.n_iter
-    return Fit(ExactPosterior(kernel, noise, data), n_iter, n_evaluations, stop.is_set(), best.rising)
-
-
-def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, spread=0.0) -> Fit:
-    """Return the sparse posterior on all samples, started from an exact fit of some of them.
-
-    Parameters are those of ``fit_exact``, and
-
-    n_inducing : int
-        Inducing inputs of each latent process; they start at the centres of k-means and are learned.
-    """
-    random_state = check_random_state(random_state)
-    shares = shares_of(Data.from_table(X, Y))
-    rows = _some_rows(Y, random_state)
-    first = fit_exact(
-        kernel, X[rows], Y[rows], optimizer=optimizer, max_iter=max_iter, random_state=random_state, spread=spread
-    )
-    kernel, noise = first.posterior.kernel, first.posterior.noise
-    noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
-    features = kernel.features(_centres(X, n_inducing, random_state))
-    if optimizer is None or first.interrupted:
-        return first._replace(posterior=SparsePosterior(kernel, features, noise, shares))
-    n, P = kernel.n_dims, Y.shape[1]
-
-    def rebuilt(theta):
-        new = kernel.clone_with_theta(theta[:n])
-        return SparsePosterior(new, features.rebuild(new, theta[n + P :]), np.exp(theta[n : n + P]), shares)
-
-    def bound(theta):
-        posterior = rebuilt(theta)
-        return posterior.log_marginal_likelihood, posterior.bound_gradient()
-
-    theta = np.concatenate([kernel.theta, np.log(noise), features.theta])
-    bounds = np.concatenate([_bounds(kernel, noise_bounds), features.bounds])
-    with sharing(shares):
-        best = maximize(bound, theta, bounds, optimizer=optimizer, max_iter=max_iter, stage="bound")
-    n_evaluations = first.n_evaluations + best.n_evaluations
-    return Fit(rebuilt(best.theta), best.n_iter, n_evaluations, best.interrupted, best.rising)
+    return _Found(kernel, noise, n_iter, n_evaluations, stop.is_set(), best.rising, best.converged)
 
 
 def _some_rows(Y, random_state):
     """Return rows with about SUBSET observed values, every output among them as often as its share allows."""
     seen = np.isfinite(Y)
-    order = random_state.permutation(len(Y))
     quota = SUBSET // Y.shape[1]
-    chosen = order[: max(2, SUBSET * len(Y) // seen.sum())]
+    chosen = _spread(np.arange(len(Y)), max(2, SUBSET * len(Y) // seen.sum()), random_state)
     for output in seen.T:
         lacking = min(quota, output.sum()) - output[chosen].sum()
-        rest = np.setdiff1d(order, chosen, assume_unique=True)
-        chosen = np.concatenate([chosen, rest[output[rest]][: max(lacking, 0)]])
+        rest = np.setdiff1d(np.flatnonzero(output), chosen, assume_unique=True)
+        chosen = np.concatenate([chosen, _spread(rest, max(lacking, 0), random_state)])
     return np.sort(chosen)
+
+
+def _spread(rows, n, random_state):
+    """Return n of the rows, spread over them: in a log neighbours say the same. One by chance of each n-th part."""
+    if n >= len(rows):
+        return rows
+    edges = np.linspace(0, len(rows), n + 1)
+    return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
 
 
 def _centres(X, n_inducing, random_state):
@@ -161,7 +205,7 @@ def _bounds(kernel, noise_bounds):
     return np.concatenate([kernel.bounds, np.log(noise_bounds)])
 
 
-def _single_outputs(kernel, noise, noise_bounds, X, Y, search, random_state):
+def _single_outputs(kernel, noise, noise_bounds, X, Y, n_single, search, random_state):
     """Return kernel and noise of a fit of each output alone, and what that cost.
 
     A single output has a P-th of the values: its fit costs a P^3-th of the joint one, and finds trend, widths and
@@ -171,20 +215,20 @@ def _single_outputs(kernel, noise, noise_bounds, X, Y, search, random_state):
 
     def fit_one(i):
         seen = np.flatnonzero(np.isfinite(Y[:, i]))
-        rows = seen[np.sort(states[i].permutation(len(seen))[:SINGLE])]
-        x, y = X[rows], Y[rows, i : i + 1]
-        data = Data.from_table(x, y)
+        seen = _spread(seen, n_single, states[i])
+        x, y = X[seen], Y[seen, i : i + 1]
 
-        def climb(single, theta, max_iter):
+        def climb(single, theta, step, max_iter):
             bounds = _bounds(single, noise_bounds[i : i + 1])
-            likelihood = _likelihood(single, data, 1)
+            likelihood = _likelihood(single, Data.from_table(x[::step], y[::step]), 1)
             return single, search(likelihood, theta, bounds, max_iter=max_iter, stage=f"output {i + 1}")
 
-        # From widths that are far too long, "all noise" is the nearest hill.
+        # From widths that are far too long, "all noise" is the nearest hill. Which hill it is, half of the values tell.
         starts = [kernel.single().initialize(x, y, states[i], stretch=stretch) for stretch in STRETCHES]
-        tries = [climb(start, np.append(start.theta, np.log(noise[i])), TRY_ITERATIONS) for start in starts]
+        theta = [np.append(start.theta, np.log(noise[i])) for start in starts]
+        tries = [climb(*both, 2, TRY_ITERATIONS) for both in zip(starts, theta, strict=True)]
         single, best = max(tries, key=lambda end: end[1].value)
-        single, end = climb(single, best.theta, SINGLE_ITERATIONS)
+        single, end = climb(single, best.theta, 1, SINGLE_ITERATIONS)
         n_evaluations = end.n_evaluations + sum(tried.n_evaluations for _, tried in tries)
         return single.clone_with_theta(end.theta[:-1]), np.exp(end.theta[-1]), n_evaluations
 

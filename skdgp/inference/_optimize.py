@@ -19,6 +19,7 @@ class Optimum(NamedTuple):
     n_evaluations: int
     interrupted: bool
     rising: bool  # stopped at max_iter while the likelihood still rose by a twentieth of itself in a few evaluations
+    converged: bool  # ended because the likelihood hardly rose any more
 
 
 class _Objective:
@@ -76,19 +77,21 @@ def maximize(
     """
     theta = np.clip(theta, bounds[:, 0], bounds[:, 1])
     if stop is not None and stop.is_set():
-        return Optimum(theta, -np.inf, 0, 0, True, False)
+        return Optimum(theta, -np.inf, 0, 0, True, False, False)
     objective = _Objective(log_likelihood, theta, stage, stop)
-    n_iter, interrupted = 0, False
+    n_iter, interrupted, converged = 0, False, False
     try:
         if callable(optimizer):
             optimizer(objective, theta, bounds)
+            converged = True  # it came to an end of its own
         else:
             options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "ftol": tolerance, "gtol": 1e-4, "maxcor": 20}
-            n_iter = minimize(objective, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options).nit
+            end = minimize(objective, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+            n_iter, converged = end.nit, bool(end.success)
     except KeyboardInterrupt:
         interrupted = True
         if stop is not None:
             stop.set()
     gain = objective.value - objective.values[-min(5, len(objective.values))] if objective.values else 0.0
     rising = n_iter >= max_iter and gain > 0.05 * abs(objective.value)
-    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising)
+    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising, converged)

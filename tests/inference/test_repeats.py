@@ -1,0 +1,57 @@
+"""Neighbours in a log that repeat each other."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from skdgp.inference import autocorrelation_time, fit_sparse
+from skdgp.kernels import ConvolvedGaussian
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.8, 0.95])
+def test_of_an_autoregression_is_the_known_one(rho):
+    noise = lfilter([1.0], [1.0, -rho], np.random.default_rng(0).normal(size=200_000))
+    assert autocorrelation_time(noise) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
+
+
+def test_is_that_of_the_variance_of_a_mean():
+    noise = lfilter([1.0], [1.0, -0.9], np.random.default_rng(1).normal(size=(400, 3000)))[:, 1000:]
+    times = np.array([autocorrelation_time(row) for row in noise])
+    independent = noise.var(axis=1).mean() / noise.shape[1]
+    assert times.mean() == pytest.approx(noise.mean(axis=1).var() / independent, rel=0.2)
+
+
+def test_does_not_depend_on_unit_or_offset():
+    noise = np.cumsum(np.random.default_rng(2).normal(size=1000))
+    assert autocorrelation_time(3 - 1e3 * noise) == pytest.approx(autocorrelation_time(noise))
+
+
+@pytest.mark.parametrize("values", [np.zeros(10), np.ones(1), np.tile([1.0, -1.0], 50)])
+def test_is_never_less_than_one(values):
+    assert autocorrelation_time(values) == 1.0
+
+
+def fitted(X, Y):
+    return fit_sparse(
+        ConvolvedGaussian(0), X, Y, n_inducing=15, optimizer="fmin_l_bfgs_b", max_iter=15, random_state=0
+    )
+
+
+class TestSparseFit:
+    """Samples taken so fast that noise is the same in neighbours teach no more than the noise lets them."""
+
+    x = np.linspace(0, 8, 1500)[:, None]
+    noise = 0.3 * lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], np.random.default_rng(3).normal(size=1500))
+
+    def test_deviations_are_as_large_as_errors(self):
+        truth = np.sin(2 * self.x[:, 0])
+        fit = fitted(self.x, (truth + self.noise)[:, None])
+        mean, variance = fit.posterior.predict(self.x, True)
+        z = (mean[:, 0] - truth) / np.sqrt(variance[:, 0])
+        assert 0.4 < np.sqrt(np.mean(z**2)) < 1.6  # counted as independent, errors are about four deviations
+        assert fit.noise == pytest.approx([0.09], rel=0.25)  # of a measurement
+
+    def test_shuffled_rows_are_independent_evidence(self):
+        order = np.random.default_rng(4).permutation(len(self.x))
+        fit = fitted(self.x[order], (np.sin(2 * self.x[:, 0]) + self.noise)[order, None])
+        assert fit.posterior.noise == pytest.approx(fit.noise, rel=0.3)

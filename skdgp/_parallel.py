@@ -10,8 +10,9 @@ import os
 import signal
 import tempfile
 import threading
+import time
 import warnings
-from asyncio import CancelledError
+from asyncio import CancelledError, run_coroutine_threadsafe
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -27,6 +28,7 @@ from skdgp._threads import one_blas_thread, thread_map
 TRIES = 2  # of every task elsewhere, before it is done here
 FAILURES = 3  # evaluations in a row that failed elsewhere, before all are done here
 PATIENCE = 1.0  # seconds between looks at who is still there
+PAUSE = 0.2  # seconds for a scheduler to see who has died
 
 _crew: ContextVar[_Crew | None] = ContextVar("skdgp_crew", default=None)
 _stopped: set[str] = set()  # names of the work that shall come to an end, in this process
@@ -114,6 +116,10 @@ def _work(function, state, shares):
         raise  # another machine may have more
     except Exception as error:
         return error
+
+
+def _same(thing):
+    return thing
 
 
 def _raise_first(results):
@@ -309,14 +315,13 @@ class _Cluster:
         told = self._tell(state)
         futures = [self.client.submit(_work, function, told, part, pure=False) for part in self.held]
         try:
-            while self._waiting(futures, "ALL_COMPLETED"):
-                pass
-            return self.client.gather(futures)
+            return self._fetch(futures)
         finally:
             self._drop(futures)
 
     def forget(self):
         self.held = []
+        time.sleep(PAUSE)
 
     def fits(self, fit, name, starts, stop):
         told = self._tell(fit)
@@ -327,12 +332,12 @@ class _Cluster:
         asked = False
         try:
             while futures:
-                self._waiting(list(futures), "FIRST_COMPLETED")
+                self._wait_for_one(list(futures))
                 if stop.is_set() and not asked:
                     asked = True
                     self.client.run(_stop_here, name)
                 for future in [future for future in futures if future.done()]:
-                    yield future.result()
+                    yield self._fetch(future)
                     del futures[future]
         finally:
             self._drop(list(futures))
@@ -340,21 +345,38 @@ class _Cluster:
                 self.client.run(_be_deaf, False)
 
     def _tell(self, thing):
-        """Send something to all workers, so that it outlives any of them."""
-        return self.client.scatter([thing], broadcast=True, hash=False)[0]
+        """Send something so that it outlives every worker: as a task, which the scheduler can have done again."""
+        import dask
 
-    def _waiting(self, futures, until):
-        """Wait a little; say whether there is more to wait for. RuntimeError where nobody is left to wait for."""
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
+            return self.client.submit(_same, thing, pure=False)
+
+    def _wait_for_one(self, futures):
+        """Return when one of them is done, or after a moment."""
         from distributed import wait
 
         try:
             with self.client.as_current():
-                wait(futures, timeout=PATIENCE, return_when=until)
+                wait(futures, timeout=PATIENCE, return_when="FIRST_COMPLETED")
         except TimeoutError:
-            if self.count() == 0:
-                raise RuntimeError("no worker is left") from None
-            return True
-        return False
+            self._check()
+
+    def _fetch(self, futures):
+        """Return the results when they are there."""
+        results = self.client.gather(futures, asynchronous=True)
+        coming = run_coroutine_threadsafe(results, self.client.loop.asyncio_loop)
+        while True:
+            try:
+                return coming.result(PATIENCE)
+            except TimeoutError:
+                if coming.done():
+                    raise
+                self._check()
+
+    def _check(self):
+        """Raise RuntimeError where nobody is left to wait for: dask would wait for ever."""
+        if self.count() == 0:
+            raise RuntimeError("no worker is left")
 
     def _drop(self, futures):
         if self.client.status == "running":

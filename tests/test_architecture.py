@@ -46,7 +46,7 @@ FLOORS = [
 FLOOR = {part: number for number, parts in enumerate(FLOORS) for part in parts}
 LEARNING = {"kernels", "inference", "_regressor"}
 AIRCRAFT = {"io", "preprocessing", "dynamics", "datasets", "_vocabulary"}
-EXTRAS = {"matplotlib", "pyarrow", "polars", "distributed"}  # imported inside the functions that use them
+EXTRAS = {"matplotlib", "pyarrow", "polars", "dask", "distributed"}  # imported inside the functions that use them
 
 
 class Import(NamedTuple):

@@ -11,19 +11,10 @@ from skdgp.inference._shares import bound_slope
 def bound_gradient(posterior) -> np.ndarray:
     """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
     a, kernel, features = posterior.weights, posterior.kernel, posterior.features
-    d_noise = np.empty(len(posterior.noise))
-    for i, s in enumerate(posterior.statistics):
-        c = features.columns(i)
-        w = posterior.white[c]
-        fit = np.einsum("ab,ab->", posterior.B_inverse[np.ix_(c, c)], s.outer) + w @ s.outer @ w
-        d_noise[i] = 0.5 * ((fit + s.square - 2 * w @ s.inner + s.missing) / posterior.noise[i] - s.n)
-    gap = _coloured(
-        posterior.Lu, np.eye(features.size) - posterior.B_inverse
-    )  # Kuu^-1 - (Kuu + sum Kuf Kfu / noise)^-1
-    Wuu = 0.5 * (
-        _coloured(posterior.Lu, 2 * np.eye(features.size) - posterior.B_inverse - posterior.B) - np.outer(a, a)
-    )
-
+    Lu, one, n_values = posterior.Lu, np.eye(features.size), np.array([s.n for s in posterior.statistics])
+    d_noise = 0.5 * n_values * (posterior.noise_seen() / posterior.noise - 1)
+    gap = _coloured(Lu, one - posterior.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Kfu / noise)^-1
+    Wuu = 0.5 * (_coloured(Lu, 2 * one - posterior.B_inverse - posterior.B) - np.outer(a, a))
     total, diagonal = bound_slope(kernel, features, posterior.noise, a, gap, posterior.shares)
     total += features.gradient_uu(Wuu)
     n = kernel.n_dims

@@ -21,9 +21,10 @@ from skdgp.inference._shares import shares_of
 from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
-STRETCHES, TRY_ITERATIONS = (1.0, 0.3, 0.1), 40  # widths tried first, and how long
+STRETCHES, TRY, TRY_ITERATIONS = (1.0, 0.3, 0.1), 400, 40  # widths tried first, on how many values, how long
 SUBSET, SPARSE_SINGLE = 2400, 1200  # values that sparse inference learns from: jointly, and of each output alone
 FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
+SETTLING = 10  # steps, at most, to the noise that all values show
 NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
 
 
@@ -96,25 +97,39 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     random_state = check_random_state(random_state)
     rows = _some_rows(Y, random_state)
     found = _learn(kernel, X, Y, rows, SPARSE_SINGLE, optimizer, max_iter, random_state, spread)
-    kernel, noise = found.kernel, found.noise
-    features = kernel.features(_centres(X, n_inducing, random_state))
+    kernel, features = found.kernel, found.kernel.features(_centres(X, n_inducing, random_state))
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
-        posterior = SparsePosterior(kernel, features, noise, shares)
+        posterior = SparsePosterior(kernel, features, found.noise, shares)
         if optimizer is None or found.interrupted:
             return found.fit(posterior)
+        least = NOISE_BOUNDS[0] * column_scale(Y) ** 2
+        posterior, _ = _settled(posterior, 1.0, least)
+        value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
         # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
-        noise = noise * _repeats(posterior, X, Y)
+        posterior, _ = _settled(posterior, repeats, least)
 
         def at(theta):
-            return SparsePosterior(kernel, features.rebuild(kernel, theta), noise, shares)
+            return SparsePosterior(kernel, features.rebuild(kernel, theta), posterior.noise, shares)
 
         def bound(theta):
             tried = at(theta)
             return tried.log_marginal_likelihood, tried.bound_gradient()[-len(theta) :]
 
         best = maximize(bound, features.theta, features.bounds, max_iter=FEATURE_ITERATIONS, stage="bound")
-        return found.fit(at(best.theta), posterior.log_marginal_likelihood, best)
+        posterior, noise = _settled(at(best.theta), repeats, least)
+    return found._replace(noise=noise).fit(posterior, value, best)
+
+
+def _settled(posterior, repeats, least):
+    """Return the posterior at the noise that all values together show, and that noise, (P,)."""
+    for _ in range(SETTLING):
+        noise = np.maximum(posterior.noise_seen(), least)
+        change = np.abs(np.log(noise * repeats / posterior.noise)).max()
+        posterior = posterior.with_noise(noise * repeats)
+        if change < 0.01:
+            break
+    return posterior, noise
 
 
 def _repeats(posterior, X, Y):
@@ -223,10 +238,11 @@ def _single_outputs(kernel, noise, noise_bounds, X, Y, n_single, search, random_
             likelihood = _likelihood(single, Data.from_table(x[::step], y[::step]), 1)
             return single, search(likelihood, theta, bounds, max_iter=max_iter, stage=f"output {i + 1}")
 
-        # From widths that are far too long, "all noise" is the nearest hill. Which hill it is, half of the values tell.
+        # From widths that are far too long, "all noise" is the nearest hill. Which hill it is, some of the values tell.
+        step = max(1, len(x) // TRY)
         starts = [kernel.single().initialize(x, y, states[i], stretch=stretch) for stretch in STRETCHES]
         theta = [np.append(start.theta, np.log(noise[i])) for start in starts]
-        tries = [climb(*both, 2, TRY_ITERATIONS) for both in zip(starts, theta, strict=True)]
+        tries = [climb(*both, step, TRY_ITERATIONS) for both in zip(starts, theta, strict=True)]
         single, best = max(tries, key=lambda end: end[1].value)
         single, end = climb(single, best.theta, 1, SINGLE_ITERATIONS)
         n_evaluations = end.n_evaluations + sum(tried.n_evaluations for _, tried in tries)

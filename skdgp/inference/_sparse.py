@@ -103,13 +103,32 @@ class SparsePosterior:
         with threads_for(self.features.size):
             return symmetric(cholesky_inverse(self.LB.copy(order="F")))
 
-    def _with(self, shares, statistics, sums) -> SparsePosterior:
-        """Return the posterior of other samples, at the same features."""
+    def _with(self, shares, statistics, sums, noise=None) -> SparsePosterior:
+        """Return the posterior of other samples or another noise, at the same features."""
         new = object.__new__(SparsePosterior)
-        new.kernel, new.features, new.noise, new.Lu = self.kernel, self.features, self.noise, self.Lu
+        new.kernel, new.features, new.Lu = self.kernel, self.features, self.Lu
+        new.noise = self.noise if noise is None else noise
         new.shares, new.statistics, new.sums = shares, statistics, sums
         new._condition()
         return new
+
+    def with_noise(self, noise) -> SparsePosterior:
+        """Return the posterior at another noise variance of each output; no sample is looked at again."""
+        noise = np.asarray(noise, dtype=float)
+        return self._with(self.shares, self.statistics, Sums.of(self.features, noise, self.statistics), noise)
+
+    def noise_seen(self) -> np.ndarray:
+        """Return the mean squared distance of the values from the function, uncertain as that is, (P,).
+
+        Where it is the noise, the bound is stationary in the noise: the step of expectation maximisation.
+        """
+        seen = np.empty(len(self.noise))
+        for i, s in enumerate(self.statistics):
+            c = self.features.columns(i)
+            w = self.white[c]
+            spread = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + s.missing
+            seen[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / max(s.n, 1)
+        return seen
 
     def without_samples(self) -> SparsePosterior:
         """Return the same posterior, of the same predictions, that holds no samples: their sums alone."""

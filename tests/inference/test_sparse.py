@@ -126,6 +126,23 @@ class TestPosterior:
                     assert variance[a, i, k] == pytest.approx(quotient, rel=1e-3, abs=1e-4)
 
 
+class TestNoise:
+    def test_another_noise_needs_no_sample(self, problem):
+        posterior, noise = sparse(problem), 2.5 * problem.noise
+        got = posterior.with_noise(noise)
+        expected = SparsePosterior(problem.kernel, posterior.features, noise, posterior.shares)
+        assert got.log_marginal_likelihood == pytest.approx(expected.log_marginal_likelihood, rel=1e-10)
+        for a, b in zip(got.predict(NEW, True), expected.predict(NEW, True), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
+
+    def test_that_is_seen_never_lowers_the_bound(self, problem):
+        posterior = sparse(problem).with_noise(30 * problem.noise)
+        for _ in range(5):
+            better = posterior.with_noise(posterior.noise_seen())
+            assert better.log_marginal_likelihood > posterior.log_marginal_likelihood
+            posterior = better
+
+
 class TestRows:
     @pytest.mark.parametrize("threads", [1, 2])
     def test_how_samples_are_cut_does_not_matter(self, problem, threads, monkeypatch):

@@ -56,8 +56,8 @@ def main(words=None):
         options,
         "growth",
         samples=with_samples(case, (10, 20) if options.smoke else SAMPLES, (FLOOR, OURS, *peers), options.repeats),
-        latents=measure({f"{M} latents": (case._replace(M=M), {}) for M in LATENTS}),
-        regressors=measure({f"{d} regressors": (case._replace(d=d), {}) for d in REGRESSORS}),
+        latents=measure({f"shared latents: {M}": (case._replace(M=M), {}) for M in LATENTS}),
+        regressors=measure({f"regressors: {d}": (case._replace(d=d), {}) for d in REGRESSORS}),
         variants=measure({name: (case, keywords) for name, keywords in VARIANTS.items()}),
     )
 

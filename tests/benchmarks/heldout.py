@@ -31,27 +31,30 @@ from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
 
 SAMPLES = 755
-BUDGETS = [5, 10, 15, 20, 30, 45, 60, 90, 120]  # s
-TRIED_BUDGETS = [15, 30, 60, 90]
-TRIED = {  # what differs from six mixed latents, 150 inducing points each, batches of 512, Adam with .05
-    "as above": {},
-    "rate .01": {"rate": 0.01},
-    "rate .02": {"rate": 0.02},
-    "rate .1": {"rate": 0.1},
-    "rate .05 falling": {"decay": 1000},
-    "rate .1 falling": {"rate": 0.1, "decay": 1000},
-    "50 inducing points": {"n_inducing": 50},
+BUDGETS = [2, 3, 5, 7, 10, 15, 20, 30, 45, 60, 90, 120]  # s
+TRIED_BUDGETS = [5, 10, 20, 40, 80]
+BEST = {"n_latent": 6, "n_inducing": 50, "batch": 512, "rate": 0.05, "decay": 1500}
+TRIED = {  # by what they differ from the best
+    "the best": {},
+    "150 inducing points, rate .02 throughout": {"n_inducing": 150, "rate": 0.02, "decay": None},
+    "rate .01 throughout": {"rate": 0.01, "decay": None},
+    "rate .02 throughout": {"rate": 0.02, "decay": None},
+    "rate .05 throughout": {"decay": None},
+    "from rate .02": {"rate": 0.02},
+    "from rate .1": {"rate": 0.1},
+    "25 inducing points": {"n_inducing": 25},
     "100 inducing points": {"n_inducing": 100},
+    "150 inducing points": {"n_inducing": 150},
     "300 inducing points": {"n_inducing": 300},
     "batches of 256": {"batch": 256},
     "batches of 1024": {"batch": 1024},
     "batches of 2048": {"batch": 2048},
     "inducing points by k-means": {"kmeans": True},
     "length scales from 3": {"length_scale": 3.0},
-    "natural gradients .1": {"natural": 0.1},
+    "natural gradients, step .1": {"natural": 0.1},
+    "three latents": {"n_latent": 3},
     "no mixing: a latent for each output": {"mixed": False},
 }
-BEST = {}
 
 
 class Task(NamedTuple):
@@ -120,7 +123,7 @@ def gpytorch(task, budgets, **configuration):
 
     next(train_variational(task.X[:20], task.thinned[:20] * 0, n_inducing=2))  # what torch does once in a process
     rest = Residuals(task.X, task.Y)
-    steps = train_variational(task.X, rest.targets, **{"rate": 0.05, **configuration})
+    steps = train_variational(task.X, rest.targets, **{**BEST, **configuration})
     for seconds, step, predict in clocked(steps, budgets):
         yield seconds, step, task.error(rest.restore(task.Xt, predict(task.Xt)))
 
@@ -178,7 +181,7 @@ def curves(task, budgets, peers):
     rows += run("skdgp, sparse, all samples", ours(task, task.Y, budgets, inference="sparse"))
     if peers:
         rows += run("scikit-learn, 755 samples", scikit_learn(task))
-        rows += run("GPyTorch, sparse variational, all samples", gpytorch(task, budgets, **BEST))
+        rows += run("GPyTorch, sparse variational, all samples", gpytorch(task, budgets))
     return rows
 
 
@@ -227,7 +230,7 @@ def main(words=None):
         finish(options, "tried", configurations=tried(task, [0.1] if options.smoke else TRIED_BUDGETS))
         return
     rows = curves(task, [0.1] if options.smoke else BUDGETS, peers)
-    errors = [0.26, 0.25, 0.243, 0.235, 0.23, 0.226, 0.22]
+    errors = [0.25, 0.243, 0.235, 0.23, 0.226, 0.22]
     finish(options, "heldout", error_over_time=rows, seconds_until=reaching(rows, errors))
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+from matplotlib.ticker import NullLocator
 
 from skdgp.plotting._style import PALETTE, tidy
 
@@ -79,6 +80,14 @@ def colour(name):
     return PALETTE[next((colour for start, colour in COLOURS.items() if name.startswith(start)), "sky")]
 
 
+def ticks_at(ax, values):
+    """Label a logarithmic axis with these of the values that lie on it."""
+    low, high = ax.get_xlim()
+    ax.set_xticks([value for value in values if low <= value <= high])
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_locator(NullLocator())
+
+
 def heldout(results):
     """Draw error over seconds, a line for each method."""
     rows = results["error_over_time"]
@@ -93,7 +102,7 @@ def heldout(results):
     ax.set(xscale="log", xlabel="seconds of fitting", ylabel="NRMSE on the test flight")
     tidy(ax)
     ax.margins(x=0.03)
-    ax.xaxis.set_major_formatter("{x:g}")
+    ticks_at(ax, (0.01, 0.1, 1, 2, 5, 10, 20, 50, 100, 200))
     ax.legend(frameon=False, fontsize="small")
     return figure
 
@@ -108,6 +117,7 @@ def growth(results):
     ax.set(xlabel="N, values observed", ylabel="seconds, one likelihood and gradient")
     tidy(ax)
     ax.margins(x=0.03)
+    ticks_at(ax, [row["N"] for row in rows])
     ax.legend(frameon=False, fontsize="small")
     rows = [row for table in ("latents", "regressors", "variants") for row in results[table]]
     beside.barh([row[""] for row in rows], [row["ratio"] for row in rows], color=PALETTE["blue"], height=0.6)

@@ -325,7 +325,7 @@ class _Cluster:
 
     def fits(self, fit, name, starts, stop):
         told = self._tell(fit)
-        self.client.run(_be_deaf, True)
+        self._order(_be_deaf, True)
         futures = {
             self.client.submit(_fit_on_one_core, told, name, k, start, pure=False): k for k, start in starts.items()
         }
@@ -335,14 +335,13 @@ class _Cluster:
                 self._wait_for_one(list(futures))
                 if stop.is_set() and not asked:
                     asked = True
-                    self.client.run(_stop_here, name)
+                    self._order(_stop_here, name)
                 for future in [future for future in futures if future.done()]:
                     yield self._fetch(future)
                     del futures[future]
         finally:
             self._drop(list(futures))
-            if self.count():
-                self.client.run(_be_deaf, False)
+            self._order(_be_deaf, False)
 
     def _tell(self, thing):
         """Send something so that it outlives every worker: as a task, which the scheduler can have done again."""
@@ -350,6 +349,11 @@ class _Cluster:
 
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
             return self.client.submit(_same, thing, pure=False)
+
+    def _order(self, function, *words):
+        """Have every worker process do something at once, of those that can be reached."""
+        if self.count():
+            self.client.run(function, *words, on_error="ignore")
 
     def _wait_for_one(self, futures):
         """Return when one of them is done, or after a moment."""

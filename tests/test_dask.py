@@ -258,8 +258,8 @@ def _answers(client):
 
 def slow(home):
     def work(share):
-        if os.getpid() != home:
-            time.sleep(5)
+        if os.getpid() != home and share[0] < 2:  # the first of each worker
+            time.sleep(2)
         return share.sum()
 
     return work

@@ -82,7 +82,7 @@ def flights(folder, aircraft="viggen_uav", train="train_latlon", test="test_twoa
     return Task(X, targets.to_numpy(), thin_targets(targets, SAMPLES).to_numpy(), Xt, truth)
 
 
-def toy(n=200):
+def toy(n=400):
     """Return a task of the same form that takes no time."""
     rng = np.random.default_rng(0)
     X, Xt = rng.normal(size=(2, n, 2))

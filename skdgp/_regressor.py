@@ -73,9 +73,10 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         of the regressors whose weights are integrated out, so that the model goes on sensibly where there were
         no data, with the uncertainty of the slopes. None: neither.
     inference : {"auto", "exact", "sparse"}
-        "exact" conditions on every observed value. "sparse" starts from an exact fit of some samples and maximises
-        a lower bound of the likelihood on all of them, in time linear in the samples and memory that does not
-        grow. "auto" is "exact" up to 6000 observed values; ``inference_`` says what it chose.
+        "exact" conditions on every observed value. "sparse" learns hyperparameters from some of them and conditions a
+        summary on all, in time linear in the samples and memory that does not grow; rows in the order of the log tell
+        it how far neighbours repeat each other. "auto" is "exact" up to 6000 observed values; ``inference_`` says what
+        it chose.
     n_inducing : int
         Of sparse inference: inducing inputs of each latent process.
     optimizer : "fmin_l_bfgs_b", callable or None
@@ -107,7 +108,9 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
     posterior_ : ExactPosterior or SparsePosterior
         The state of knowledge about the normalised outputs.
     n_iter_, n_evaluations_ : int
-        Iterations on the full data, at most ``max_iter``; evaluations of the likelihood in all.
+        Iterations of the joint search, at most ``max_iter``; evaluations of the likelihood in all.
+    converged_ : bool
+        Whether the search ended because the likelihood hardly rose any more.
     output_names_ : list of str
         Column names of Y, or y0, y1, ...
     n_features_in_ : int
@@ -249,7 +252,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.noise * self._scale**2
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
-        self.n_iter_, self.n_evaluations_ = best.n_iter, best.n_evaluations
+        self.n_iter_, self.n_evaluations_, self.converged_ = best.n_iter, best.n_evaluations, best.converged
         return self
 
     def _search(self, X, Z):

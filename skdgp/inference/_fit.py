@@ -22,7 +22,7 @@ from skdgp.inference._sparse import SparsePosterior
 
 SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
 STRETCHES, TRY, TRY_ITERATIONS = (1.0, 0.3, 0.1), 400, 40  # widths tried first, on how many values, how long
-SUBSET, SPARSE_SINGLE = 2400, 1200  # values that sparse inference learns from: jointly, and of each output alone
+SUBSET = 2400  # values that sparse inference learns hyperparameters from jointly
 FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
 SETTLING = 10  # steps, at most, to the noise that all values show
 NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
@@ -82,7 +82,7 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) ->
     spread : float
         Standard deviation of what is added to the starting theta: for restarts.
     """
-    found = _learn(kernel, X, Y, slice(None), SINGLE, optimizer, max_iter, check_random_state(random_state), spread)
+    found = _learn(kernel, X, Y, slice(None), optimizer, max_iter, check_random_state(random_state), spread)
     return found.fit(ExactPosterior(found.kernel, found.noise, Data.from_table(X, Y)))
 
 
@@ -96,7 +96,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     """
     random_state = check_random_state(random_state)
     rows = _some_rows(Y, random_state)
-    found = _learn(kernel, X, Y, rows, SPARSE_SINGLE, optimizer, max_iter, random_state, spread)
+    found = _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, spread)
     kernel, features = found.kernel, found.kernel.features(_centres(X, n_inducing, random_state))
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
@@ -104,10 +104,10 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
         if optimizer is None or found.interrupted:
             return found.fit(posterior)
         least = NOISE_BOUNDS[0] * column_scale(Y) ** 2
-        posterior, _ = _settled(posterior, 1.0, least)
+        posterior = _settled(posterior, 1.0, least)
         value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
         # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
-        posterior, _ = _settled(posterior, repeats, least)
+        posterior = _settled(posterior, repeats, least)
 
         def at(theta):
             return SparsePosterior(kernel, features.rebuild(kernel, theta), posterior.noise, shares)
@@ -117,19 +117,18 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
             return tried.log_marginal_likelihood, tried.bound_gradient()[-len(theta) :]
 
         best = maximize(bound, features.theta, features.bounds, max_iter=FEATURE_ITERATIONS, stage="bound")
-        posterior, noise = _settled(at(best.theta), repeats, least)
-    return found._replace(noise=noise).fit(posterior, value, best)
+        return found._replace(noise=posterior.noise / repeats).fit(at(best.theta), value, best)
 
 
 def _settled(posterior, repeats, least):
-    """Return the posterior at the noise that all values together show, and that noise, (P,)."""
+    """Return the posterior at the noise that all values together show, each counted as one in so many."""
     for _ in range(SETTLING):
         noise = np.maximum(posterior.noise_seen(), least)
         change = np.abs(np.log(noise * repeats / posterior.noise)).max()
         posterior = posterior.with_noise(noise * repeats)
         if change < 0.01:
             break
-    return posterior, noise
+    return posterior
 
 
 def _repeats(posterior, X, Y):
@@ -138,8 +137,8 @@ def _repeats(posterior, X, Y):
     return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
 
 
-def _learn(kernel, X, Y, rows, n_single, optimizer, max_iter, random_state, spread) -> _Found:
-    """Return hyperparameters: of each output alone from n_single of its values, then of all jointly from the rows."""
+def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, spread) -> _Found:
+    """Return hyperparameters: of each output alone, then of all jointly from the rows."""
     P = Y.shape[1]
     noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
@@ -150,9 +149,7 @@ def _learn(kernel, X, Y, rows, n_single, optimizer, max_iter, random_state, spre
     search = partial(maximize, optimizer=optimizer, stop=stop)
     singles, n_evaluations, n_iter = None, 0, 0
     if P > 1 and not open_kernel.is_given():
-        singles, noise, n_evaluations = _single_outputs(
-            open_kernel, noise, noise_bounds, X, Y, n_single, search, random_state
-        )
+        singles, noise, n_evaluations = _single_outputs(open_kernel, noise, noise_bounds, X, Y, search, random_state)
     X, Y = X[rows], Y[rows]
     data = Data.from_table(X, Y)
 
@@ -220,7 +217,7 @@ def _bounds(kernel, noise_bounds):
     return np.concatenate([kernel.bounds, np.log(noise_bounds)])
 
 
-def _single_outputs(kernel, noise, noise_bounds, X, Y, n_single, search, random_state):
+def _single_outputs(kernel, noise, noise_bounds, X, Y, search, random_state):
     """Return kernel and noise of a fit of each output alone, and what that cost.
 
     A single output has a P-th of the values: its fit costs a P^3-th of the joint one, and finds trend, widths and
@@ -230,7 +227,7 @@ def _single_outputs(kernel, noise, noise_bounds, X, Y, n_single, search, random_
 
     def fit_one(i):
         seen = np.flatnonzero(np.isfinite(Y[:, i]))
-        seen = _spread(seen, n_single, states[i])
+        seen = _spread(seen, SINGLE, states[i])
         x, y = X[seen], Y[seen, i : i + 1]
 
         def climb(single, theta, step, max_iter):

@@ -34,7 +34,7 @@ def test_is_never_less_than_one(values):
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     monkeypatch.setattr(_fit, "SUBSET", 600)
-    monkeypatch.setattr(_fit, "SPARSE_SINGLE", 300)
+    monkeypatch.setattr(_fit, "SINGLE", 300)
 
 
 def fitted(X, Y):

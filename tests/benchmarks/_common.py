@@ -75,13 +75,13 @@ def _field(path, name):
     return next((int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:")), None)
 
 
-def use_torch_threads():
-    """Give torch as many threads as BLAS has."""
+def use_torch_threads(threads=None):
+    """Give torch so many threads, by default as many as BLAS has."""
     import torch
 
     from skdgp._threads import n_threads
 
-    torch.set_num_threads(n_threads())
+    torch.set_num_threads(threads or n_threads())
 
 
 def machine():

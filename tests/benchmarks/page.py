@@ -94,7 +94,11 @@ def heldout(results):
     figure, ax = plt.subplots(figsize=(6.6, 3.8), layout="constrained")
     for method in dict.fromkeys(row["method"] for row in rows):
         own = sorted((row["seconds"], row["NRMSE"]) for row in rows if row["method"] == method)
-        style = {"color": colour(method), "label": method, "linestyle": "--" if "exact" in method else "-"}
+        style = {
+            "color": colour(method),
+            "label": method,
+            "linestyle": "--" if "exact" in method or "one thread" in method else "-",
+        }
         if method == "least squares":
             ax.axhline(own[0][1], linewidth=1, **style | {"linestyle": ":"})
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,10 @@ class Rows(NamedTuple):
     """(n, m, s)"""
     shared: Floats
     """(n, m, c)"""
+
+    def part(self, first, last) -> Rows:
+        """Return the batches from first to before last."""
+        return Rows(*(None if values is None else values[first:last] for values in self))
 
     def changed(self, states, constants) -> Floats:
         """Return by how much the residuals change, (n, m, k), with k sets of states (N, s, k) and constants (c, k)."""
@@ -61,7 +66,7 @@ class Posterior(NamedTuple):
     """(c, k)"""
 
 
-def solve(ties: Rows, looks: Rows, prior: Prior, draws: Floats) -> Posterior:
+def solve(windows: Iterable[tuple[int, Rows, Rows]], prior: Prior, draws: Floats) -> Posterior:
     r"""Return the least-squares solution of ties between neighbours and looks at single states.
 
     With the states x (n s) and constants c, the normal equations
@@ -75,14 +80,14 @@ def solve(ties: Rows, looks: Rows, prior: Prior, draws: Floats) -> Posterior:
 
     Parameters
     ----------
-    ties, looks : Rows
-        n - 1 and n batches.
+    windows : iterable of (int, Rows, Rows)
+        Number of the first state, ties and looks of consecutive windows: n - 1 and n batches in all.
     prior : Prior
     draws : ndarray (n s + c, k)
         Standard normal numbers.
     """
     n, s = prior.states.shape
-    band, border, corner, g, h = _normal_equations(ties, looks, prior)
+    band, border, corner, g, h = _normal_equations(windows, prior)
     factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
     solved = cho_solve_banded((factor, True), np.column_stack([border, g]), check_finite=False)
     inner, shift = solved[:, :-1], solved[:, -1]
@@ -95,24 +100,27 @@ def solve(ties: Rows, looks: Rows, prior: Prior, draws: Floats) -> Posterior:
     return Posterior(states.reshape(n, s), constants, covariance, state_draws.reshape(n, s, -1), constant_draws)
 
 
-def _normal_equations(ties, looks, prior):
+def _normal_equations(windows, prior):
     """Return A in lower banded storage, B, C, g and h."""
-    n, s = prior.states.shape
-    seen, tied = _gram(looks), _gram(ties)
-    own, after = slice(0, s), slice(s, 2 * s)
-    diagonal = seen[:, :s, :s]
-    diagonal[:, np.arange(s), np.arange(s)] += prior.states
-    diagonal[:-1] += tied[:, own, own]
-    diagonal[1:] += tied[:, after, after]
-    right = seen[:, :s, s:]
-    right[:-1] += tied[:, own, 2 * s :]
-    right[1:] += tied[:, after, 2 * s :]
-    small = seen[:, s:, s:].sum(axis=0) + tied[:, 2 * s :, 2 * s :].sum(axis=0)
-    right[..., -1] += prior.states * prior.states_off
-    right = right.reshape(n * s, -1)
-    corner = small[:-1, :-1] + np.diag(prior.constants)
-    h = small[:-1, -1] + prior.constants * prior.constants_off
-    return _banded(diagonal, tied[:, own, after]), right[:, :-1], corner, right[:, -1], h
+    (n, s), c = prior.states.shape, len(prior.constants)
+    diagonal, coupling = prior.states[:, :, None] * np.eye(s), np.zeros((max(n - 1, 0), s, s))
+    right, small = np.zeros((n, s, c + 1)), np.zeros((c, c + 1))
+    right[..., -1] = prior.states * prior.states_off
+    small[:, :c], small[:, c] = np.diag(prior.constants), prior.constants * prior.constants_off
+    own, after, rest = slice(0, s), slice(s, 2 * s), slice(2 * s, None)
+    for first, ties, looks in windows:
+        seen, tied = _gram(looks), _gram(ties)
+        at, here, there = (slice(first + k, first + k + m) for k, m in ((0, len(seen)), (0, len(tied)), (1, len(tied))))
+        diagonal[at] += seen[:, own, own]
+        diagonal[here] += tied[:, own, own]
+        diagonal[there] += tied[:, after, after]
+        coupling[here] = tied[:, own, after]
+        right[at] += seen[:, own, s:]
+        right[here] += tied[:, own, rest]
+        right[there] += tied[:, after, rest]
+        small += seen[:, s:-1, s:].sum(axis=0) + tied[:, 2 * s : -1, rest].sum(axis=0)
+    right = right.reshape(n * s, c + 1)
+    return _banded(diagonal, coupling), right[:, :c], small[:, :c], right[:, c], small[:, c]
 
 
 def _gram(rows):

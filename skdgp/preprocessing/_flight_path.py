@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skdgp.preprocessing._bordered import Posterior, Prior, Rows, solve
-from skdgp.preprocessing._kinematics import CONSTANTS, PLACE, Log, Path, air_data_rows, looks, ties
+from skdgp.preprocessing._kinematics import CONSTANTS, LAGS, PLACE, Log, Path, air_data_rows, looks, ties
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +35,10 @@ GUESSED = 10
 """So many residuals the starting value of a sensor's noise counts for: it decides where the flight tells nothing."""
 LOOSE = np.repeat([1e-4, 1.0], 3)
 """Precision of what is known of a stretch's first velocity [m/s] and attitude [rad] before any sensor."""
+WINDOW = 4096
+"""So many samples are written out as equations at a time."""
+WANDERS = 6
+"""So many steps lags may change by whole samples."""
 STEPS = 40
 TOLERANCE = 0.02
 N_DRAWS = 16
@@ -78,14 +82,16 @@ def estimate(log: Log, start: Path, noise: dict, *, learn, free, gust_time: floa
     draws = np.random.default_rng(0).standard_normal((9 * len(log.time) + len(free), N_DRAWS))
     off = pull = np.zeros(len(free))
     for step in range(STEPS):
-        tied, seen = _rows(path, log, noise, free, gust_time)
-        posterior = solve(tied, seen, _prior(path, log, noise, free, off, pull, gust_time), draws)
-        sums = _sums(_tie_names(log), tied, posterior) | _sums(LOOKS, seen, posterior)
+        if step <= WANDERS:
+            log = log._replace(late=_late(path, log))
+        windows = _Windows(path, log, noise, free, gust_time)
+        posterior = solve(windows, _prior(path, log, noise, free, off, pull, gust_time), draws)
+        sums = _sums(_tie_names(log), windows, posterior)
         path = path.moved(posterior.states, _spread(posterior.constants, free))
         off = (path.constants - start.constants)[free]
         pull = _pull_of_scales(path, sums)[free]
         before, noise = noise, noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1)))
-        settled = all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
+        settled = step > 0 and all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
         if settled and _small(posterior):
             break
     else:
@@ -93,16 +99,45 @@ def estimate(log: Log, start: Path, noise: dict, *, learn, free, gust_time: floa
     return Estimate(path, noise, posterior.covariance, _air_std(path, posterior, free), settled)
 
 
+def _late(path, log):
+    """Return the lags in samples, rounded."""
+    usual = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
+    return tuple(int(lag) for lag in np.round(path.of(*LAGS) / usual))
+
+
 def _tie_names(log):
     """Without an alpha vane nothing tells vertical gusts from none: they are taken to be like horizontal ones."""
     return TIES if np.isfinite(log.air[:, 1]).any() else (*TIES[:-1], "gust_horizontal")
 
 
-def _rows(path, log, noise, free, gust_time):
-    """Return ties and looks in units of their noise."""
+class _Windows:
+    """Ties and looks in units of their noise, window by window; a flight of one window is written out once."""
+
+    def __init__(self, path, log, noise, free, gust_time):
+        self._arguments = path, log, noise, free, gust_time
+        self._kept = None
+
+    def __iter__(self):
+        n = len(self._arguments[1].time)
+        if n > WINDOW:
+            yield from (self._window(first, min(first + WINDOW, n)) for first in range(0, n, WINDOW))
+        else:
+            self._kept = self._kept or self._window(0, n)
+            yield self._kept
+
+    def _window(self, first, last):
+        path, log, noise, free, gust_time = self._arguments
+        reach = 1 + max(map(abs, log.late))
+        start, stop = max(first - reach, 0), min(last + reach, len(log.time))
+        names = _tie_names(log)
+        tied, seen = _rows(path.part(start, stop), log.part(start, stop), noise, free, gust_time, names)
+        return first, tied.part(first - start, last - start), seen.part(first - start, last - start)
+
+
+def _rows(path, log, noise, free, gust_time, names):
     step = np.diff(log.time)
     correlation = np.exp(-step / gust_time)
-    scale = np.array([noise[name] for name in _tie_names(log)]) * np.ones((len(step), 1))
+    scale = np.array([noise[name] for name in names]) * np.ones((len(step), 1))
     scale[:, 6:] *= np.sqrt(gust_time / 2 * (1 - correlation**2))[:, None]
     tied = _divided(ties(path, log, correlation), scale, free)
     return tied, _divided(looks(path, log), np.array([noise[name] for name in LOOKS]), free)
@@ -141,12 +176,22 @@ class Sums(NamedTuple):
     count: int
 
 
-def _sums(names, rows: Rows, posterior: Posterior):
-    left = rows.residual + rows.changed(posterior.states[..., None], posterior.constants[:, None])[..., 0]
-    taken = np.square(rows.changed(posterior.state_draws, posterior.constant_draws)).mean(axis=-1)
+def _sums(tie_names, windows, posterior: Posterior):
+    """Return the sums of each channel."""
+    each = {name: np.zeros(3) for name in (*tie_names, *LOOKS)}
+    for first, tied, seen in windows:
+        for names, rows in ((tie_names, tied), (LOOKS, seen)):
+            for name, sums in zip(names, _sums_of(rows, first, posterior), strict=True):
+                each[name] += sums
+    return {name: Sums(*sums) for name, sums in each.items()}
+
+
+def _sums_of(rows, first, posterior):
+    """Return squares, trace and count of each row of the batches, (m, 3)."""
+    change = rows.changed(posterior.states[first:, :, None], posterior.constants[:, None])[..., 0]
+    taken = np.square(rows.changed(posterior.state_draws[first:], posterior.constant_draws)).mean(axis=-1)
     used = np.any(rows.here != 0, axis=2)
-    each = np.column_stack([np.sum(left**2, axis=0), taken.sum(axis=0), used.sum(axis=0)])
-    return {name: Sums(*each[[other == name for other in names]].sum(axis=0)) for name in names}
+    return np.column_stack([np.sum((rows.residual + change) ** 2, axis=0), taken.sum(axis=0), used.sum(axis=0)])
 
 
 def _variance_components(sums, noise, learn, pace):
@@ -191,7 +236,10 @@ def _small(posterior):
 
 
 def _air_std(path, posterior, free):
-    rows = air_data_rows(path)
-    rows = rows._replace(shared=rows.shared[..., free])
-    errors = rows.changed(posterior.state_draws, posterior.constant_draws)
-    return np.sqrt(np.mean(errors**2, axis=(0, 2)))
+    squares = np.zeros(3)
+    for first in range(0, len(path.gust), WINDOW):
+        rows = air_data_rows(path.part(first, first + WINDOW))
+        rows = rows._replace(shared=rows.shared[..., free])
+        errors = rows.changed(posterior.state_draws[first:], posterior.constant_draws)
+        squares += np.square(errors).mean(axis=-1).sum(axis=0)
+    return np.sqrt(squares / len(path.gust))

@@ -59,6 +59,12 @@ class Log(NamedTuple):
     """(n,) where the attitude was sampled"""
     gravity: float
     """[m/s^2]"""
+    late: tuple[int, ...] = (0,) * 9
+    """By how many samples each look comes too late, roughly; the rest of the lag is continued by its rate of change."""
+
+    def part(self, first, last) -> Log:
+        """Return the samples from first to before last."""
+        return Log(*(values[first:last] for values in self[:-2]), *self[-2:])
 
     @property
     def joined(self):
@@ -77,6 +83,10 @@ class Path(NamedTuple):
     """(n, 3) departure of the air's velocity from the mean wind, NED [m/s]"""
     constants: Floats
     """(c,) in the order of CONSTANTS"""
+
+    def part(self, first, last) -> Path:
+        """Return the states from first to before last."""
+        return Path(*(values[first:last] for values in self[:-1]), self.constants)
 
     def moved(self, states, constants) -> Path:
         """Return the path with errors (n, 9), (c,) added."""
@@ -227,8 +237,7 @@ def looks(path: Path, log: Log) -> Rows:
 def _lagging(log, lag):
     """Return the row of the log (n, 9) that each look is compared with, and how far off it is in time (NaN: none)."""
     row = np.arange(len(log.time))[:, None]
-    usual = np.median(np.diff(log.time)) if len(row) > 1 else 1.0
-    later = row + np.round(lag / usual).astype(int)
+    later = row + np.array(log.late)
     inside = np.clip(later, 0, len(log.time) - 1)
     apart = log.time[inside] - log.time[:, None] - lag
     return inside, np.where((inside == later) & (log.stretch[inside] == log.stretch[:, None]), apart, np.nan)

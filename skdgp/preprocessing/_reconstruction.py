@@ -196,10 +196,10 @@ class FlightPathReconstruction(TableTransformer):
         return found
 
     def _warn_of_hidden(self):
-        hidden = self.calibration_[~self.calibration_.observable & ~self.calibration_.constant.isin(list(WIND))]
-        if len(hidden):
+        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(WIND))
+        if not shown.all():
             warnings.warn(
-                f"The flights hardly show {', '.join(hidden.constant.unique())}: estimates stay near zero, the more so "
+                f"The flights hardly show {', '.join(shown.index[~shown])}: estimates stay near zero, the more so "
                 "the less is seen (see calibration_). Fly turns and manoeuvres that excite them, or leave them out of "
                 "calibrate.",
                 UserWarning,

@@ -131,7 +131,7 @@ class TestEquations:
         J, r = np.vstack(J), np.concatenate(r)
         covariance = np.linalg.inv(J.T @ J)
         solution = -covariance @ J.T @ r
-        found = solve(tied, seen, prior, rng.standard_normal((n * s + c, k)))
+        found = solve([(0, tied, seen)], prior, rng.standard_normal((n * s + c, k)))
         np.testing.assert_allclose(np.r_[found.states.ravel(), found.constants], solution, atol=1e-10)
         np.testing.assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
         draws = np.vstack([found.state_draws.reshape(n * s, k), found.constant_draws])
@@ -227,6 +227,15 @@ class TestRecovery:
 
 
 class TestHonesty:
+    def test_windows_leave_no_seam(self, monkeypatch):
+        table = flown(20.0, lags={"alpha": 0.1, "beta": 0.1})
+        whole = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
+        monkeypatch.setattr("skdgp.preprocessing._flight_path.WINDOW", 120)
+        parts = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
+        assert parts.sensors_["vane_lag"] == pytest.approx(whole.sensors_["vane_lag"], rel=1e-6)
+        assert parts.error_std_ == pytest.approx(whole.error_std_, rel=1e-6)
+        pd.testing.assert_frame_equal(parts.transform(table), whole.transform(table), rtol=1e-6)
+
     def test_flights_are_not_mixed(self):
         one, two = flown(30.0), flown(20.0, seed=1, gusts=0.3).assign(flight="two")
         reconstruction = FlightPathReconstruction().fit(one)

@@ -84,6 +84,7 @@ class TestScikitLearnContract:
         assert found == {
             "DependentGPRegressor",
             "ElevonSplitter",
+            "FlightPathReconstruction",
             "FlightSmoother",
             "RateNondimensionalizer",
             "RegressorSelector",

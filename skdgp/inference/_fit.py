@@ -107,17 +107,23 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
         posterior = _settled(posterior, 1.0, least)
         value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
         # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
-        posterior = _settled(posterior, repeats, least)
+        noise = _settled(posterior, repeats, least).noise
+    best = _learn_features(features, kernel, noise, X, Y, int(repeats.min()))
+    with sharing(shares):
+        posterior = SparsePosterior(kernel, features.rebuild(kernel, best.theta), noise, shares)
+    return found._replace(noise=noise / repeats).fit(posterior, value, best)
 
-        def at(theta):
-            return SparsePosterior(kernel, features.rebuild(kernel, theta), posterior.noise, shares)
 
-        def bound(theta):
-            tried = at(theta)
-            return tried.log_marginal_likelihood, tried.bound_gradient()[-len(theta) :]
+def _learn_features(features, kernel, noise, X, Y, step):
+    """Return the best variational parameters of the features: of neighbours that repeat each other one is enough."""
+    shares = shares_of(Data.from_table(X[::step], Y[::step]))
 
-        best = maximize(bound, features.theta, features.bounds, max_iter=FEATURE_ITERATIONS, stage="bound")
-        return found._replace(noise=posterior.noise / repeats).fit(at(best.theta), value, best)
+    def bound(theta):
+        posterior = SparsePosterior(kernel, features.rebuild(kernel, theta), noise / step, shares)
+        return posterior.log_marginal_likelihood, posterior.bound_gradient()[-len(theta) :]
+
+    with sharing(shares):
+        return maximize(bound, features.theta, features.bounds, max_iter=FEATURE_ITERATIONS, stage="bound")
 
 
 def _settled(posterior, repeats, least):

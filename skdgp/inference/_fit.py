@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from threading import Event
 from typing import NamedTuple
 
@@ -12,16 +11,14 @@ from sklearn.utils import check_random_state
 
 from skdgp._linalg import column_scale
 from skdgp._parallel import sharing
-from skdgp._threads import thread_map
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
 from skdgp.inference._repeats import autocorrelation_time
 from skdgp.inference._shares import shares_of
+from skdgp.inference._singles import bounds_of, fit_singles, likelihood_of, spread
 from skdgp.inference._sparse import SparsePosterior
 
-SINGLE, SINGLE_ITERATIONS = 800, 100  # values and iterations for each output alone
-STRETCHES, TRY, TRY_ITERATIONS = (1.0, 0.3, 0.1), 400, 40  # widths tried first, on how many values, how long
 SUBSET = 2400  # values that sparse inference learns hyperparameters from jointly
 FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
 SETTLING = 10  # steps, at most, to the noise that all values show
@@ -101,17 +98,21 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features, found.noise, shares)
-        if optimizer is None or found.interrupted:
+        if optimizer is None:
             return found.fit(posterior)
         least = NOISE_BOUNDS[0] * column_scale(Y) ** 2
         posterior = _settled(posterior, 1.0, least)
         value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
         # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
-        noise = _settled(posterior, repeats, least).noise
+        posterior = _settled(posterior, repeats, least)
+        noise = posterior.noise
+        found = found._replace(noise=noise / repeats)
+    if found.interrupted:
+        return found.fit(posterior, value)
     best = _learn_features(features, kernel, noise, X, Y, int(repeats.min()))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features.rebuild(kernel, best.theta), noise, shares)
-    return found._replace(noise=noise / repeats).fit(posterior, value, best)
+    return found.fit(posterior, value, best)
 
 
 def _learn_features(features, kernel, noise, X, Y, step):
@@ -152,17 +153,24 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, spread) -> _Fo
     if optimizer is None:
         return _Found(kernel, noise)
     stop = Event()
-    search = partial(maximize, optimizer=optimizer, stop=stop)
     singles, n_evaluations, n_iter = None, 0, 0
     if P > 1 and not open_kernel.is_given():
-        singles, noise, n_evaluations = _single_outputs(open_kernel, noise, noise_bounds, X, Y, search, random_state)
+        found = fit_singles(open_kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop)
+        singles, noise, n_evaluations = found
     X, Y = X[rows], Y[rows]
     data = Data.from_table(X, Y)
 
     def climb(kernel, noise, max_iter, spread=0.0):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
-        best = search(_likelihood(kernel, data, P), theta, _bounds(kernel, noise_bounds), max_iter=max_iter)
+        best = maximize(
+            likelihood_of(kernel, data, P),
+            theta,
+            bounds_of(kernel, noise_bounds),
+            optimizer=optimizer,
+            max_iter=max_iter,
+            stop=stop,
+        )
         return kernel.clone_with_theta(best.theta[:-P]), np.exp(best.theta[-P:]), best
 
     # From few hyperparameters to many: filters alike over the outputs first. From there the way up is short, and it
@@ -182,20 +190,12 @@ def _some_rows(Y, random_state):
     """Return rows with about SUBSET observed values, every output among them as often as its share allows."""
     seen = np.isfinite(Y)
     quota = SUBSET // Y.shape[1]
-    chosen = _spread(np.arange(len(Y)), max(2, SUBSET * len(Y) // seen.sum()), random_state)
+    chosen = spread(np.arange(len(Y)), max(2, SUBSET * len(Y) // seen.sum()), random_state)
     for output in seen.T:
         lacking = min(quota, output.sum()) - output[chosen].sum()
         rest = np.setdiff1d(np.flatnonzero(output), chosen, assume_unique=True)
-        chosen = np.concatenate([chosen, _spread(rest, max(lacking, 0), random_state)])
+        chosen = np.concatenate([chosen, spread(rest, max(lacking, 0), random_state)])
     return np.sort(chosen)
-
-
-def _spread(rows, n, random_state):
-    """Return n of the rows, spread over them: in a log neighbours say the same. One by chance of each n-th part."""
-    if n >= len(rows):
-        return rows
-    edges = np.linspace(0, len(rows), n + 1)
-    return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
 
 
 def _centres(X, n_inducing, random_state):
@@ -207,49 +207,3 @@ def _centres(X, n_inducing, random_state):
     scale = np.where(X.std(axis=0) > 0, X.std(axis=0), 1.0)
     means = KMeans(n_inducing, n_init=1, random_state=random_state).fit(some / scale)
     return means.cluster_centers_ * scale
-
-
-def _likelihood(kernel, data, n_outputs):
-    """Return the log likelihood as a function of [theta, log noise]."""
-
-    def evaluate(theta):
-        noise = np.exp(theta[-n_outputs:])
-        return log_likelihood(kernel.clone_with_theta(theta[:-n_outputs]), noise, data, eval_gradient=True)
-
-    return evaluate
-
-
-def _bounds(kernel, noise_bounds):
-    return np.concatenate([kernel.bounds, np.log(noise_bounds)])
-
-
-def _single_outputs(kernel, noise, noise_bounds, X, Y, search, random_state):
-    """Return kernel and noise of a fit of each output alone, and what that cost.
-
-    A single output has a P-th of the values: its fit costs a P^3-th of the joint one, and finds trend, widths and
-    noise nearly where the joint fit ends.
-    """
-    states = [np.random.RandomState(seed) for seed in random_state.randint(2**31 - 1, size=Y.shape[1])]
-
-    def fit_one(i):
-        seen = np.flatnonzero(np.isfinite(Y[:, i]))
-        seen = _spread(seen, SINGLE, states[i])
-        x, y = X[seen], Y[seen, i : i + 1]
-
-        def climb(single, theta, step, max_iter):
-            bounds = _bounds(single, noise_bounds[i : i + 1])
-            likelihood = _likelihood(single, Data.from_table(x[::step], y[::step]), 1)
-            return single, search(likelihood, theta, bounds, max_iter=max_iter, stage=f"output {i + 1}")
-
-        # From widths that are far too long, "all noise" is the nearest hill. Which hill it is, some of the values tell.
-        step = max(1, len(x) // TRY)
-        starts = [kernel.single().initialize(x, y, states[i], stretch=stretch) for stretch in STRETCHES]
-        theta = [np.append(start.theta, np.log(noise[i])) for start in starts]
-        tries = [climb(*both, step, TRY_ITERATIONS) for both in zip(starts, theta, strict=True)]
-        single, best = max(tries, key=lambda end: end[1].value)
-        single, end = climb(single, best.theta, 1, SINGLE_ITERATIONS)
-        n_evaluations = end.n_evaluations + sum(tried.n_evaluations for _, tried in tries)
-        return single.clone_with_theta(end.theta[:-1]), np.exp(end.theta[-1]), n_evaluations
-
-    singles, noises, n_evaluations = zip(*thread_map(fit_one, range(Y.shape[1]), search.keywords["stop"]), strict=True)
-    return list(singles), np.array(noises), sum(n_evaluations)

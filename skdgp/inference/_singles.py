@@ -1,0 +1,95 @@
+"""Each output alone first: cheap fits that find trend, widths and noise nearly where the joint fit ends."""
+
+from __future__ import annotations
+
+from functools import partial
+from threading import Event
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._threads import thread_map
+from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._optimize import maximize
+
+VALUES, ITERATIONS = 800, 100  # of each output
+STRETCHES, TRY_VALUES, TRY_ITERATIONS = (1.0, 0.3, 0.1), 250, 40  # widths tried before, on how many values, how long
+
+
+class Singles(NamedTuple):
+    """Kernel and noise of each output alone, and the evaluations that they took."""
+
+    kernels: list
+    noise: np.ndarray
+    n_evaluations: int
+
+
+class _Output:
+    """The values of one output, and the ways up its likelihood."""
+
+    def __init__(self, i, X, Y, noise, noise_bounds, seed, search):
+        rows = spread(np.flatnonzero(np.isfinite(Y[:, i])), VALUES, np.random.RandomState(seed))
+        self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
+        self.noise, self.noise_bounds = noise[i], noise_bounds[i : i + 1]
+        self.search = partial(search, stage=f"output {i + 1}")
+
+    def climb(self, kernel, theta, step, max_iter):
+        """Return the kernel without values and the Optimum from theta on, of every step-th value."""
+        data = Data.from_table(self.x[::step], self.y[::step])
+        bounds = bounds_of(kernel, self.noise_bounds)
+        return kernel, self.search(likelihood_of(kernel, data, 1), theta, bounds, max_iter=max_iter)
+
+    def attempt(self, kernel, stretch):
+        """Return where a few of the values lead from one width."""
+        start = kernel.single().initialize(self.x, self.y, np.random.RandomState(self.seed), stretch=stretch)
+        theta = np.append(start.theta, np.log(self.noise))
+        return self.climb(start, theta, max(1, len(self.x) // TRY_VALUES), TRY_ITERATIONS)
+
+
+def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop: Event) -> Singles:
+    """Return a fit of each output alone.
+
+    A single output has a P-th of the values: its fit costs a P^3-th of the joint one. From widths that are far too
+    long, "all noise" is the nearest hill: which hill it is, some of the values tell, from several widths.
+    """
+    search = partial(maximize, optimizer=optimizer, stop=stop)
+    seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
+    outputs = [_Output(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
+    tasks = [(output, stretch) for output in outputs for stretch in STRETCHES]
+    tries = thread_map(lambda task: task[0].attempt(kernel, task[1]), tasks, stop)
+    n = len(STRETCHES)
+    best = [max(tries[k : k + n], key=lambda end: end[1].value) for k in range(0, len(tries), n)]
+
+    def refine(task):
+        output, (single, optimum) = task
+        return output.climb(single, optimum.theta, 1, ITERATIONS)
+
+    ends = thread_map(refine, zip(outputs, best, strict=True), stop)
+    return Singles(
+        [single.clone_with_theta(end.theta[:-1]) for single, end in ends],
+        np.array([np.exp(end.theta[-1]) for _, end in ends]),
+        sum(end.n_evaluations for _, end in (*tries, *ends)),
+    )
+
+
+def likelihood_of(kernel, data, n_outputs):
+    """Return the log likelihood as a function of [theta, log noise]."""
+
+    def evaluate(theta):
+        noise = np.exp(theta[-n_outputs:])
+        return log_likelihood(kernel.clone_with_theta(theta[:-n_outputs]), noise, data, eval_gradient=True)
+
+    return evaluate
+
+
+def bounds_of(kernel, noise_bounds):
+    """Return the bounds of [theta, log noise]."""
+    return np.concatenate([kernel.bounds, np.log(noise_bounds)])
+
+
+def spread(rows, n, random_state):
+    """Return n of the rows, spread over them: in a log neighbours say the same. One by chance of each n-th part."""
+    if n >= len(rows):
+        return rows
+    edges = np.linspace(0, len(rows), n + 1)
+    return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]

@@ -22,6 +22,7 @@ from skdgp._targets import (
     check_same_targets,
     check_targets,
     warn_of_indices,
+    warn_of_inducing,
     warn_of_samples,
     warn_of_tolerance,
 )
@@ -203,13 +204,14 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         Raises
         ------
         ValueError
-            When X is not finite, an output was never observed, there are fewer than two samples, or the exact
-            posterior would not fit the machine's memory.
+            When X is not finite, an output was never observed, there are fewer than two samples, ``n_jobs`` makes no
+            sense, or the posterior would not fit the machine's memory.
 
         Warns
         -----
         UserWarning
-            When an output is constant, or samples are repeated with the same targets.
+            When an output is constant, samples are repeated with the same targets, or there are more inducing inputs
+            than samples.
         ConvergenceWarning
             When the search for hyperparameters was interrupted (the best ones so far are kept), or stopped at
             ``max_iter`` far from an optimum.
@@ -229,6 +231,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         )
         if self.inference_ == "exact":
             check_memory(n_values, "Exact inference on", FEWER_VALUES)
+        else:
+            warn_of_inducing(self.n_inducing, len(X))
         self._center = np.nanmean(Y, axis=0) if self.trend else np.zeros(Y.shape[1])
         scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
         self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)

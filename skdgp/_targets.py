@@ -61,6 +61,17 @@ def check_same_targets(names: list[str], expected: list[str]) -> None:
         raise ValueError(f"Got y with the columns {names}, but expected those of the fit, in their order: {expected}.")
 
 
+def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
+    """Warn of more inducing inputs than samples."""
+    if n_inducing > n_samples:
+        warnings.warn(
+            f"Got n_inducing={n_inducing} for {n_samples} samples: each sample becomes an inducing input, which costs "
+            "more than it saves. Lower n_inducing, or use inference='exact'.",
+            UserWarning,
+            stacklevel=4,
+        )
+
+
 def check_compaction(n_inducing, tolerance, max_iter) -> None:
     """Refuse numbers that make no sense."""
     if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:

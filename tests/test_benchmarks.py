@@ -8,7 +8,16 @@ from pathlib import Path
 import pytest
 
 FOLDER = Path(__file__).parent / "benchmarks"
-SCRIPTS = ("likelihood", "growth", "heldout", "prediction_peers", "prediction", "workers")
+SCRIPTS = (
+    "likelihood",
+    "growth",
+    "evaluations",
+    "samples",
+    "heldout",
+    "prediction_peers",
+    "prediction",
+    "workers",
+)
 
 
 @pytest.fixture

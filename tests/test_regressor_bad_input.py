@@ -288,10 +288,17 @@ class TestMemory:
                 call()
 
     def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
-        monkeypatch.setattr(_targets, "_physical_memory", lambda: 1e4)
+        monkeypatch.setattr(_targets, "_physical_memory", lambda: 6e4)
         with pytest.raises(ValueError, match="Exact inference on 60 values"):
             quick(inference="exact").fit(X, Y)
-        quick(inference="sparse", n_inducing=5).fit(X, Y)
+        quick(inference="sparse", n_inducing=3).fit(X, Y)
+        with pytest.raises(ValueError, match=r"Sparse inference with \d+ values needs.*Lower n_inducing"):
+            quick(inference="sparse", n_inducing=25).fit(X, Y)
+
+    def test_more_inducing_inputs_than_samples_are_said_to_be_a_waste(self, X, Y):
+        with pytest.warns(UserWarning, match=r"Got n_inducing=31 for 30 samples.*use inference='exact'"):
+            model = quick(inference="sparse", n_inducing=31).fit(X, Y)
+        assert np.isfinite(model.predict(X, return_std=True)).all()
 
     def test_auto_chooses_by_the_number_of_values(self, X, Y, monkeypatch):
         assert quick().fit(X, Y).inference_ == "exact"

@@ -11,6 +11,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._linalg import column_scale
 from skdgp._parallel import sharing
+from skdgp._targets import check_memory
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
@@ -90,11 +91,18 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
 
     n_inducing : int
         Inducing inputs of each latent process; they start at the centres of k-means and are learned.
+
+    Raises
+    ------
+    ValueError
+        When matrices of all inducing variables would not fit the machine's memory.
     """
     random_state = check_random_state(random_state)
-    rows = _some_rows(Y, random_state)
-    found = _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, spread)
-    kernel, features = found.kernel, found.kernel.features(_centres(X, n_inducing, random_state))
+    Z = _centres(X, n_inducing, random_state)
+    size = kernel.initialize(X, Y, np.random.RandomState(0)).features(Z).size
+    check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
+    found = _learn(kernel, X, Y, _some_rows(Y, random_state), optimizer, max_iter, random_state, spread)
+    kernel, features = found.kernel, found.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features, found.noise, shares)

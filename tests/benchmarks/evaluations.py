@@ -37,7 +37,7 @@ def problem(folder, n):
     center, scale = task.Y[rows].mean(axis=0), task.Y[rows].std(axis=0)
 
     def error(posterior):
-        return task.error(posterior.predict((task.test - middle) / spread) * scale + center)
+        return task.error(posterior.predict((task.Xt - middle) / spread) * scale + center)
 
     return (task.X[rows] - middle) / spread, (task.Y[rows] - center) / scale, error
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import eigh, lapack
-from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
 
@@ -112,7 +112,7 @@ def cholesky_inverse(L: np.ndarray) -> np.ndarray:
 def triangular_solve(L: np.ndarray, B: np.ndarray, *, transposed: bool = False) -> np.ndarray:
     """Return L^-1 B, or L^-T B; a matrix ``B`` in Fortran order is overwritten."""
     if B.ndim == 1:
-        return dtrsm(1.0, L, B[:, None], lower=1, trans_a=int(transposed))[:, 0]
+        return dtrsv(L, B, lower=1, trans=int(transposed))
     return dtrsm(1.0, L, B, lower=1, trans_a=int(transposed), overwrite_b=1)
 
 

@@ -9,18 +9,18 @@ from itertools import combinations, combinations_with_replacement, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.blas import dsyr
+from scipy.linalg.blas import dsymv, dsyr
 
 from skdgp._linalg import (
     cholesky_inverse,
-    cholesky_solve,
     jittered_cholesky,
     log_determinant,
+    triangular_solve,
 )
 from skdgp._threads import thread_map, threads_for
 
 TILE = 768  # values of an output a side: the kernel cuts further, for the cache
-HALF = 256  # a side on the diagonal, where every tile computes its mirror image too
+HALF = 384  # a side on the diagonal, where every tile computes its mirror image too
 
 
 class Data(NamedTuple):
@@ -78,15 +78,17 @@ def _pairs(kernel, sizes):
     return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
-def covariance(kernel, noise, X) -> np.ndarray:
+def covariance(kernel, noise, X, workspace=None) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is the noise variance of each output, (P,).
+    ``noise`` is the noise variance of each output, (P,); ``workspace`` (N, N) in C order is written to, where given.
     """
     sizes = [len(x) for x in X]
     pairs = _pairs(kernel, sizes)
     # In C order: its transpose is the lower triangle in Fortran order.
-    upper = (np.empty if all_coupled(kernel) else np.zeros)((sum(sizes), sum(sizes)))
+    upper = np.empty((sum(sizes), sum(sizes))) if workspace is None else workspace
+    if not all_coupled(kernel):
+        upper.fill(0.0)
 
     def fill(pair):
         a, b = pair
@@ -102,23 +104,26 @@ def all_coupled(kernel) -> bool:
     return all(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
 
 
-def log_likelihood(kernel, noise, data: Data, eval_gradient=False):
+def log_likelihood(kernel, noise, data: Data, eval_gradient=False, workspace=None):
     """Return the log marginal likelihood (equation 20) and its gradient with respect to [theta, log noise].
 
     With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), contracted tile by tile. Memory: one
-    N x N matrix, which is covariance, factor and inverse in turn.
+    N x N matrix, which is covariance, factor and inverse in turn; who evaluates often gives it as ``workspace``, in C
+    order, and saves the time to ask for it.
     """
     with threads_for(data.n_values):
         y = np.concatenate(data.y)
-        L = jittered_cholesky(lambda: covariance(kernel, noise, data.X))
-        alpha = cholesky_solve(L, y)
-        value = -0.5 * (y @ alpha + log_determinant(L) + len(y) * np.log(2 * np.pi))
-        return (value, _gradient(kernel, noise, data, alpha, L)) if eval_gradient else value
+        L = jittered_cholesky(lambda: covariance(kernel, noise, data.X, workspace))
+        white = triangular_solve(L, y)
+        value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
+        return (value, _gradient(kernel, noise, data, y, L)) if eval_gradient else value
 
 
-def _gradient(kernel, noise, data, alpha, L):
+def _gradient(kernel, noise, data, y, L):
+    inverse = cholesky_inverse(L)
+    alpha = dsymv(1.0, inverse, y, lower=1)
     # -W, of which only one triangle is computed, and read; in C order its upper one.
-    minus_W = dsyr(-1.0, alpha, a=cholesky_inverse(L), lower=1, overwrite_a=1).T
+    minus_W = dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
 
     def contract(pair):
         a, b = pair

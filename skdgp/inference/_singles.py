@@ -74,10 +74,11 @@ def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop
 
 def likelihood_of(kernel, data, n_outputs):
     """Return the log likelihood as a function of [theta, log noise]."""
+    workspace = np.empty((data.n_values, data.n_values))
 
     def evaluate(theta):
-        noise = np.exp(theta[-n_outputs:])
-        return log_likelihood(kernel.clone_with_theta(theta[:-n_outputs]), noise, data, eval_gradient=True)
+        kernel_there, noise = kernel.clone_with_theta(theta[:-n_outputs]), np.exp(theta[-n_outputs:])
+        return log_likelihood(kernel_there, noise, data, eval_gradient=True, workspace=workspace)
 
     return evaluate
 

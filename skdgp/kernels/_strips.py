@@ -1,6 +1,6 @@
 """The inner loops of the convolved Gaussian: exponentials of squared distances, a strip of rows at a time.
 
-A strip, and what is done with it, stays in the second-level cache; what is kept are sums over it.
+A strip, and what is done with it, stays in the cache; what is kept are sums over it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-STRIP = 2**16  # doubles
+STRIP = 3 * 2**16  # doubles: fewer strips mean fewer waits of threads for each other
 
 
 class Exponent(NamedTuple):

@@ -27,6 +27,7 @@ def parser_of(description):
 
 
 SLOW = 15.0  # s, after which a function has had turns enough
+PAUSE = 0.1  # s: threads of BLAS go on waiting for work for a while, on cores that the next in turn needs
 
 
 def interleaved(functions, repeats):
@@ -35,6 +36,7 @@ def interleaved(functions, repeats):
     for _ in range(repeats):
         for name, function in functions.items():
             if sum(times[name]) < SLOW:
+                time.sleep(PAUSE)
                 start = time.perf_counter()
                 function()
                 times[name].append(time.perf_counter() - start)

@@ -68,7 +68,8 @@ def ours(case, *, covariance_type="diag", private_latents=False, missing=0.0):
     Y[np.random.default_rng(1).random(Y.shape) < missing] = np.nan
     kernel = ConvolvedGaussian(case.M, private_latents=private_latents, covariance_type=covariance_type)
     kernel, data, noise = kernel.initialize(X, Y, 0), Data.from_table(X, Y), np.full(case.P, NOISE)
-    return lambda: log_likelihood(kernel, noise, data, eval_gradient=True)
+    workspace = np.empty((data.n_values, data.n_values))  # as in a fit
+    return lambda: log_likelihood(kernel, noise, data, eval_gradient=True, workspace=workspace)
 
 
 def sklearn_alone(case):

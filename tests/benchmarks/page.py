@@ -22,6 +22,7 @@ from skdgp.plotting._style import PALETTE, tidy
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}
+DASHES = {"exact": "--", "one thread": "--", "150": ":"}
 COLOURS |= {"mogptk": "orange", "least": "grey"}
 
 
@@ -97,7 +98,7 @@ def heldout(results):
         style = {
             "color": colour(method),
             "label": method,
-            "linestyle": "--" if "exact" in method or "one thread" in method else "-",
+            "linestyle": next((style for word, style in DASHES.items() if word in method), "-"),
         }
         if method == "least squares":
             ax.axhline(own[0][1], linewidth=1, **style | {"linestyle": ":"})

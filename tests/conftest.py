@@ -7,6 +7,8 @@ from threadpoolctl import threadpool_limits
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
+collect_ignore = ["benchmarks"]  # scripts, which find each other only when they are run
+
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_thread():

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import eigh, lapack
-from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
+from scipy.linalg.blas import dtrsm, dtrsv
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
 
@@ -114,11 +114,6 @@ def triangular_solve(L: np.ndarray, B: np.ndarray, *, transposed: bool = False) 
     if B.ndim == 1:
         return dtrsv(L, B, lower=1, trans=int(transposed))
     return dtrsm(1.0, L, B, lower=1, trans_a=int(transposed), overwrite_b=1)
-
-
-def add_outer(total: np.ndarray, V: np.ndarray) -> None:
-    """Add V V^T to the lower triangle of ``total``, in place; both in Fortran order."""
-    dsyrk(1.0, V, beta=1.0, c=total, lower=1, overwrite_c=1)
 
 
 def symmetric(lower: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._linalg import add_outer, symmetric, triangular_solve
+from skdgp._linalg import triangular_solve
 from skdgp._parallel import share_map
 from skdgp.inference._likelihood import Data
 
@@ -80,13 +80,13 @@ def _nothing(c):
 def _statistics(kernel, features, Lu, share):
     i, X, y = share
     own = own_factor(Lu, features.columns(i))
-    outer, inner, variance = np.zeros(own.shape, order="F"), np.zeros(len(own)), 0.0
+    outer, inner, variance = np.zeros(own.shape), np.zeros(len(own)), 0.0
     for rows in row_slices(len(y)):
         V = triangular_solve(own, features.Kfu(i, X[rows]).T)
-        add_outer(outer, V)
+        outer += V @ V.T
         inner += V @ y[rows]
         variance += kernel.block_diag(i, X[rows]).sum()
-    return Statistics(symmetric(outer), inner, y @ y, variance, len(y))
+    return Statistics(outer, inner, y @ y, variance, len(y))
 
 
 def bound_slope(kernel, features, noise, weights, gap, shares):

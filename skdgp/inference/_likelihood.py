@@ -47,6 +47,8 @@ class Data(NamedTuple):
 
 
 class Tile(NamedTuple):
+    """A stretch of the values of one output."""
+
     output: int
     own: slice  # within the output
     all: slice  # within the stacked values
@@ -136,6 +138,6 @@ def _gradient(kernel, noise, data, y, L):
 
     sizes = [len(x) for x in data.X]
     d_theta = -np.sum(thread_map(contract, _pairs(kernel, sizes)), axis=0)
-    edges = np.cumsum([0, *sizes[:-1]])
-    d_noise = -0.5 * noise * np.add.reduceat(np.einsum("ii->i", minus_W), edges)
-    return np.concatenate([d_theta, d_noise])
+    outputs = np.repeat(np.arange(len(sizes)), sizes)  # an output without values has no share
+    traces = np.bincount(outputs, np.einsum("ii->i", minus_W), minlength=len(sizes))
+    return np.concatenate([d_theta, -0.5 * noise * traces])

@@ -53,6 +53,16 @@ class TestLikelihood:
         assert value == pytest.approx(at(problem, theta))
         assert_gradient(gradient, lambda t: at(problem, t), theta, rtol=1e-7, atol=1e-7)
 
+    @pytest.mark.parametrize("silent", [0, 1, 2])
+    def test_an_output_without_values_has_no_gradient_by_its_noise(self, one_problem, silent):
+        X = [x[:0] if i == silent else x for i, x in enumerate(one_problem.data.X)]
+        y = [v[:0] if i == silent else v for i, v in enumerate(one_problem.data.y)]
+        everything = log_likelihood(one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True)[1]
+        _, gradient = log_likelihood(one_problem.kernel, one_problem.noise, Data(X, y), eval_gradient=True)
+        assert (gradient[-3:] == 0).tolist() == [i == silent for i in range(3)]
+        assert np.isfinite(gradient).all()
+        assert everything[-3:].all()
+
     def test_other_hyperparameters_of_the_same_data(self, problem):
         posterior = posterior_of(problem)
         other, noise = problem.kernel.clone_with_theta(problem.kernel.theta + 0.1), 2 * problem.noise

@@ -101,7 +101,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, in squared units of the outputs.
     log_marginal_likelihood_value_ : float
-        Of the normalised outputs; its lower bound where inference is sparse.
+        Of the normalised outputs; where inference is sparse its lower bound, neighbours that repeat each other as one.
     inference_ : {"exact", "sparse", "compact"}
         What was done.
     compaction_ : Compaction

@@ -67,6 +67,11 @@ def messages(content: ReportContent) -> str:
     return f'<section><h2>Warnings</h2><ul class="alerts">{lines}</ul></section>'
 
 
+def _likelihood(model) -> str:
+    """Return what the likelihood is called: a sparse model's is a bound, not to be compared with an exact one."""
+    return "Log likelihood, lower bound" if "sparse" in (model.inference or "") else "Log likelihood"
+
+
 def what_was_done(content: ReportContent) -> str:
     """Return samples, regressors, model, time and versions."""
     model, aircraft = content.model, content.aircraft
@@ -80,7 +85,7 @@ def what_was_done(content: ReportContent) -> str:
         ("Kernel", model.kernel),
         ("Trend", model.trend),
         ("Inference", model.inference),
-        ("Log likelihood", _grouped(model.log_marginal_likelihood, ".1f")),
+        (_likelihood(model), _grouped(model.log_marginal_likelihood, ".1f")),
         ("Iterations", _iterations(model)),
         ("Time of the fit", None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s"),
         *model.extra.items(),

@@ -6,8 +6,10 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import norm
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.exceptions import UndefinedMetricWarning
+from sklearn.frozen import FrozenEstimator
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.linear_model import LinearRegression, Ridge
@@ -17,15 +19,24 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp.metrics import (
     SCORERS,
+    continuous_ranked_probability_score,
+    coverage_curve,
     interval_coverage,
     make_predictive_scorer,
     median_relative_error,
     negative_log_predictive_density,
     normalized_rmse,
+    score_flights,
     score_outputs,
 )
 
-METRICS = [median_relative_error, normalized_rmse, negative_log_predictive_density, interval_coverage]
+METRICS = [
+    median_relative_error,
+    normalized_rmse,
+    negative_log_predictive_density,
+    continuous_ranked_probability_score,
+    interval_coverage,
+]
 WITH_STD = METRICS[2:]
 
 
@@ -52,7 +63,15 @@ def reference(metric, y, mean, std):
         return math.sqrt(sum((a - b) ** 2 for a, b, _ in seen) / spread)
     if metric is negative_log_predictive_density:
         return sum(0.5 * math.log(2 * math.pi * c**2) + (a - b) ** 2 / (2 * c**2) for a, b, c in seen) / n
+    if metric is continuous_ranked_probability_score:
+        return sum(ranked_probability(a, b, c) for a, b, c in seen) / n
     return sum(abs(a - b) < 1.959963984540054 * c for a, b, c in seen) / n
+
+
+def ranked_probability(y, mean, std):
+    """The integral of (F(x) - 1{x >= y})^2 that defines the score, by the trapezium rule."""
+    low, high = np.linspace(mean - 12 * std, y, 4001), np.linspace(y, mean + 12 * std, 4001)
+    return np.trapezoid(norm.cdf(low, mean, std) ** 2, low) + np.trapezoid(norm.sf(high, mean, std) ** 2, high)
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -66,11 +85,12 @@ class TestEveryMetric:
             for columns in zip(*(a.T for a in (y, mean, std)), strict=True)
         ]
         got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
-        np.testing.assert_allclose(got, expected, rtol=1e-12)
-        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), rel=1e-12)
+        rtol = 1e-5 if metric is continuous_ranked_probability_score else 1e-12  # its reference is an integral
+        np.testing.assert_allclose(got, expected, rtol=rtol)
+        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), rel=rtol)
         weights = [1.0, 0.0, 3.0]
         weighted = metric(*arguments(metric, y, mean, std), multioutput=weights)
-        assert weighted == pytest.approx((expected[0] + 3 * expected[2]) / 4, rel=1e-12)
+        assert weighted == pytest.approx((expected[0] + 3 * expected[2]) / 4, rel=rtol)
 
     def test_shapes_and_types_do_not_matter(self, metric):
         y, mean, std = sample(outputs=1)
@@ -141,6 +161,17 @@ class TestMeaning:
         assert at[1] == min(at)
         assert at[1] == pytest.approx(0.5 * math.log(2 * math.pi * math.e * 0.09), abs=0.02)
 
+    def test_ranked_probability_is_proper_and_in_units_of_the_output(self):
+        error = np.random.default_rng(0).normal(0, 0.3, 20_000)
+        at = [continuous_ranked_probability_score(error, 0 * error, 0 * error + s) for s in (0.25, 0.3, 0.36)]
+        assert at[1] == min(at)
+        assert at[1] == pytest.approx(0.3 / math.sqrt(math.pi), rel=0.01)
+        scaled = continuous_ranked_probability_score(1e3 * error, 0 * error, 0 * error + 300)
+        assert scaled == pytest.approx(1e3 * at[1])
+
+    def test_ranked_probability_of_certainty_is_the_absolute_error(self):
+        assert continuous_ranked_probability_score([1.0, 3.0], [0.0, 0.0], [1e-9, 1e-9]) == pytest.approx(2.0)
+
     @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
     def test_coverage_of_honest_bands_is_their_level(self, level):
         rng = np.random.default_rng(0)
@@ -156,6 +187,30 @@ class TestMeaning:
             interval_coverage([1.0], [1.0], [1.0], level=95)
 
 
+class TestCoverageCurve:
+    def test_every_cell_is_the_coverage_at_its_level(self):
+        y, mean, std = sample(60)
+        y[::5, 1] = np.nan
+        curve = coverage_curve(pd.DataFrame(y, columns=["CX", "CZ", "Cm"]), mean, std, levels=[0.9, 0.5])
+        assert (curve.index.name, curve.index.tolist(), list(curve)) == ("level", [0.5, 0.9], ["CX", "CZ", "Cm"])
+        for level in (0.5, 0.9):
+            expected = interval_coverage(y, mean, std, level=level, multioutput="raw_values")
+            np.testing.assert_array_equal(curve.loc[level], expected)
+
+    def test_never_observed_is_nan_and_certainty_covers_what_it_meets(self):
+        curve = coverage_curve([[np.nan, 1.0], [np.nan, 2.0]], np.ones((2, 2)), np.zeros((2, 2)))
+        assert curve.shape == (20, 2)
+        assert curve[0].isna().all()
+        assert (curve[1] == 0.5).all()
+
+    def test_names_and_levels(self):
+        assert list(coverage_curve(pd.Series([1.0], name="Cm"), [1.0], [1.0])) == ["Cm"]
+        with pytest.raises(ValueError, match="expected probabilities"):
+            coverage_curve([1.0], [1.0], [1.0], levels=[95])
+        with pytest.raises(ValueError, match="expected positive"):
+            coverage_curve([1.0], [1.0], [-1.0])
+
+
 class NoisyModel(RegressorMixin, BaseEstimator):
     """Predict 0 with a latent deviation of 1, and of 2 with measurement noise."""
 
@@ -165,6 +220,14 @@ class NoisyModel(RegressorMixin, BaseEstimator):
 
     def predict(self, X, return_std=False, include_noise=False):
         mean = np.zeros(len(X))
+        return (mean, mean + (2.0 if include_noise else 1.0)) if return_std else mean
+
+
+class TwoOutputs(NoisyModel):
+    """The same for two outputs."""
+
+    def predict(self, X, return_std=False, include_noise=False):
+        mean = np.zeros((len(X), 2))
         return (mean, mean + (2.0 if include_noise else 1.0)) if return_std else mean
 
 
@@ -212,6 +275,30 @@ class TestScorers:
         scored = score_outputs(NoisyModel().fit(X, X[:, 0]), X, X[:, 0])
         assert set(scored) == {f"{metric.__name__}_0" for metric in METRICS}
         assert scored["interval_coverage_0"] == interval_coverage(X[:, 0], np.zeros(40), np.full(40, 2.0))
+
+    def test_scores_of_every_flight(self):
+        X = pd.DataFrame({"x": np.random.default_rng(0).normal(size=60), "flight": ["late"] * 20 + ["early"] * 40})
+        Y = pd.DataFrame({"CX": X["x"], "Cm": 2 * X["x"]})
+        Y.loc[X["flight"] == "late", "Cm"] = np.nan
+        Y.index = X.index = np.arange(100, 160)
+        single = score_flights(NoisyModel().fit(X, X["x"]), X, Y["CX"])
+        assert single.index.tolist() == [("late", "CX"), ("early", "CX")]
+        scores = score_flights(TwoOutputs().fit(X, Y), X, Y)
+        assert list(scores) == ["n_observed", *(metric.__name__ for metric in METRICS)]
+        assert scores["n_observed"].tolist() == [20, 0, 40, 40]
+        assert scores.loc[("late", "Cm")].drop("n_observed").isna().all()
+        rows = (X["flight"] == "early").to_numpy()
+        zeros = np.zeros((40, 2))
+        for metric in METRICS:
+            expected = metric(*arguments(metric, Y[rows], zeros, zeros + 2.0), multioutput="raw_values")
+            np.testing.assert_array_equal(scores.loc["early", metric.__name__], expected)
+        with pytest.raises(ValueError, match="lacks the columns 'day'"):
+            score_flights(TwoOutputs().fit(X, Y), X, Y, flight="day")
+
+    def test_scores_see_through_a_frozen_estimator(self):
+        X = np.arange(10.0)[:, None]
+        frozen = FrozenEstimator(make_pipeline(StandardScaler(), GaussianProcessRegressor(alpha=0.1)).fit(X, X[:, 0]))
+        assert np.isfinite(SCORERS["log_predictive_density"](frozen, X, X[:, 0]))
 
     def test_std_is_demanded(self):
         model = LinearRegression().fit([[0.0], [1.0]], [0.0, 1.0])

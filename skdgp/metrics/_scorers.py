@@ -1,0 +1,213 @@
+"""Metrics as scikit-learn asks for them: scorers of fitted estimators, scores by output and by flight."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import UndefinedMetricWarning
+from sklearn.frozen import FrozenEstimator
+from sklearn.pipeline import Pipeline
+
+from skdgp._validation import check_columns, check_table
+from skdgp.metrics._arrays import output_names
+from skdgp.metrics._point import median_relative_error, normalized_rmse
+from skdgp.metrics._probabilistic import (
+    continuous_ranked_probability_score,
+    interval_coverage,
+    negative_log_predictive_density,
+)
+
+
+def make_predictive_scorer(metric: Callable, *, greater_is_better: bool, needs_std: bool = False, **kwargs):
+    """Make a scorer ``(estimator, X, y) -> float`` from a metric that may need predictive deviations.
+
+    Parameters
+    ----------
+    metric : callable
+        ``metric(y_true, y_pred, **kwargs)`` or, with ``needs_std``, ``metric(y_true, y_pred, y_std,
+        **kwargs)``.
+    greater_is_better : bool
+        False flips the sign, as scikit-learn maximises scores.
+    needs_std : bool, default=False
+        Ask the estimator, through pipelines and fitted searches, for ``predict(X, return_std=True)``; with
+        ``include_noise=True`` where it takes that, since the targets are measurements.
+    **kwargs
+        Passed to the metric.
+
+    Returns
+    -------
+    callable
+        Picklable; use it as ``scoring=``.
+
+    Examples
+    --------
+    >>> from sklearn.gaussian_process import GaussianProcessRegressor
+    >>> from sklearn.model_selection import cross_val_score
+    >>> import numpy as np
+    >>> X, y = np.linspace(0, 3, 30)[:, None], np.sin(np.linspace(0, 3, 30))
+    >>> half = make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True, level=0.5)
+    >>> scores = cross_val_score(GaussianProcessRegressor(alpha=1e-6), X, y, scoring=half, cv=3)
+    >>> scores.shape
+    (3,)
+    """
+    return _PredictiveScorer(metric, 1 if greater_is_better else -1, needs_std, kwargs)
+
+
+class _PredictiveScorer:
+    """A metric with a sign and what it asks of ``predict``."""
+
+    def __init__(self, metric, sign, needs_std, kwargs):
+        self.metric, self.sign, self.needs_std, self.kwargs = metric, sign, needs_std, kwargs
+
+    def __call__(self, estimator, X, y):
+        predicted = predict_with_noise(estimator, X) if self.needs_std else (estimator.predict(X),)
+        return self.sign * self.metric(y, *predicted, **self.kwargs)
+
+    def __repr__(self):
+        return f"make_predictive_scorer({self.metric.__name__}, greater_is_better={self.sign > 0})"
+
+
+POINT = (median_relative_error, normalized_rmse)
+PROBABILISTIC = (negative_log_predictive_density, continuous_ranked_probability_score, interval_coverage)
+
+SCORERS = {
+    "neg_median_relative_error": make_predictive_scorer(median_relative_error, greater_is_better=False),
+    "neg_normalized_rmse": make_predictive_scorer(normalized_rmse, greater_is_better=False),
+    "log_predictive_density": make_predictive_scorer(
+        negative_log_predictive_density, greater_is_better=False, needs_std=True
+    ),
+    "neg_continuous_ranked_probability_score": make_predictive_scorer(
+        continuous_ranked_probability_score, greater_is_better=False, needs_std=True
+    ),
+    "interval_coverage": make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True),
+}
+"""Scorers by name, for ``scoring=SCORERS``; greater is better, but coverage is to be read, not maximised."""
+
+
+def score_outputs(estimator, X, y) -> dict[str, float]:
+    """Score every output apart, ``{"normalized_rmse_CX": ..., ...}``: a ``scoring=`` of ``cross_validate``.
+
+    All five metrics where the estimator predicts standard deviations, else the two that need none; signs are
+    those of the metrics (errors are positive). Outputs are named by the columns of ``y``, or numbered.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.linear_model import LinearRegression
+    >>> X, Y = np.arange(6.0)[:, None], np.arange(12.0).reshape(6, 2)
+    >>> sorted(score_outputs(LinearRegression().fit(X, Y), X, Y))
+    ['median_relative_error_0', 'median_relative_error_1', 'normalized_rmse_0', 'normalized_rmse_1']
+    """
+    scores = _scores(y, *_predict(estimator, X))
+    return {f"{metric}_{name}": float(value) for metric, values in scores.items() for name, value in values.items()}
+
+
+def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") -> pd.DataFrame:
+    """Score a fitted estimator flight by flight and output by output.
+
+    The whole table is predicted at once, with measurement noise where the estimator knows of it: transformers of a
+    pipeline see every flight whole. A model that is good on average may be bad on one flight.
+
+    Parameters
+    ----------
+    estimator : fitted estimator or Pipeline
+    table : DataFrame (n, ...)
+        Regressors, or the flights of an identification pipeline.
+    Y : DataFrame, Series or array-like of shape (n,) or (n, P)
+        Measured targets; NaN is not observed.
+    flight : str, default="flight"
+        Column of ``table`` that tells the flights apart.
+
+    Returns
+    -------
+    DataFrame
+        A row per flight and output; ``n_observed``, and a column per metric as in :func:`score_outputs`: the relative
+        error and the RMSE, and where there are standard deviations the negative log predictive density, the
+        continuous ranked probability score and the coverage of 95 % intervals. NaN for what was never observed in a
+        flight.
+
+    Raises
+    ------
+    ValueError
+        If the table lacks the column.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from sklearn.linear_model import LinearRegression
+    >>> table = pd.DataFrame({"flight": ["a"] * 5 + ["b"] * 5, "alpha": np.linspace(0.0, 0.9, 10)})
+    >>> Y = pd.DataFrame({"CZ": -4.0 * table.alpha + 0.1 * (table.flight == "b")})
+    >>> from sklearn.compose import make_column_transformer
+    >>> from sklearn.pipeline import make_pipeline
+    >>> model = make_pipeline(make_column_transformer(("passthrough", ["alpha"])), LinearRegression())
+    >>> score_flights(model.fit(table[:5], Y[:5]), table, Y)["normalized_rmse"].round(2)
+    flight  output
+    a       CZ        0.00
+    b       CZ        0.18
+    Name: normalized_rmse, dtype: float64
+    """
+    check_columns(check_table(table), [flight], what="table of flights")
+    values = np.asarray(Y, dtype=float).reshape(len(table), -1)
+    Y = pd.DataFrame(values, columns=output_names(Y) or range(values.shape[1]))
+    predicted = [np.asarray(part).reshape(values.shape) for part in _predict(estimator, table)]
+    tables = {}
+    codes, names = pd.factorize(table[flight])
+    for code, name in enumerate(names):
+        rows = np.flatnonzero(codes == code)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UndefinedMetricWarning)  # NaN says it
+            scores = pd.DataFrame(_scores(Y.iloc[rows], *(part[rows] for part in predicted)))
+        scores.insert(0, "n_observed", Y.iloc[rows].notna().sum())
+        tables[name] = scores
+    return pd.concat(tables, names=["flight", "output"])
+
+
+def _predict(estimator, X):
+    """Return the mean, and where there is one the standard deviation."""
+    return predict_with_noise(estimator, X) if accepts(estimator, "return_std") else (estimator.predict(X),)
+
+
+def _scores(y, *predicted) -> dict[str, dict]:
+    """Return every metric that the predictions allow, by output."""
+    found = {metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT}
+    if len(predicted) > 1:
+        found |= {metric.__name__: metric(y, *predicted, multioutput="raw_values") for metric in PROBABILISTIC}
+    names = list(getattr(y, "columns", [])) or range(len(found[POINT[0].__name__]))
+    return {metric: dict(zip(names, values, strict=True)) for metric, values in found.items()}
+
+
+def predict_with_noise(estimator, X):
+    """Return mean and std, with measurement noise where the estimator can add it."""
+    if not accepts(estimator, "return_std"):
+        raise TypeError(
+            f"Got {type(estimator).__name__}, whose predict takes no return_std, but this metric needs "
+            "predictive standard deviations: use DependentGPRegressor (also inside a Pipeline), or a metric of means."
+        )
+    noise = {"include_noise": True} if accepts(estimator, "include_noise") else {}
+    fitted = _unwrap(estimator)
+    return fitted.predict(X, return_std=True, **noise)
+
+
+def _unwrap(estimator) -> BaseEstimator:
+    """Return the fitted estimator behind a search, whose own predict takes no keywords, or behind a frozen one."""
+    while True:
+        if isinstance(estimator, FrozenEstimator):
+            estimator = estimator.estimator
+        elif (best := getattr(estimator, "best_estimator_", None)) is not None:
+            estimator = best
+        else:
+            return estimator
+
+
+def accepts(estimator, keyword) -> bool:
+    """Whether the last step's predict takes the keyword."""
+    estimator = _unwrap(estimator)
+    while isinstance(estimator, Pipeline):
+        estimator = _unwrap(estimator.steps[-1][1])
+    parameters = inspect.signature(estimator.predict).parameters.values()
+    return any(p.name == keyword or p.kind is p.VAR_KEYWORD for p in parameters)

@@ -1,22 +1,4 @@
-"""Choosing what is learned from, and what it is judged on.
-
-Whole flights are held out with scikit-learn's own ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``:
-neighbouring samples of one flight are nearly the same, so a split inside a flight flatters the model.
-
->>> import numpy as np, pandas as pd
->>> from sklearn.linear_model import LinearRegression
->>> from sklearn.model_selection import LeaveOneGroupOut, cross_validate
->>> from skdgp.metrics import SCORERS
->>> rng = np.random.default_rng(0)
->>> flight = pd.DataFrame({"flight": np.repeat(["a", "b", "c"], 40), "alpha": rng.normal(size=120)})
->>> Y = pd.DataFrame({"CZ": -5 * flight.alpha, "Cm": -0.5 * flight.alpha})
->>> scores = cross_validate(
-...     LinearRegression(), flight[["alpha"]], Y, groups=flight.flight, cv=LeaveOneGroupOut(),
-...     scoring=SCORERS["neg_normalized_rmse"],
-... )
->>> scores["test_score"].shape
-(3,)
-"""
+"""Which rows of a flight are learned from."""
 
 from __future__ import annotations
 
@@ -24,8 +6,6 @@ from numbers import Integral
 
 import numpy as np
 import pandas as pd
-
-__all__ = ["thin_targets"]
 
 
 def thin_targets(Y, n_samples: int):
@@ -53,6 +33,7 @@ def thin_targets(Y, n_samples: int):
 
     Examples
     --------
+    >>> from skdgp.model_selection import thin_targets
     >>> thin_targets([1.0, 2.0, float("nan"), 4.0, 5.0], 2)
     array([nan,  2., nan, nan,  5.])
     """

@@ -7,7 +7,7 @@ from skdgp.inference._fit import Fit, fit_exact, fit_sparse
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._repeats import autocorrelation_time
-from skdgp.inference._shares import shares_of
+from skdgp.inference._samples import shares_of
 from skdgp.inference._sparse import SparsePosterior
 
 __all__ = [

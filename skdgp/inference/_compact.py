@@ -11,7 +11,7 @@ from sklearn.utils import check_random_state
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
-from skdgp.inference._shares import data_of, shares_of
+from skdgp.inference._samples import data_of, shares_of
 from skdgp.inference._sparse import SparsePosterior
 
 CHECKED = 1000  # training inputs, at most, and as many around them, where the change is measured

@@ -46,7 +46,7 @@ class ExactPosterior:
         To the same bits on the same number of BLAS threads, unless it had grown.
         """
         with threads_for(self.data.n_values):
-            return Factor(jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data.X)))
+            return Factor(jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data)))
 
     @cached_property
     def _white(self):
@@ -90,7 +90,7 @@ class ExactPosterior:
         new._rows = self._appended_rows([len(y) for y in data.y])
         with threads_for(self.data.n_values):
             half = self._half(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))
-            new.factor, corner = self.factor.extended(half, covariance(self.kernel, self.noise, data.X))
+            new.factor, corner = self.factor.extended(half, covariance(self.kernel, self.noise, data))
             last = triangular_solve(corner, np.concatenate(data.y) - half.T @ self._white)
             new._white = np.concatenate([self._white, last])
         new._solve()

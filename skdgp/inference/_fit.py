@@ -16,7 +16,7 @@ from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
 from skdgp.inference._repeats import autocorrelation_time
-from skdgp.inference._shares import shares_of
+from skdgp.inference._samples import shares_of
 from skdgp.inference._singles import bounds_of, fit_singles, likelihood_of, spread
 from skdgp.inference._sparse import SparsePosterior
 

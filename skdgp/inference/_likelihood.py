@@ -18,27 +18,34 @@ from skdgp._linalg import (
     triangular_solve,
 )
 from skdgp._threads import thread_map, threads_for
+from skdgp.inference._noise import Scatter, add_noise, noise_gradient
 
 TILE = 768  # values of an output a side: the kernel cuts further, for the cache
 HALF = 384  # a side on the diagonal, where every tile computes its mirror image too
 
 
 class Data(NamedTuple):
-    """Observed values: inputs (n_i, d) and targets (n_i,) of each output."""
+    """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and where noisy regressors carry them."""
 
     X: list[np.ndarray]
     y: list[np.ndarray]
+    scatter: Scatter | None = None
 
     @classmethod
-    def from_table(cls, X, Y):
-        """Return the observed values of X (n, d), Y (n, P) with NaN where an output was not observed."""
+    def from_table(cls, X, Y, reach=None):
+        """Return the observed values of X (n, d), Y (n, P) with NaN where an output was not observed.
+
+        ``reach`` (n, P, r), where regressors are noisy: see ``Scatter``.
+        """
         seen = np.isfinite(Y)
-        return cls([X[s] for s in seen.T], [y[s] for y, s in zip(Y.T, seen.T, strict=True)])
+        scatter = None if reach is None else Scatter.from_table(seen, reach)
+        return cls([X[s] for s in seen.T], [y[s] for y, s in zip(Y.T, seen.T, strict=True)], scatter)
 
     def joined(self, other: Data) -> Data:
         """Return these values, then the other's, output by output."""
-        pairs = ((zip(mine, theirs, strict=True)) for mine, theirs in zip(self, other, strict=True))
-        return Data(*([np.concatenate(pair) for pair in arrays] for arrays in pairs))
+        X = [np.concatenate(pair) for pair in zip(self.X, other.X, strict=True)]
+        y = [np.concatenate(pair) for pair in zip(self.y, other.y, strict=True)]
+        return Data(X, y, self.scatter and self.scatter.joined(other.scatter))
 
     @property
     def n_values(self) -> int:
@@ -80,11 +87,12 @@ def _pairs(kernel, sizes):
     return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
-def covariance(kernel, noise, X, workspace=None) -> np.ndarray:
+def covariance(kernel, noise, data: Data, workspace=None) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is the noise variance of each output, (P,); ``workspace`` (N, N) in C order is written to, where given.
+    ``noise`` is that of ``add_noise``; ``workspace`` (N, N) in C order is written to, where given.
     """
+    X = data.X
     sizes = [len(x) for x in X]
     pairs = _pairs(kernel, sizes)
     # In C order: its transpose is the lower triangle in Fortran order.
@@ -97,7 +105,7 @@ def covariance(kernel, noise, X, workspace=None) -> np.ndarray:
         upper[a.all, b.all] = kernel.block(a.output, b.output, X[a.output][a.own], X[b.output][b.own])
 
     thread_map(fill, pairs)
-    np.einsum("ii->i", upper)[:] += np.repeat(noise, sizes)
+    add_noise(upper, noise, data)
     return upper.T
 
 
@@ -115,7 +123,7 @@ def log_likelihood(kernel, noise, data: Data, eval_gradient=False, workspace=Non
     """
     with threads_for(data.n_values):
         y = np.concatenate(data.y)
-        L = jittered_cholesky(lambda: covariance(kernel, noise, data.X, workspace))
+        L = jittered_cholesky(lambda: covariance(kernel, noise, data, workspace))
         white = triangular_solve(L, y)
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
         return (value, _gradient(kernel, noise, data, y, L)) if eval_gradient else value
@@ -138,6 +146,4 @@ def _gradient(kernel, noise, data, y, L):
 
     sizes = [len(x) for x in data.X]
     d_theta = -np.sum(thread_map(contract, _pairs(kernel, sizes)), axis=0)
-    outputs = np.repeat(np.arange(len(sizes)), sizes)  # an output without values has no share
-    traces = np.bincount(outputs, np.einsum("ii->i", minus_W), minlength=len(sizes))
-    return np.concatenate([d_theta, -0.5 * noise * traces])
+    return np.concatenate([d_theta, -noise_gradient(minus_W, noise, data)])

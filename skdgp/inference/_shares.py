@@ -41,7 +41,7 @@ class Statistics(NamedTuple):
         return self.variance - float(np.trace(self.outer))
 
 
-def shares_of(data) -> list[Share]:
+def value_shares(data) -> list[Share]:
     """Cut the observed values alike whatever the number of threads: sums keep their bits."""
     return [
         Share(i, *part)
@@ -51,7 +51,7 @@ def shares_of(data) -> list[Share]:
     ]
 
 
-def data_of(shares, n_outputs) -> Data:
+def data_of_values(shares, n_outputs) -> Data:
     """Return the observed values that shares were cut from."""
     nothing = Share(-1, shares[0].X[:0], shares[0].y[:0])
     own = [[nothing, *(share for share in shares if share.output == i)] for i in range(n_outputs)]

@@ -24,15 +24,8 @@ from skdgp._threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
 from skdgp.inference._likelihood import Data
 from skdgp.inference._readout import Readout, learned_from
-from skdgp.inference._shares import (
-    ROWS,
-    Share,
-    data_of,
-    row_slices,
-    shares_of,
-    statistics,
-    summed,
-)
+from skdgp.inference._samples import data_of, shares_of, sums_of
+from skdgp.inference._shares import ROWS, row_slices, summed
 from skdgp.inference._sums import Sums
 
 
@@ -46,7 +39,7 @@ class SparsePosterior:
     noise : ndarray (P,)
         Noise variance of each output.
     shares : list of Share
-        The observed values, see ``shares_of``.
+        The observed values, see ``shares_of``; or of Stretch, where the outputs are noisy together.
 
     Attributes
     ----------
@@ -56,7 +49,7 @@ class SparsePosterior:
         Its lower bound.
     """
 
-    def __init__(self, kernel, features, noise, shares: list[Share]):
+    def __init__(self, kernel, features, noise, shares: list):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
         self.shares = shares
         self._begin()
@@ -77,9 +70,11 @@ class SparsePosterior:
         with threads_for(self.features.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         if self.shares is not None:
-            self.statistics = statistics(self.kernel, self.features, self.Lu, self.shares)
-            self.sums = Sums.of(self.features, self.noise, self.statistics)
+            self.sums, self.statistics = self._sums_of(self.shares)
         self._condition()
+
+    def _sums_of(self, shares):
+        return sums_of(self.kernel, self.features, self.noise, self.Lu, shares)
 
     def _condition(self):
         """Whitened, u = Lu w: B = I + sum_i V_i V_i^T / noise_i, the mean of w is B^-1 b, and the bound follows."""
@@ -113,14 +108,15 @@ class SparsePosterior:
         return new
 
     def with_noise(self, noise) -> SparsePosterior:
-        """Return the posterior at another noise variance of each output; no sample is looked at again."""
+        """Return the posterior at another noise variance of each output, noisy apart; no sample is looked at again."""
         noise = np.asarray(noise, dtype=float)
         return self._with(self.shares, self.statistics, Sums.of(self.features, noise, self.statistics), noise)
 
     def noise_seen(self) -> np.ndarray:
         """Return the mean squared distance of the values from the function, uncertain as that is, (P,).
 
-        Where it is the noise, the bound is stationary in the noise: the step of expectation maximisation.
+        Where it is the noise, the bound is stationary in the noise: the step of expectation maximisation. Of outputs
+        that are noisy apart.
         """
         seen = np.empty(len(self.noise))
         for i, s in enumerate(self.statistics):
@@ -136,11 +132,11 @@ class SparsePosterior:
 
     def updated(self, data: Data) -> SparsePosterior:
         """Return the posterior that knows further values too: their sums are added."""
-        added = statistics(self.kernel, self.features, self.Lu, shares_of(data))
-        sums = self.sums.plus(Sums.of(self.features, self.noise, added))
+        sums, added = self._sums_of(shares_of(data))
+        sums = self.sums.plus(sums)
         if self.shares is None:
             return self._with(None, None, sums)
-        total = [summed(pair) for pair in zip(self.statistics, added, strict=True)]
+        total = added and [summed(pair) for pair in zip(self.statistics, added, strict=True)]
         return self._with(shares_of(data_of(self.shares, len(data.X)).joined(data)), total, sums)
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):

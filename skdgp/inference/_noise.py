@@ -1,0 +1,72 @@
+"""Noise of the values: each output's own, and what noisy regressors carry into all outputs of a sample at once.
+
+To first order a regressor that is off by e, e ~ N(0, S), moves the outputs of sample a by J_a e, with the slopes J_a of
+the posterior mean: their noise has the covariance diag(sigma^2) + J_a S J_a^T (McHutchon & Rasmussen 2011), the same e
+in every output. With G = J R, S = R diag(s) R^T, this is diag(sigma^2) + G_a diag(s) G_a^T.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations_with_replacement
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Scatter(NamedTuple):
+    """Of each output: which sample each value is of, (n_i,), and where noisy regressors carry it, G (n_i, r)."""
+
+    sample: list[np.ndarray]
+    reach: list[np.ndarray]
+
+    @classmethod
+    def from_table(cls, seen, reach) -> Scatter:
+        """Return what belongs to the observed values, ``seen`` (n, P), of ``reach`` (n, P, r)."""
+        return cls([np.flatnonzero(s) for s in seen.T], [reach[s, i] for i, s in enumerate(seen.T)])
+
+    def joined(self, other: Scatter) -> Scatter:
+        """Return these values, then the other's, which are of other samples."""
+        first = 1 + max((s.max() for s in self.sample if len(s)), default=-1)
+        sample = [np.concatenate([a, b + first]) for a, b in zip(self.sample, other.sample, strict=True)]
+        return Scatter(sample, [np.concatenate(pair) for pair in zip(self.reach, other.reach, strict=True)])
+
+    def pairs(self):
+        """Yield the places, rows and columns among the stacked values, of two values of one sample, and their reach.
+
+        Rows are not below columns, and every pair of outputs comes once: (i, j, rows, columns, G_i, G_j).
+        """
+        start = np.cumsum([0, *map(len, self.sample)])
+        for i, j in combinations_with_replacement(range(len(self.sample)), 2):
+            _, a, b = np.intersect1d(self.sample[i], self.sample[j], assume_unique=True, return_indices=True)
+            yield i, j, start[i] + a, start[j] + b, self.reach[i][a], self.reach[j][b]
+
+
+def add_noise(K, noise, data) -> None:
+    """Add the noise to the upper triangle of a covariance matrix of the values, (N, N) in C order.
+
+    Parameters
+    ----------
+    K : ndarray (N, N)
+    noise : ndarray (P,) or (P + r,)
+        Variance of each output, then s where that is not one.
+    data : Data
+    """
+    P = len(data.y)
+    np.einsum("ii->i", K)[:] += np.repeat(noise[:P], [len(y) for y in data.y])
+    if data.scatter is not None:
+        scale = noise[P:] if len(noise) > P else 1.0
+        for _, _, rows, columns, first, second in data.scatter.pairs():
+            K[rows, columns] += np.einsum("nr,nr->n", first * scale, second)
+
+
+def noise_gradient(W, noise, data) -> np.ndarray:
+    """Return 1/2 sum(W * dK / d log noise), (P,) or (P + r,), of a W whose upper triangle is read."""
+    P = len(data.y)
+    outputs = np.repeat(np.arange(P), [len(y) for y in data.y])  # an output without values has no share
+    own = 0.5 * noise[:P] * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)
+    if len(noise) == P:
+        return own
+    carried = np.zeros(len(noise) - P)
+    for i, j, rows, columns, first, second in data.scatter.pairs():
+        carried += (0.5 if i == j else 1.0) * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
+    return np.concatenate([own, noise[P:] * carried])

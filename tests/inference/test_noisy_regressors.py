@@ -1,0 +1,125 @@
+"""Values whose noise is shared by the outputs of a sample: exact and sparse, against dense references."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from skdgp.inference import Data, ExactPosterior, SparsePosterior, log_likelihood, shares_of
+
+NEW = np.random.default_rng(5).normal(size=(6, 2))
+Z = np.random.default_rng(6).normal(size=(7, 2))
+
+
+@pytest.fixture
+def noisy(one_problem):
+    """The problem, with noise that two regressors carry into all outputs; S is the noise of the stacked values."""
+    reach = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
+    one_problem.reach = reach
+    one_problem.data = Data.from_table(one_problem.X, one_problem.Y, reach)
+    return one_problem
+
+
+def noise_of(problem, scale=(1.0, 1.0)):
+    """The noise covariance of the stacked values, entry by entry."""
+    outputs, samples = np.nonzero(np.isfinite(problem.Y.T))
+    same = samples[:, None] == samples
+    G = problem.reach[samples, outputs]
+    return np.where(same, (G * scale) @ G.T, 0.0) + np.diag(problem.noise[outputs])
+
+
+def dense(problem, *scale):
+    return problem.kernel(problem.data.X) + noise_of(problem, *scale)
+
+
+def stacked(features, arrays):
+    K = np.zeros((sum(map(len, arrays)), features.size))
+    row = 0
+    for i, x in enumerate(arrays):
+        K[row : row + len(x), features.columns(i)] = features.Kfu(i, x)
+        row += len(x)
+    return K
+
+
+def sparse(problem, kernel=None, noise=None, features=None):
+    kernel = problem.kernel if kernel is None else kernel
+    noise = problem.noise if noise is None else noise
+    return SparsePosterior(kernel, features or kernel.features(Z), noise, shares_of(problem.data))
+
+
+class TestExact:
+    def test_likelihood(self, noisy):
+        expected = multivariate_normal(cov=dense(noisy)).logpdf(noisy.y)
+        assert log_likelihood(noisy.kernel, noisy.noise, noisy.data) == pytest.approx(expected, rel=1e-10)
+
+    def test_likelihood_of_learned_variances(self, noisy):
+        scale = np.array([0.3, 2.0])
+        expected = multivariate_normal(cov=dense(noisy, scale)).logpdf(noisy.y)
+        found = log_likelihood(noisy.kernel, np.concatenate([noisy.noise, scale]), noisy.data)
+        assert found == pytest.approx(expected, rel=1e-10)
+
+    def test_gradient(self, noisy, assert_gradient):
+        n = noisy.kernel.n_dims
+
+        def at(theta):
+            return log_likelihood(noisy.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), noisy.data)
+
+        theta = np.concatenate([noisy.kernel.theta, np.log(noisy.noise), np.log([0.3, 2.0])])
+        _, gradient = log_likelihood(noisy.kernel, np.exp(theta[n:]), noisy.data, eval_gradient=True)
+        assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
+
+    def test_posterior(self, noisy):
+        mean, variance = ExactPosterior(noisy.kernel, noisy.noise, noisy.data).predict(NEW, return_variance=True)
+        cross = noisy.kernel([NEW] * 3, noisy.data.X)
+        expected = cross @ np.linalg.solve(dense(noisy), noisy.y)
+        left = noisy.kernel(NEW) - cross @ np.linalg.solve(dense(noisy), cross.T)
+        np.testing.assert_allclose(mean.T.ravel(), expected, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(variance.T.ravel(), np.diag(left), rtol=1e-7, atol=1e-10)
+
+
+class TestSparse:
+    def test_bound_is_titsias_with_that_noise(self, noisy):
+        features, S = noisy.kernel.features(Z), noise_of(noisy)
+        Kfu = stacked(features, noisy.data.X)
+        Qff = Kfu @ np.linalg.solve(features.Kuu(), Kfu.T)
+        missing = np.trace(np.linalg.solve(S, noisy.kernel(noisy.data.X) - Qff))
+        expected = multivariate_normal(cov=Qff + S).logpdf(noisy.y) - 0.5 * missing
+        assert sparse(noisy).log_marginal_likelihood == pytest.approx(expected, rel=1e-8)
+
+    def test_posterior(self, noisy):
+        features, S = noisy.kernel.features(Z), noise_of(noisy)
+        Kuu, Kfu, Ksu = features.Kuu(), stacked(features, noisy.data.X), stacked(features, [NEW] * 3)
+        weights = np.linalg.solve(Kuu + Kfu.T @ np.linalg.solve(S, Kfu), Kfu.T @ np.linalg.solve(S, noisy.y))
+        np.testing.assert_allclose(sparse(noisy).predict(NEW).T.ravel(), Ksu @ weights, rtol=1e-7, atol=1e-9)
+
+    def test_gradient_by_everything(self, noisy, assert_gradient):
+        features, n = noisy.kernel.features(Z), noisy.kernel.n_dims
+
+        def bound(theta):
+            kernel = noisy.kernel.clone_with_theta(theta[:n])
+            moved = features.rebuild(kernel, theta[n + 3 :])
+            return sparse(noisy, kernel, np.exp(theta[n : n + 3]), moved).log_marginal_likelihood
+
+        theta = np.concatenate([noisy.kernel.theta, np.log(noisy.noise), features.theta])
+        assert_gradient(sparse(noisy).bound_gradient(), bound, theta, rtol=1e-5, atol=1e-4)
+
+    def test_no_reach_is_no_shared_noise(self, noisy):
+        apart = SparsePosterior(
+            noisy.kernel, noisy.kernel.features(Z), noisy.noise, shares_of(Data.from_table(noisy.X, noisy.Y))
+        )
+        noisy.data = Data.from_table(noisy.X, noisy.Y, 0 * noisy.reach)
+        together = sparse(noisy)
+        assert together.log_marginal_likelihood == pytest.approx(apart.log_marginal_likelihood, rel=1e-10)
+        np.testing.assert_allclose(together.bound_gradient(), apart.bound_gradient(), rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("make", [lambda p: ExactPosterior(p.kernel, p.noise, p.data), sparse])
+def test_later_samples_are_as_good_as_earlier_ones(noisy, make):
+    whole = make(noisy)
+    X, Y, reach = noisy.X, noisy.Y, noisy.reach
+    noisy.data = Data.from_table(X[:9], Y[:9], reach[:9])
+    grown = pickle.loads(pickle.dumps(make(noisy))).updated(Data.from_table(X[9:], Y[9:], reach[9:]))
+    assert grown.log_marginal_likelihood == pytest.approx(whole.log_marginal_likelihood, rel=1e-8)
+    for mine, theirs in zip(grown.predict(NEW, True), whole.predict(NEW, True), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-9)

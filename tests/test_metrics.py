@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.compose import TransformedTargetRegressor
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -15,7 +16,7 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
 from skdgp.metrics import (
     SCORERS,
@@ -294,6 +295,33 @@ class TestScorers:
             np.testing.assert_array_equal(scores.loc["early", metric.__name__], expected)
         with pytest.raises(ValueError, match="lacks the columns 'day'"):
             score_flights(TwoOutputs().fit(X, Y), X, Y, flight="day")
+
+    def test_the_last_step_is_asked_for_observed_rows_alone_transformers_see_all(self):
+        X = np.arange(50.0)[:, None]
+        y = np.where(np.arange(50) % 5 == 0, X[:, 0], np.nan)
+        asked = []
+
+        class Watched(NoisyModel):
+            def predict(self, X, **words):
+                asked.append(X.copy())
+                return super().predict(X, **words)
+
+        center = FunctionTransformer(lambda X: X - X.mean())
+        for model in (make_pipeline(center, Watched()), make_pipeline(make_pipeline(center, center), Watched())):
+            for scorer in (*SCORERS.values(), score_outputs):
+                scorer(model.fit(X, X[:, 0]), X, y)
+        assert len(asked) == 12
+        for rows in asked:
+            np.testing.assert_array_equal(rows, X[::5] - 24.5)
+
+    def test_what_holds_transformers_is_asked_for_every_row(self):
+        X = np.arange(50.0)[:, None]
+        y = np.where(np.arange(50) % 5 == 1, X[:, 0], np.nan)
+        center = FunctionTransformer(lambda X: X - X.mean())  # feels which rows it is given
+        inner = make_pipeline(center, LinearRegression())
+        model = make_pipeline(FunctionTransformer(), TransformedTargetRegressor(inner)).fit(X, X[:, 0])
+        for estimator in (model, model[-1]):
+            assert SCORERS["neg_normalized_rmse"](estimator, X, y) == pytest.approx(0, abs=1e-9)
 
     def test_scores_see_through_a_frozen_estimator(self):
         X = np.arange(10.0)[:, None]

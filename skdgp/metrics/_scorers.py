@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
+from sklearn.utils import _safe_indexing
 
 from skdgp._validation import check_columns, check_table
 from skdgp.metrics._arrays import output_names
@@ -65,8 +66,8 @@ class _PredictiveScorer:
         self.metric, self.sign, self.needs_std, self.kwargs = metric, sign, needs_std, kwargs
 
     def __call__(self, estimator, X, y):
-        predicted = predict_with_noise(estimator, X) if self.needs_std else (estimator.predict(X),)
-        return self.sign * self.metric(y, *predicted, **self.kwargs)
+        rows, *predicted = predict_observed(estimator, X, y, with_std=self.needs_std)
+        return self.sign * self.metric(_safe_indexing(y, rows), *predicted, **self.kwargs)
 
     def __repr__(self):
         return f"make_predictive_scorer({self.metric.__name__}, greater_is_better={self.sign > 0})"
@@ -103,15 +104,16 @@ def score_outputs(estimator, X, y) -> dict[str, float]:
     >>> sorted(score_outputs(LinearRegression().fit(X, Y), X, Y))
     ['median_relative_error_0', 'median_relative_error_1', 'normalized_rmse_0', 'normalized_rmse_1']
     """
-    scores = _scores(y, *_predict(estimator, X))
+    rows, *predicted = predict_observed(estimator, X, y, with_std=accepts(estimator, "return_std"))
+    scores = _scores(_safe_indexing(y, rows), *predicted)
     return {f"{metric}_{name}": float(value) for metric, values in scores.items() for name, value in values.items()}
 
 
 def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") -> pd.DataFrame:
     """Score a fitted estimator flight by flight and output by output.
 
-    The whole table is predicted at once, with measurement noise where the estimator knows of it: transformers of a
-    pipeline see every flight whole. A model that is good on average may be bad on one flight.
+    Standard deviations are with measurement noise where the estimator knows of it. A model that is good on average may
+    be bad on one flight.
 
     Parameters
     ----------
@@ -154,7 +156,10 @@ def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") 
     check_columns(check_table(table), [flight], what="table of flights")
     values = np.asarray(Y, dtype=float).reshape(len(table), -1)
     Y = pd.DataFrame(values, columns=output_names(Y) or range(values.shape[1]))
-    predicted = [np.asarray(part).reshape(values.shape) for part in _predict(estimator, table)]
+    rows, *observed = predict_observed(estimator, table, Y, with_std=accepts(estimator, "return_std"))
+    predicted = [np.ones(values.shape) for _ in observed]  # elsewhere there is nothing to compare with
+    for full, part in zip(predicted, observed, strict=True):
+        full[rows] = part.reshape(len(rows), -1)
     tables = {}
     codes, names = pd.factorize(table[flight])
     for code, name in enumerate(names):
@@ -167,11 +172,6 @@ def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") 
     return pd.concat(tables, names=["flight", "output"])
 
 
-def _predict(estimator, X):
-    """Return the mean, and where there is one the standard deviation."""
-    return predict_with_noise(estimator, X) if accepts(estimator, "return_std") else (estimator.predict(X),)
-
-
 def _scores(y, *predicted) -> dict[str, dict]:
     """Return every metric that the predictions allow, by output."""
     found = {metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT}
@@ -181,19 +181,42 @@ def _scores(y, *predicted) -> dict[str, dict]:
     return {metric: dict(zip(names, values, strict=True)) for metric, values in found.items()}
 
 
+def predict_observed(estimator, X, y, *, with_std: bool):
+    """Return the rows where some target is observed, all if none is, and mean and std there.
+
+    The transformers of a pipeline see every row, its last step the observed ones alone: deviations cost most. What
+    may hold transformers itself, a step with an estimator inside, sees every row too.
+    """
+    seen = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
+    rows = np.flatnonzero(seen) if seen.any() else np.arange(len(seen))
+    if with_std:
+        check_predicts_std(estimator)
+    estimator = unwrap(estimator)
+    while isinstance(estimator, Pipeline):
+        X, estimator = estimator[:-1].transform(X) if len(estimator) > 1 else X, unwrap(estimator[-1])
+    nested = any(isinstance(value, BaseEstimator) for value in estimator.get_params().values())
+    X = X if nested else _safe_indexing(X, rows)
+    predicted = predict_with_noise(estimator, X) if with_std else (estimator.predict(X),)
+    return rows, *([part[rows] for part in predicted] if nested else predicted)
+
+
 def predict_with_noise(estimator, X):
     """Return mean and std, with measurement noise where the estimator can add it."""
+    check_predicts_std(estimator)
+    noise = {"include_noise": True} if accepts(estimator, "include_noise") else {}
+    return unwrap(estimator).predict(X, return_std=True, **noise)
+
+
+def check_predicts_std(estimator) -> None:
+    """Refuse an estimator that states no uncertainty."""
     if not accepts(estimator, "return_std"):
         raise TypeError(
             f"Got {type(estimator).__name__}, whose predict takes no return_std, but this metric needs "
             "predictive standard deviations: use DependentGPRegressor (also inside a Pipeline), or a metric of means."
         )
-    noise = {"include_noise": True} if accepts(estimator, "include_noise") else {}
-    fitted = _unwrap(estimator)
-    return fitted.predict(X, return_std=True, **noise)
 
 
-def _unwrap(estimator) -> BaseEstimator:
+def unwrap(estimator) -> BaseEstimator:
     """Return the fitted estimator behind a search, whose own predict takes no keywords, or behind a frozen one."""
     while True:
         if isinstance(estimator, FrozenEstimator):
@@ -206,8 +229,8 @@ def _unwrap(estimator) -> BaseEstimator:
 
 def accepts(estimator, keyword) -> bool:
     """Whether the last step's predict takes the keyword."""
-    estimator = _unwrap(estimator)
+    estimator = unwrap(estimator)
     while isinstance(estimator, Pipeline):
-        estimator = _unwrap(estimator.steps[-1][1])
+        estimator = unwrap(estimator.steps[-1][1])
     parameters = inspect.signature(estimator.predict).parameters.values()
     return any(p.name == keyword or p.kind is p.VAR_KEYWORD for p in parameters)

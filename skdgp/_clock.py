@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 import pandas as pd
@@ -11,6 +11,8 @@ GAP = 2.5
 """A step longer than this many median steps starts a new segment (one lost sample is bridged)."""
 JITTER = 0.02
 """Samples nearer than this fraction of a step to a uniform grid are taken to lie on it (rounded clocks)."""
+SHORTEST_PART = 10
+"""A clock that goes back sooner than after so many samples was not restarted: the rows are in disorder."""
 
 
 def flight_segments(time, flight=None) -> list[slice]:
@@ -45,6 +47,38 @@ def flight_segments(time, flight=None) -> list[slice]:
     return _split(time, codes)
 
 
+def part_restarts(time, flight) -> tuple[np.ndarray, np.ndarray]:
+    """Name apart the parts of flights whose clock was restarted: a, a#2, a#3.
+
+    Parameters
+    ----------
+    time : ndarray of shape (n,)
+        Time [s].
+    flight : array-like of shape (n,)
+        Flight identifiers.
+
+    Returns
+    -------
+    names : ndarray of shape (n,)
+        Identifiers, new ones from each restart on; the old ones where rows stand in disorder or stand still.
+    restarts : ndarray of int
+        The rows at which a clock begins again.
+    """
+    flight = np.asarray(flight, dtype=object)
+    same = flight[1:] == flight[:-1]
+    back = np.flatnonzero(same & (np.diff(time) < 0)) + 1
+    edges = np.r_[0, np.flatnonzero(~same) + 1, back, len(time)]
+    if not back.size or np.any(same & (np.diff(time) == 0)) or np.diff(np.sort(edges)).min() < SHORTEST_PART:
+        return flight, np.empty(0, int)
+    names, taken = flight.copy(), set(flight)
+    for row in back:
+        end = row + np.argmin(np.r_[flight[row:] == flight[row], False])
+        name = next(new for k in count(2) if (new := f"{flight[row]}#{k}") not in taken)
+        taken.add(name)
+        names[row:end] = name
+    return names, back
+
+
 def check_clock(time, flight):
     """Return time (n,) as float and integer flight codes (n,)."""
     time = np.asarray(time, dtype=float)
@@ -60,7 +94,7 @@ def check_clock(time, flight):
         raise ValueError(
             f"Got time {time[row]:g} s after {time[row - 1]:g} s at row {row}, but expected time to increase "
             "strictly within a flight: sort the rows by flight and time, drop repeated ones, or name the "
-            "flights apart."
+            "flights apart (skdgp.preprocessing.FlightCheck does where a clock was restarted)."
         )
     return time, codes
 
@@ -78,8 +112,8 @@ def uniform_grid(time):
     n = len(time)
     if n < 3:
         return time, False
-    count = np.arange(n)
-    line = np.polynomial.Polynomial.fit(count, time, 1)(count)
+    index = np.arange(n)
+    line = np.polynomial.Polynomial.fit(index, time, 1)(index)
     step = (line[-1] - line[0]) / (n - 1)
     if np.abs(time - line).max() <= JITTER * step:
         return line, False

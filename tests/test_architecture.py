@@ -25,6 +25,8 @@ FLOORS = [
         "_vocabulary",
         "_validation",
         "_clock",
+        "_fault_signs",
+        "_faults",
         "_spectrum",
         "_signal",
         "_linalg",

@@ -84,8 +84,10 @@ class TestScikitLearnContract:
         assert found == {
             "DependentGPRegressor",
             "ElevonSplitter",
+            "FlightCheck",
             "FlightPathReconstruction",
             "FlightSmoother",
+            "LagCorrector",
             "RateNondimensionalizer",
             "RegressorSelector",
         }

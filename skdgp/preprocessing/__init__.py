@@ -7,7 +7,10 @@
 ... )
 """
 
+from skdgp._faults import FlightDataWarning
+from skdgp.preprocessing._check import FlightCheck, inspect_flight
 from skdgp.preprocessing._elevons import ElevonSplitter
+from skdgp.preprocessing._lag import LagCorrector
 from skdgp.preprocessing._rates import RateNondimensionalizer
 from skdgp.preprocessing._reconstruction import FlightPathReconstruction
 from skdgp.preprocessing._selector import RegressorSelector
@@ -15,8 +18,12 @@ from skdgp.preprocessing._smoother import FlightSmoother
 
 __all__ = [
     "ElevonSplitter",
+    "FlightCheck",
+    "FlightDataWarning",
     "FlightPathReconstruction",
     "FlightSmoother",
+    "LagCorrector",
     "RateNondimensionalizer",
     "RegressorSelector",
+    "inspect_flight",
 ]

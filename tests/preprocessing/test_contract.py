@@ -13,13 +13,18 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 import skdgp.preprocessing as preprocessing
 from skdgp.preprocessing import (
     ElevonSplitter,
+    FlightCheck,
     FlightPathReconstruction,
     FlightSmoother,
+    LagCorrector,
     RateNondimensionalizer,
     RegressorSelector,
 )
 
 TRANSFORMERS = [
+    FlightCheck(),
+    LagCorrector(),
+    LagCorrector({"air": 0.08, "p": -0.03}),
     FlightPathReconstruction(),
     FlightSmoother(),
     FlightSmoother(cutoff=4.0, derivatives=["p", "q", "r"]),
@@ -45,7 +50,14 @@ def flight_table(n=400, flights=("one", "two"), seed=3):
         parts.append(
             pd.DataFrame({"time": t, "flight": flight, "airspeed": 30 + np.sin(t), **waves})
             .assign(elevon_left=left, elevon_right=right, elevator=(left + right) / 2, aileron=(left - right) / 2)
-            .assign(phi=0.0, theta=0.1, psi=0.2 * np.sin(t), v_north=30.0, v_east=1.0, v_down=0.0)
+            .assign(
+                phi=0.01 * np.cos(t),
+                theta=0.1 + 0.01 * np.sin(t),
+                psi=0.2 * np.sin(t),
+                v_north=30.0,
+                v_east=1.0,
+                v_down=0.0,
+            )
             .assign(rudder=0.05 * np.sin(t), throttle=0.5, alpha_true=0.0, remark="a word", my_sensor=1)
         )
     return pd.concat(parts, ignore_index=True)
@@ -57,8 +69,9 @@ def ready_table():
 
 def test_every_public_transformer_is_checked():
     public = {obj for obj in vars(preprocessing).values() if inspect.isclass(obj)}
+    public -= {preprocessing.FlightDataWarning}
     assert public == {type(transformer) for transformer in TRANSFORMERS}
-    assert len(public) == 5
+    assert len(public) == 7
 
 
 @pytest.mark.filterwarnings("ignore:.*without column names that it knows:UserWarning")

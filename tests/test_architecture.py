@@ -40,7 +40,7 @@ FLOORS = [
     ["kernels", "io", "preprocessing", "dynamics"],
     ["inference", "metrics"],
     ["_regressor", "model_selection", "_model_file"],
-    ["identification", "plotting", "datasets"],
+    ["identification", "calibration", "plotting", "datasets"],
     ["report"],
     ["_cli"],
     ["__main__", "__init__"],

@@ -204,7 +204,7 @@ def predict_with_noise(estimator, X):
     """Return mean and std, with measurement noise where the estimator can add it."""
     check_predicts_std(estimator)
     noise = {"include_noise": True} if accepts(estimator, "include_noise") else {}
-    return unwrap(estimator).predict(X, return_std=True, **noise)
+    return tuple(np.asarray(part) for part in unwrap(estimator).predict(X, return_std=True, **noise))
 
 
 def check_predicts_std(estimator) -> None:

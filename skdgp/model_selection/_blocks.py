@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from numbers import Integral, Real
 
@@ -107,6 +108,15 @@ class BlockSplit(BaseCrossValidator):
                     "train on: lower gap, or raise n_splits."
                 )
             yield train, test
+
+
+def held_out(cv, table: pd.DataFrame, groups) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the pairs of rows of a splitter, whether or not it asks for groups, or of an iterable."""
+    if not hasattr(cv, "split"):
+        return list(cv)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="The groups parameter is ignored")
+        return list(cv.split(table, groups=groups))
 
 
 def flight_rows(X: pd.DataFrame, groups=None) -> dict:

@@ -11,7 +11,7 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from skdgp._validation import check_columns, check_table
 from skdgp.metrics import score_outputs
-from skdgp.model_selection._blocks import flight_rows
+from skdgp.model_selection._blocks import flight_rows, held_out
 from skdgp.model_selection._thin import thin_targets
 
 
@@ -127,9 +127,7 @@ def _first(second: float, table: pd.DataFrame, train: np.ndarray) -> np.ndarray:
 
 
 def _held_out(cv, table: pd.DataFrame) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return pairs of training and test rows."""
-    if cv is not None and not hasattr(cv, "split"):
-        return list(cv)
+    """Return pairs of training and test rows, of each flight in turn by default."""
     flights = flight_rows(table)
     if cv is None and len(flights) < 2:
         raise ValueError(
@@ -139,7 +137,7 @@ def _held_out(cv, table: pd.DataFrame) -> list[tuple[np.ndarray, np.ndarray]]:
     groups = np.empty(len(table), dtype=int)
     for code, rows in enumerate(flights.values()):
         groups[rows] = code
-    return list((cv or LeaveOneGroupOut()).split(table, groups=groups))
+    return held_out(LeaveOneGroupOut() if cv is None else cv, table, groups)
 
 
 def _take(Y, rows):

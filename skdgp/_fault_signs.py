@@ -2,7 +2,7 @@
 
 A sensor with noise hardly ever repeats a value: where a share p of all runs of equal values is longer than usual, one
 of k times the usual length has a chance of p^(k-1). The usual length is the channel's own, so that a sensor slower than
-the table is not stuck. Where a channel moves quantum by quantum, runs say little: it is stuck only if it then leaps.
+the table is not stuck. Where a channel has no noise, or moves quantum by quantum, runs say little: it is stuck only if it then leaps.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ LEAST_STOP = 0.5
 SPIKE = 8.0
 """A spike stands out from its neighbours by so many times what all but 0.5 % of samples do."""
 WIDEST_SPIKE = 3
+SMOOTH = 0.5
+"""Steps that change by less than this share of themselves are those of a channel without noise (with noise: 1.7)."""
 LOST = 1.5
 """A sample is lost where the next comes later than so many usual spacings."""
 
@@ -55,8 +57,9 @@ def holds(values, step: float) -> list[np.ndarray]:
     leap = np.abs(np.diff(seen[runs.start], append=np.nan))
     steps = leap[:-1]
     quantum = np.quantile(steps, 0.01)
+    bend = np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps)
     stuck = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_HOLD)
-    if np.median(steps) <= LOST * quantum:
+    if bend < SMOOTH or np.median(steps) <= LOST * quantum:
         stuck &= leap > max(3 * quantum, np.quantile(steps, 0.99))
     return [rows[first + 1 : first + n] for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)]
 

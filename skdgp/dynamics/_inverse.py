@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pandas as pd
 
+from skdgp._faults import NOT_MEASURED, POSSIBLE, FlightDataWarning, find_faults, told, without_faults
 from skdgp._signal import differentiate, smooth
+from skdgp._validation import check_columns, check_table
 from skdgp._vocabulary import COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._checks import check_flight
@@ -19,6 +22,7 @@ __all__ = ["aerodynamic_coefficients"]
 RATES = ["p", "q", "r"]
 RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 SPECIFIC_FORCE = ["ax", "ay", "az"]
+NEEDED = ["airspeed", "density", *SPECIFIC_FORCE, *RATES]
 
 
 def aerodynamic_coefficients(
@@ -28,6 +32,7 @@ def aerodynamic_coefficients(
     cutoff: float | str | None = "auto",
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
+    ignore: Iterable[str] = (),
 ) -> pd.DataFrame:
     """Return the six aerodynamic coefficients along a flight.
 
@@ -56,17 +61,25 @@ def aerodynamic_coefficients(
     external_forces : sequence of str, default=()
         Further loads to take away: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
         tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.
+    ignore : iterable of str, default=()
+        Columns of ``flight`` that are not looked at for faults.
 
     Returns
     -------
     pandas.DataFrame
-        Columns CX, CY, CZ, Cl, Cm, Cn with the flight's index; NaN where a channel needed is NaN.
+        Columns CX, CY, CZ, Cl, Cm, Cn with the flight's index; NaN where a channel needed is NaN, stuck, impossible or
+        a spike (as :func:`skdgp.preprocessing.inspect_flight` finds them).
 
     Raises
     ------
     ValueError
         If a column is missing, time does not increase, airspeed is not positive, values are impossible in SI
         units, or nothing tells the thrust.
+
+    Warns
+    -----
+    FlightDataWarning
+        If samples were not measured, and the coefficients are not known there.
 
     Examples
     --------
@@ -79,7 +92,8 @@ def aerodynamic_coefficients(
     >>> aerodynamic_coefficients(flight, glider, cutoff=None, thrust=None).round(3).iloc[0].to_dict()
     {'CX': 0.014, 'CY': 0.0, 'CZ': -0.454, 'Cl': 0.0, 'Cm': 0.0, 'Cn': 0.0}
     """
-    check_flight(flight, ["time", "airspeed", "density", *SPECIFIC_FORCE, *RATES])
+    flight = _measured(flight, ignore)
+    check_flight(flight, ["time", *NEEDED])
     measured, rate_derivatives = _smoothed(flight, cutoff)
     force, moment = propulsive_loads(measured, aircraft, thrust)
     external_force, external_moment = external_loads(flight, external_forces)
@@ -90,6 +104,16 @@ def aerodynamic_coefficients(
     values = np.hstack([force / scale, moment / (scale * aircraft.moment_lengths)])
     values[~np.isfinite(values).all(axis=1)] = np.nan
     return pd.DataFrame(values, columns=list(COEFFICIENTS), index=flight.index)
+
+
+def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
+    """Return the flight with NaN for what was not measured of the channels needed, and tell of it."""
+    check_columns(check_table(flight), ["time", *NEEDED])
+    found = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
+    found = [each for each in found if each.kind in NOT_MEASURED]
+    if found:
+        warnings.warn(told(found, "The coefficients are not known there (NaN)."), FlightDataWarning, stacklevel=3)
+    return without_faults(flight, found)
 
 
 def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:

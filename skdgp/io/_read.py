@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from skdgp._clock import part_restarts
+from skdgp._faults import FlightDataWarning
 from skdgp._vocabulary import CHANNELS
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
@@ -154,7 +156,7 @@ def _as_flight(table, flight, *, overrides):
         table["flight"] = flight
     table = table.assign(**_as_numbers(table))
     table["flight"] = table["flight"].astype(str)
-    table = _without_repeats(table)
+    table = _parted(_without_repeats(table))
     _check_time(table)
     check_magnitudes(table)
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
@@ -206,6 +208,21 @@ def _without_repeats(table):
         stacklevel=5,
     )
     return table[~repeated].reset_index(drop=True)
+
+
+def _parted(table):
+    """Name apart the parts of a flight whose clock was restarted."""
+    time = table["time"].to_numpy()
+    names, restarts = part_restarts(time, table["flight"].to_numpy())
+    if not restarts.size:
+        return table
+    said = [f"from {time[row - 1]:.6g} s to {time[row]:.6g} s at row {row}: {names[row]!r}" for row in restarts[:8]]
+    warnings.warn(
+        f"Time goes back where a clock was restarted, and from there on flights are named apart ({'; '.join(said)}).",
+        FlightDataWarning,
+        stacklevel=5,
+    )
+    return table.assign(flight=names)
 
 
 def _check_time(table):

@@ -95,7 +95,7 @@ def test_the_flight_given_is_not_changed(simulated, aircraft):
     [
         (lambda f: f.drop(columns="density"), "lacks the columns 'density'"),
         (lambda f: f.rename(columns={"airspeed": "air_speed"}), "'airspeed' .nearest: 'air_speed'"),
-        (lambda f: f.assign(airspeed=f["airspeed"].where(f.index != 7, 0.0)), "airspeed 0 m/s at row 7 and 1 rows"),
+        (lambda f: f.assign(airspeed=f["airspeed"].where(f.index < 7, 0.0)), "airspeed 0 m/s at row 7 and .* rows"),
         (lambda f: f.assign(time=f["time"].where(f.index != 7, 0.0)), "expected time to increase"),
         (lambda f: f.assign(alpha=np.rad2deg(f["alpha"]) + 4), "Got alpha up to .*deg2rad"),
         (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got phi up to .*deg2rad"),

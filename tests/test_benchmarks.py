@@ -17,6 +17,7 @@ SCRIPTS = (
     "prediction_peers",
     "prediction",
     "workers",
+    "comparison",
 )
 
 
@@ -58,7 +59,8 @@ def test_page_is_filled_where_there_are_results_and_left_alone_elsewhere(script)
 
 def test_every_table_on_the_page_has_a_script(script):
     page = script("page")
-    marks = page.re.findall(r"<!-- (\w+):\w+ -->", (page.DOCS / "benchmarks.md").read_text(encoding="utf-8"))
+    text = "".join((page.DOCS / name).read_text(encoding="utf-8") for name in page.PAGES)
+    marks = page.re.findall(r"<!-- (\w+):\w+ -->", text)
     assert marks
     for name in marks:
         script_of = {"tried": "heldout"}.get(name, name)
@@ -95,3 +97,57 @@ class TestLikelihoodOfOthers:
         with gpytorch.cholesky():
             theirs = gpytorch.likelihood_and_gradient(model, noise)()
         assert likelihood.log_likelihood(kernel, np.full(3, 0.3), data) == pytest.approx(theirs, rel=1e-6)
+
+
+class TestComparison:
+    """What other methods are given is what the field means by their names."""
+
+    def test_forward_selection_takes_the_terms_that_made_the_target(self, script):
+        np = importlib.import_module("numpy")
+        rng = np.random.default_rng(0)
+        X = rng.normal(size=(400, 4))
+        Y = np.column_stack([X[:, 0] * X[:, 1] - 2 * X[:, 3], X[:, 2] ** 2]) + 0.1 * rng.normal(size=(400, 2))
+        model = script("_peers").EquationError(2, stepwise=True).fit(X, Y)
+        names = model.features.get_feature_names_out()
+        assert [set(names[terms]) for terms in model.terms] == [{"x3", "x0 x1"}, {"x2^2"}]
+        inside = np.abs(model.predict(X) - Y) < 1.96 * model.bands(X)[1]
+        assert 0.9 < inside.mean() < 0.98
+
+    def test_bands_of_least_squares_are_the_textbooks(self, script):
+        np = importlib.import_module("numpy")
+        rng = np.random.default_rng(0)
+        X, asked = rng.normal(size=(30, 2)), rng.normal(size=(5, 2))
+        y = X @ [1.0, -2.0] + 0.3 * rng.normal(size=30)
+        A, B = (np.column_stack([np.ones(len(x)), x]) for x in (X, asked))
+        residual = y - A @ np.linalg.solve(A.T @ A, A.T @ y)
+        variance = residual @ residual / 27
+        expected = np.sqrt(variance * np.einsum("ij,jk,ik->i", B, np.linalg.inv(A.T @ A), B))
+        function, measurement = script("_peers").EquationError().fit(X, y[:, None]).bands(asked)
+        assert function[:, 0] == pytest.approx(expected)
+        assert measurement[:, 0] == pytest.approx(np.hypot(expected, np.sqrt(variance)))
+
+    def test_a_trend_is_put_back(self, script):
+        np = importlib.import_module("numpy")
+        X = np.random.default_rng(0).normal(size=(50, 2))
+        peers = script("_peers")
+        nothing = peers.DummyRegressor(strategy="constant", constant=[0.0, 0.0])
+        Y = X @ [[1.0, 2.0], [3.0, -1.0]] + 5 + 1e-3 * np.sin(9 * X)
+        assert peers.OnTrend(nothing).fit(X, Y).predict(X) == pytest.approx(Y, abs=0.01)
+
+    def test_finite_differences_stay_within_a_flight(self, script):
+        np, pd = importlib.import_module("numpy"), importlib.import_module("pandas")
+        t = np.tile(np.arange(5.0), 2)
+        table = pd.DataFrame({"time": t, "flight": np.repeat(["a", "b"], 5), "alpha": t, "beta": -2 * t})
+        out = script("_comparison_methods").finite_differences(table)
+        assert (out["alpha_dot"] == 1).all()
+        assert (out["beta_dot"] == -2).all()
+
+    def test_runs_that_are_kept_are_not_run_again(self, script, tmp_path, monkeypatch):
+        comparison = script("comparison")
+        words = ["--smoke", "--no-peers", "--methods", "ols", "--out", str(tmp_path)]
+        comparison.main(words)
+        before = (tmp_path / "comparison.json").read_text()
+        monkeypatch.setattr(comparison, "run", None)
+        comparison.main(words)
+        tables = (json.loads(text)["toy"] for text in (before, (tmp_path / "comparison.json").read_text()))
+        assert next(tables) == next(tables)

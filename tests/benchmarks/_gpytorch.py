@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from functools import partial
 
 import gpytorch
 import numpy as np
@@ -107,7 +106,7 @@ def train_variational(
     seed=0,
     length_scale=None,
 ):
-    """Maximise the evidence lower bound by stochastic steps; yield (step, predict) after each, without end.
+    """Maximise the evidence lower bound by stochastic steps; yield (step, predictor) after each, without end.
 
     Parameters
     ----------
@@ -137,7 +136,7 @@ def train_variational(
     if natural:
         optimizers.append(gpytorch.optim.NGD(model.variational_parameters(), num_data=len(Y), lr=natural))
     schedule = decay and torch.optim.lr_scheduler.ExponentialLR(optimizers[0], 0.1 ** (1 / decay))
-    step = 0
+    step, predictor = 0, Predictor(model, likelihood)
     while True:
         for rows in torch.randperm(len(X)).split(batch):
             for optimizer in optimizers:
@@ -148,17 +147,32 @@ def train_variational(
             if schedule:
                 schedule.step()
             step += 1
-            yield step, partial(predict, model)
+            yield step, predictor
 
 
-def predict(model, X, rows=2048):
-    """Return the mean (n, P), and leave the model as it was: in training."""
-    model.eval()
-    with torch.no_grad():
-        parts = torch.as_tensor(X, dtype=torch.float32).split(rows)
-        mean = torch.cat([model(part).mean for part in parts]).double().numpy()
-    model.train()
-    return mean
+class Predictor:
+    """What a model in training knows now; it is left as it was: in training."""
+
+    def __init__(self, model, likelihood):
+        self.model, self.likelihood = model, likelihood
+
+    def __call__(self, X):
+        """Return the mean (n, P)."""
+        return self._of_parts(X, lambda posterior: posterior.mean)
+
+    def bands(self, X):
+        """Return the standard deviations of the function and of a measurement, each (n, P)."""
+        variance = self._of_parts(X, lambda posterior: posterior.variance)
+        noise = (self.likelihood.task_noises + self.likelihood.noise).detach().double().numpy()
+        return np.sqrt(variance), np.sqrt(variance + noise)
+
+    def _of_parts(self, X, moment, rows=2048):
+        self.model.eval()
+        with torch.no_grad():
+            parts = torch.as_tensor(X, dtype=torch.float32).split(rows)
+            values = torch.cat([moment(self.model(part)) for part in parts]).double().numpy()
+        self.model.train()
+        return values
 
 
 def clocked(steps, seconds):

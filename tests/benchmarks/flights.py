@@ -36,12 +36,17 @@ def flights(folder):
     for aircraft, train, test in PAIRS:
         tables = (read_flight(folder / "flights" / f"{aircraft}_{part}.parquet") for part in (train, test))
         yield f"{aircraft} {train}", Aircraft.from_json(folder / "flights" / f"{aircraft}.json"), *tables, {}
-    table = read_flight(folder / "ampyx_ap2" / "ampyx_ap2.parquet")
+    yield "ampyx_ap2 blocks", *ampyx_ap2(folder)
+
+
+def ampyx_ap2(folder):
+    """Return aircraft, training and test blocks, and the keywords of the inverse dynamics."""
+    table = read_flight(Path(folder) / "ampyx_ap2" / "ampyx_ap2.parquet")
     block = np.arange(len(table)) * 10 // len(table)
     table["flight"] = [f"block {b + 1}" for b in block]
     parts = (table[block % 2 == k].reset_index(drop=True) for k in (0, 1))
     loads = {"thrust": None, "external_forces": ["tether"]}
-    yield "ampyx_ap2 blocks", Aircraft.from_json(folder / "ampyx_ap2" / "ampyx_ap2.json"), *parts, loads
+    return Aircraft.from_json(Path(folder) / "ampyx_ap2" / "ampyx_ap2.json"), *parts, loads
 
 
 def main(folder, samples=755):

@@ -1,4 +1,4 @@
-"""Bring the page of benchmarks up to date: its tables and pictures from the results of the other scripts.
+"""Bring the pages of benchmarks and of the comparison up to date: tables and pictures from the scripts' results.
 
     python tests/benchmarks/page.py FOLDER
 
@@ -21,6 +21,7 @@ from matplotlib.ticker import NullLocator
 from skdgp.plotting._style import PALETTE, tidy
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGES = ("benchmarks.md", "comparison.md")
 COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}
 DASHES = {"exact": "--", "one thread": "--", "150": ":"}
 COLOURS |= {"mogptk": "orange", "least": "grey"}
@@ -28,8 +29,8 @@ COLOURS |= {"mogptk": "orange", "least": "grey"}
 
 def main(folder, docs=DOCS):
     results = {path.stem: json.loads(path.read_text()) for path in sorted(Path(folder).glob("*.json"))}
-    page = docs / "benchmarks.md"
-    page.write_text(filled(page.read_text(encoding="utf-8"), results), encoding="utf-8")
+    for page in map(docs.joinpath, PAGES):
+        page.write_text(filled(page.read_text(encoding="utf-8"), results), encoding="utf-8")
     (docs / "images").mkdir(exist_ok=True)
     with mpl.rc_context({"font.size": 9, "figure.dpi": 110, "savefig.dpi": 110}):
         for name, draw in PICTURES.items():
@@ -66,6 +67,8 @@ def cell(value, head=""):
         return str(value)
     if "NRMSE" in head or head == "best":
         return f"{value:.3f}"
+    if "MAE" in head:
+        return f"{value:.4f}"
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
@@ -133,7 +136,49 @@ def growth(results):
     return figure
 
 
-PICTURES = {"heldout": heldout, "growth": growth}
+FLIGHTS = {  # of the comparison
+    "viggen_latlon": "delta, two altitudes",
+    "viggen_lateral": "delta, from lateral alone",
+    "viggen_lateral_to_latlon": "delta, lateral to both",
+    "c172p": "Cessna 172, calm air",
+    "ampyx_ap2": "AP2, a real flight",
+}
+INPUTS = {"raw": "o", "filtered": "s", "reconstructed": "D", "own": "s"}
+ORDER = ("raw", "filtered", "reconstructed")
+
+
+def comparison(results):
+    """Draw the error of every method, a panel for each flight, a mark for each kind of inputs."""
+    shown = [flight for flight in FLIGHTS if flight in results]
+    methods = [_called(row) for row in max((results[flight] for flight in shown), key=len)]
+    figure, axes = plt.subplots(
+        1, len(shown), figsize=(2.0 + 2.2 * len(shown), 4.2), layout="constrained", sharey=True, squeeze=False
+    )
+    for ax, flight in zip(axes[0], shown, strict=True):
+        for row in results[flight]:
+            at, shade = methods.index(_called(row)), PALETTE["blue" if "skdgp" in row["method"] else "grey"]
+            for kind, marker in INPUTS.items():
+                error = row[f"NRMSE {kind}"]
+                filled = shade if kind in ("filtered", "own") else "none"
+                ax.plot(error, at, marker, color=shade, markerfacecolor=filled, markersize=5) if error else None
+        ax.set_xlabel("NRMSE")
+        ax.set_title(FLIGHTS[flight], fontsize="small")
+        tidy(ax)
+        ax.margins(x=0.06)
+    axes[0, 0].set_yticks(range(len(methods)), methods)
+    axes[0, 0].invert_yaxis()
+    marks = [plt.Line2D([], [], linestyle="", marker=INPUTS[kind], color="grey", label=kind) for kind in ORDER]
+    for mark, kind in zip(marks, ORDER, strict=True):
+        mark.set_markerfacecolor("grey" if kind == "filtered" else "none")
+    figure.legend(handles=marks, loc="outside lower right", ncols=3, frameon=False)
+    return figure
+
+
+def _called(row):
+    return f"{row['method'].strip('*')}, {row['samples'] if row['samples'] < 1000 else 'all'}"
+
+
+PICTURES = {"heldout": heldout, "growth": growth, "comparison": comparison}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -163,10 +163,8 @@ def coverage_curve(y_true, y_pred, y_std, *, levels=LEVELS) -> pd.DataFrame:
     names = output_names(y_true)
     levels = check_levels(levels)
     y_true, y_pred, y_std = check_scored(y_true, y_pred, y_std, zero_std=True)
-    z = standardized(y_true, y_pred, y_std)
-    bounds = norm.ppf(0.5 + levels / 2)
-    shares = [[_share(np.abs(column[~np.isnan(column)]), bound) for column in z.T] for bound in bounds]
-    return pd.DataFrame(shares, index=pd.Index(levels, name="level"), columns=names or range(z.shape[1]))
+    shares = shares_inside(standardized(y_true, y_pred, y_std), levels)
+    return pd.DataFrame(shares, index=pd.Index(levels, name="level"), columns=names or range(shares.shape[1]))
 
 
 def standardized(y_true, y_pred, y_std) -> np.ndarray:
@@ -185,5 +183,10 @@ def check_levels(levels) -> np.ndarray:
     return np.sort(levels)
 
 
-def _share(distance, bound) -> float:
-    return float(np.mean(distance <= bound)) if distance.size else np.nan
+def shares_inside(z, levels) -> np.ndarray:
+    """Return the share of standardized errors (n, P) inside each central interval, (L, P); NaN ones do not count."""
+    bounds = norm.ppf(0.5 + levels / 2)
+    seen = [np.sort(np.abs(column[~np.isnan(column)])) for column in z.T]
+    return np.column_stack(
+        [np.searchsorted(z, bounds, side="right") / len(z) if len(z) else np.full(len(bounds), np.nan) for z in seen]
+    )

@@ -5,19 +5,24 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from skdgp._vocabulary import COEFFICIENTS, LONGITUDINAL
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.metrics._probabilistic import LEVELS, check_levels, shares_inside, standardized
 from skdgp.plotting._arrays import check_columns_of, check_std, choose, names_of
-from skdgp.plotting._coefficients import predict_with_std
-from skdgp.plotting._style import CYCLE, PALETTE, check_matplotlib, panels, symbol, tidy
+from skdgp.plotting._coefficients import grid, predict_with_std
+from skdgp.plotting._style import CYCLE, PALETTE, check_matplotlib, dashes, panels, symbol, tidy
 
-LEVELS = np.append(np.arange(0.05, 0.96, 0.05), 0.99)
+N_BINS = 20
 
 
 class CalibrationDisplay:
-    """Share of values inside their interval against the interval's probability, per output.
+    """How often intervals hold, against what they promise, and where in its distribution each value lies, per output.
 
     The interval of probability c is mean +/- z std with z = Phi^-1((1 + c) / 2). A curve on the diagonal: the
     standard deviations are right. Below it: too small (overconfident). Above it: too large.
+
+    The probability integral transform Phi((y - mean) / std) of honest predictions is uniform (Dawid 1984; Gneiting,
+    Balabdaoui & Raftery 2007). A histogram like a hill: deviations too large. Like a bowl: too small. Aslant: the mean
+    is off to one side, which coverage does not tell.
 
     Use :meth:`from_estimator` or :meth:`from_predictions`. All parameters are kept as attributes.
 
@@ -27,6 +32,8 @@ class CalibrationDisplay:
         Probabilities of the intervals.
     observed : (L, P)
         Share of values inside; NaN for an output never observed.
+    pit : (B, P)
+        Density of the probability integral transform in B equal bins from 0 to 1; one is uniform, NaN never observed.
     output_names : P names
         The outputs.
     n_values : (P,) int
@@ -35,10 +42,12 @@ class CalibrationDisplay:
     Attributes
     ----------
     lines_ : list of Line2D
-        One per output drawn.
+        Of the coverage, one per output drawn.
     diagonal_ : Line2D
         Where a calibrated model lies.
-    ax_, figure_ : Axes, Figure
+    bars_ : list of StepPatch
+        Of the histograms, one per output drawn.
+    ax_, axes_, figure_ : Axes, ndarray of Axes, Figure
         Where it was drawn.
 
     Examples
@@ -50,21 +59,27 @@ class CalibrationDisplay:
     >>> display = CalibrationDisplay.from_predictions(y, 0 * y, 1 + 0 * y, ax=Figure())
     >>> bool(abs(display.observed[:, 0] - display.nominal).max() < 0.03)
     True
+    >>> bool(abs(display.plot(Figure(), kind="pit").pit - 1).max() < 0.2)
+    True
     """
 
-    def __init__(self, *, nominal, observed, output_names, n_values):
+    def __init__(self, *, nominal, observed, pit, output_names, n_values):
         self.nominal = nominal
         self.observed = observed
+        self.pit = pit
         self.output_names = output_names
         self.n_values = n_values
 
-    def plot(self, ax=None, *, outputs=None, legend=True):
-        """Draw the curves.
+    def plot(self, ax=None, *, kind="coverage", outputs=None, legend=True):
+        """Draw the curves, or the histograms.
 
         Parameters
         ----------
-        ax : Axes or Figure, optional
-            Where to draw; default: a new pyplot figure.
+        ax : Axes, Figure, SubFigure or array of Axes, optional
+            Where to draw; default: a new pyplot figure. One Axes is divided when there are several panels.
+        kind : {"coverage", "pit"}, default="coverage"
+            Coverage by level, all outputs in one panel; or the histogram of the probability integral transform, a panel
+            per output.
         outputs : names, optional
             Which outputs to draw, default all.
         legend : bool, default=True
@@ -76,8 +91,19 @@ class CalibrationDisplay:
             Itself, with the artists as attributes.
         """
         check_matplotlib(f"{type(self).__name__}.plot")
+        if kind not in ("coverage", "pit"):
+            raise ValueError(f"Got kind={kind!r}, but expected 'coverage' or 'pit'.")
         chosen = choose(self.output_names, outputs)
-        ax = panels(ax, 1, 1, figsize=(4.6, 4.6))[0, 0]
+        if kind == "pit":
+            self._draw_histograms(ax, chosen)
+        else:
+            self._draw_coverage(ax, chosen, legend)
+        self.ax_, self.figure_ = self.axes_.flat[0], self.axes_.flat[0].figure
+        return self
+
+    def _draw_coverage(self, ax, chosen, legend):
+        self.axes_ = panels(ax, 1, 1, figsize=(4.6, 4.6))
+        ax = self.axes_[0, 0]
         (self.diagonal_,) = ax.plot([0, 100], [0, 100], color=PALETTE["grey"], linewidth=1.0, linestyle=":")
         self.lines_ = [self._draw_line(ax, k) for k in chosen]
         ax.set(
@@ -94,17 +120,34 @@ class CalibrationDisplay:
         ax.text(96, 4, "too narrow", ha="right", fontsize="small", color=PALETTE["grey"])
         if legend and chosen:
             ax.legend(loc="upper left", bbox_to_anchor=(0.01, 0.92), frameon=False, fontsize="small")
-        self.ax_, self.figure_ = ax, ax.figure
-        return self
+
+    def _draw_histograms(self, ax, chosen):
+        n_rows, n_cols = grid(len(chosen))
+        self.axes_ = panels(ax, n_rows, n_cols, figsize=(3.2 * n_cols, 1 + 1.5 * n_rows), sharex=True, sharey=True)
+        edges = np.linspace(0, 1, len(self.pit) + 1)
+        self.bars_ = []
+        for one, k in zip(self.axes_.T.flat, chosen, strict=False):
+            bars = one.stairs(np.nan_to_num(self.pit[:, k]), edges, fill=True, color=CYCLE[k % len(CYCLE)], alpha=0.75)
+            one.axhline(1.0, color="#333333", linewidth=1.0, linestyle=":")
+            one.set(xlim=(0, 1), xticks=[0, 0.5, 1])
+            one.set_title(symbol(self.output_names[k]), loc="left", fontsize="medium")
+            one.set_ylim(bottom=0)
+            tidy(one)
+            self.bars_.append(bars)
+        for unused in self.axes_.T.flat[len(chosen) :]:
+            unused.set_visible(False)
+        for left in self.axes_[:, 0]:
+            left.set_ylabel("density")
+        for bottom in self.axes_[-1]:
+            bottom.set_xlabel(r"$\Phi$((measured - mean) / std)")
 
     def _draw_line(self, ax, k):
-        # Dashes beside colours: longitudinal solid, the rest dashed.
         name = self.output_names[k]
         return ax.plot(
             100 * self.nominal,
             100 * self.observed[:, k],
             color=CYCLE[k % len(CYCLE)],
-            linestyle="-" if name in LONGITUDINAL or name not in COEFFICIENTS else (0, (4, 1.5)),
+            linestyle=dashes(name),
             linewidth=1.4,
             label=symbol(name),
             clip_on=False,
@@ -140,13 +183,14 @@ class CalibrationDisplay:
         check_matplotlib(f"{cls.__name__}.from_predictions")
         values = check_columns_of(measured, None, "measured outputs")
         mean = check_columns_of(mean, values.shape, "mean")
-        nominal = _check_levels(levels)
-        observed, n_values = observed_coverage(values, mean, check_std(std, values.shape), nominal)
+        nominal = check_levels(levels)
+        z = standardized(values, mean, check_std(std, values.shape))
         display = cls(
             nominal=nominal,
-            observed=observed,
+            observed=shares_inside(z, nominal),
+            pit=_densities(norm.cdf(z)),
             output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
-            n_values=n_values,
+            n_values=np.count_nonzero(~np.isnan(z), axis=0),
         )
         return display.plot(ax, **plot_options)
 
@@ -180,22 +224,8 @@ class CalibrationDisplay:
         return cls.from_predictions(Y, mean, std, ax=ax, **options)
 
 
-def observed_coverage(values, mean, std, levels) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of ``values`` inside each interval ``(L, P)``, and how many values were counted."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = np.abs(values - mean) / std
-    distance[(values == mean) & (std == 0)] = 0.0
-    bound = norm.ppf((1 + levels) / 2)
-    shares = np.full((len(levels), values.shape[1]), np.nan)
-    counts = np.count_nonzero(~np.isnan(distance), axis=0)
-    for k, column in enumerate(np.sort(distance, axis=0).T):
-        if counts[k]:
-            shares[:, k] = np.searchsorted(column[: counts[k]], bound, side="right") / counts[k]
-    return shares, counts
-
-
-def _check_levels(levels) -> np.ndarray:
-    levels = np.atleast_1d(np.asarray(levels, dtype=float))
-    if levels.ndim != 1 or not ((levels > 0) & (levels < 1)).all():
-        raise ValueError(f"Got levels {levels}, but expected probabilities between 0 and 1, such as 0.95.")
-    return np.sort(levels)
+def _densities(transformed) -> np.ndarray:
+    """Return the histogram of each column, (B, P), relative to a uniform one."""
+    counts = np.column_stack([np.histogram(column, N_BINS, (0, 1))[0] for column in transformed.T])
+    with np.errstate(invalid="ignore"):
+        return N_BINS * counts / counts.sum(axis=0)

@@ -90,7 +90,7 @@ class CoefficientDisplay:
         if kind not in ("values", "residuals"):
             raise ValueError(f"Got kind={kind!r}, but expected 'values' or 'residuals'.")
         chosen = choose(self.output_names, outputs)
-        n_rows, n_cols = _grid(len(chosen))
+        n_rows, n_cols = grid(len(chosen))
         axes = panels(ax, n_rows, n_cols, figsize=(5 * n_cols, 1 + 1.7 * n_rows), sharex=True)
         drawn = [
             self._draw_panel(one, k, kind, level, time_span, n_bins)
@@ -183,7 +183,7 @@ class CoefficientDisplay:
         return cls.from_predictions(time, Y, mean, std, truth=truth, output_names=names, ax=ax, **plot_options)
 
 
-def _grid(n_panels: int) -> tuple[int, int]:
+def grid(n_panels: int) -> tuple[int, int]:
     """Return rows and columns: two columns for four panels and more, forces left and moments right."""
     n_cols = 1 if n_panels <= 3 else 2
     return -(-n_panels // n_cols), n_cols

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._vocabulary import CHANNELS
+from skdgp._vocabulary import CHANNELS, COEFFICIENTS, LONGITUDINAL
 
 # Okabe & Ito (2008), Color Universal Design.
 PALETTE = {
@@ -67,6 +67,11 @@ def axis_label(name: str) -> str:
     """Return symbol and unit, such as ``$p$ [deg/s]``."""
     unit = display_unit(name)[1]
     return f"{symbol(name)} [{unit}]" if unit else symbol(name)
+
+
+def dashes(name: str):
+    """Return the line style that tells an output beside its colour: lateral coefficients dashed, others solid."""
+    return "-" if name in LONGITUDINAL or name not in COEFFICIENTS else (0, (4, 1.5))
 
 
 def panels(ax, n_rows: int, n_cols: int, *, figsize: tuple[float, float], **subplots) -> np.ndarray:

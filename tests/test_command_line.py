@@ -601,6 +601,7 @@ def test_demo_is_honest(tmp_path, capsys):
     [
         ("identify_example_flights", ["--samples", "50"]),
         ("grid_search_flights", ["--samples", "48", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
+        ("compare_methods", ["--samples", "90"]),
     ],
 )
 def test_examples_draw(name, arguments, tmp_path, capsys):

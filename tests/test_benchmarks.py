@@ -18,6 +18,7 @@ SCRIPTS = (
     "prediction",
     "workers",
     "comparison",
+    "ablation",
 )
 
 

@@ -68,12 +68,23 @@ class Dependent:
 
 
 class Identification(Dependent):
-    """The whole pipeline, from flight tables, with its noise calibrated as the command line does."""
+    """The whole pipeline, from flight tables, with its noise calibrated as the command line does.
+
+    ``arguments`` are those of ``make_identification_pipeline``, ``parameters`` what its ``set_params`` is given.
+    """
+
+    def __init__(self, arguments=None, parameters=None, *, calibrated=True):
+        self.arguments, self.parameters, self.calibrated = arguments or {}, parameters or {}, calibrated
+
+    def unfitted(self, aircraft):
+        pipeline = make_identification_pipeline(aircraft, **self.arguments)
+        seeds = {name: 0 for name in pipeline.get_params() if name.endswith("random_state")}
+        return pipeline.set_params(**seeds).set_params(**self.parameters)
 
     def fit_flight(self, task):
-        pipeline = make_identification_pipeline(task.aircraft, regressor=self.regressor)
-        pipeline.fit(task.train, task.thinned)
-        calibrate_noise(pipeline, task.train, task.targets.mask(task.thinned.notna()))
+        pipeline = self.unfitted(task.aircraft).fit(task.train, task.thinned)
+        if self.calibrated:
+            calibrate_noise(pipeline, task.train, task.targets.mask(task.thinned.notna()))
         self.transform, self.regressor = pipeline[:-1].transform, pipeline[-1]
         return self
 

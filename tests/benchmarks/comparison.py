@@ -107,6 +107,12 @@ def run(task, X, Xt, name):
     seconds = time.process_time() - start
     if method.whole:
         Xt = np.asarray(model.transform(task.test))
+    kept = {"samples": int(rows.sum()), "cpu_seconds": seconds, "date": time.strftime("%Y-%m-%d")}
+    return {**kept, **scores(task, model, Xt)}
+
+
+def scores(task, model, Xt):
+    """Return what a fitted model is worth on the test flight, whose regressors are Xt."""
     mean, some = model.predict(Xt), slice(None, None, BANDS_EVERY)
     bands = model.bands(Xt[some])
     asked = task.measured if task.truth is None else task.truth
@@ -116,13 +122,10 @@ def run(task, X, Xt, name):
         if task.truth is not None:
             holds["truth"] = covered(task.truth[some], mean[some], bands[0])
     return {
-        "samples": int(rows.sum()),
         "outputs": list(task.targets),
         "NRMSE": normalized_rmse(asked, mean, multioutput="raw_values").tolist(),
         "median_relative_error": median_relative_error(asked, mean, multioutput="raw_values").tolist(),
         "band_holds": holds,
-        "cpu_seconds": seconds,
-        "date": time.strftime("%Y-%m-%d"),
     }
 
 
@@ -152,8 +155,8 @@ def wanted(options, peers):
 class Kept:
     """Results of runs in a folder, or in memory alone where there is none."""
 
-    def __init__(self, folder):
-        self.folder, self.memory = folder and folder / "comparison", {}
+    def __init__(self, folder, name="comparison"):
+        self.folder, self.memory = folder and folder / name, {}
         for path in sorted(self.folder.glob("*.json")) if self.folder else ():
             self.memory[path.stem] = json.loads(path.read_text())
 

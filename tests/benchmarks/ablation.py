@@ -1,0 +1,98 @@
+"""What each part of the identification pipeline is worth: its defaults, and the same with one part turned off.
+
+    python tests/benchmarks/ablation.py ../shared/data --out OUT [--flights F] [--parts P] [--redo]
+
+Flights, samples and scores are those of comparison.py; ``PARTS`` says what "off" means. Each run is kept as
+OUT/ablation/FLIGHT-PART.json, and not run again unless ``--redo`` says so.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from _common import finish, parser_of
+from _comparison_methods import Identification
+from comparison import FLIGHTS, Kept, scores, task_of, toy
+
+PARTS = {  # name of what is off: arguments of make_identification_pipeline, parameters of its steps, calibrated
+    "defaults": {},
+    "smoothing": {"arguments": {"cutoff": None}},
+    "bandwidth_from_data": {"arguments": {"cutoff": 4.0}},  # Hz
+    "input_noise": {"parameters": {"dependentgpregressor__input_noise": None}},
+    "trend": {"parameters": {"dependentgpregressor__trend": "constant"}},
+    "sharing": {"parameters": {"dependentgpregressor__n_latent": 0}},
+    "calibration": {"calibrated": False},
+}
+
+
+def is_off(part, aircraft):
+    """Whether the defaults do without that part anyway."""
+    pipelines = (Identification(**PARTS[name]).unfitted(aircraft) for name in (part, "defaults"))
+    return len({repr(pipeline.get_params()) for pipeline in pipelines}) == 1 and PARTS[part].get("calibrated", True)
+
+
+def run(task, part):
+    """Return the scores of the pipeline without that part."""
+    start = time.process_time()
+    model = Identification(**PARTS[part]).fit_flight(task)
+    seconds = time.process_time() - start
+    found = scores(task, model, np.asarray(model.transform(task.test)))
+    return {**found, "cpu_seconds": seconds, "date": time.strftime("%Y-%m-%d")}
+
+
+def table(runs):
+    """Return a row for each flight and part, its error beside that of the defaults."""
+    errors = {(run["flight"], run["part"]): float(np.mean(run["NRMSE"])) for run in runs}
+    order = {part: k for k, part in enumerate(PARTS)}
+    return [
+        {
+            "flight": run["flight"],
+            "without": "-" if run["part"] == "defaults" else run["part"].replace("_", " "),
+            "NRMSE": errors[run["flight"], run["part"]],
+            "over that of the defaults": ratio(errors, run),
+            **{f"band of {kind} holds %": held(run, kind) for kind in ("truth", "measured")},
+            "CPU s": run["cpu_seconds"],
+        }
+        for run in sorted(
+            (run for run in runs if run["part"] in order), key=lambda run: (run["flight"], order[run["part"]])
+        )
+    ]
+
+
+def ratio(errors, run):
+    defaults = errors.get((run["flight"], "defaults"))
+    return defaults and errors[run["flight"], run["part"]] / defaults
+
+
+def held(run, kind):
+    return 100 * float(np.mean(run["band_holds"][kind])) if kind in run["band_holds"] else None
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
+    options = parser.parse_args(words)
+    if options.data is None and not options.smoke:
+        parser.error("the folder of the shared data is needed")
+    kept = Kept(options.out, "ablation")
+    for flight in ["toy"] if options.smoke else options.flights:
+        parts = [part for part in options.parts if options.redo or f"{flight}-{part}" not in kept]
+        task = parts and (toy() if options.smoke else task_of(flight, options.data))
+        for part in parts:
+            if part != "defaults" and is_off(part, task.aircraft):
+                print(f"{part}: left out, it is off by default", file=sys.stderr)
+                continue
+            result = {"flight": flight, "part": part, **run(task, part)}
+            kept.keep(f"{flight}-{part}", result)
+            print(f"{flight}-{part}: NRMSE {np.mean(result['NRMSE']):.3f}", file=sys.stderr, flush=True)
+    finish(options, "ablation", one_part_off=table(list(kept.memory.values())))
+
+
+if __name__ == "__main__":
+    main()

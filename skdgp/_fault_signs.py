@@ -2,7 +2,8 @@
 
 A sensor with noise hardly ever repeats a value: where a share p of all runs of equal values is longer than usual, one
 of k times the usual length has a chance of p^(k-1). The usual length is the channel's own, so that a sensor slower than
-the table is not stuck. Where a channel has no noise, or moves quantum by quantum, runs say little: it is stuck only if it then leaps.
+the table is not stuck. Where a channel has no noise, or moves quantum by quantum, runs say little: it is stuck only if
+it then leaps.
 """
 
 from __future__ import annotations

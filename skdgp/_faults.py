@@ -44,6 +44,8 @@ LONG = 1.0
 SHOWN = 8
 """Findings told one by one in a warning."""
 
+TOLD = "Faults in the log"
+"""How that warning begins."""
 NOT_MEASURED = ("stuck", "impossible", "spike")
 REMEDY = {
     "restart": "a flight of its own",
@@ -111,7 +113,7 @@ def told(findings: list[Finding], done: str) -> str:
     """Return one message of many findings."""
     said = [f"flight {each.flight!s}: {each.message}" for each in findings[:SHOWN]]
     more = f"; and {len(findings) - SHOWN} more, see skdgp.preprocessing.inspect_flight" * (len(findings) > SHOWN)
-    return f"Faults in the log: {'; '.join(said)}{more}. {done}"
+    return f"{TOLD}: {'; '.join(said)}{more}. {done}"
 
 
 def _of_flight(time, channels) -> Iterator[tuple[str, str, np.ndarray, str]]:

@@ -12,9 +12,10 @@ from skdgp._cli._console import Console
 from skdgp._cli._evaluation import Loads, evaluate
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._outputs import Outcome, writers
-from skdgp._cli._rows import check_known, check_same_columns, complete_rows, warn_of_still
+from skdgp._cli._rows import check_known, check_same_columns, checked, complete_rows
 from skdgp._cli._source import Source
 from skdgp._cli._summary import summary
+from skdgp._faults import TOLD, FlightDataWarning
 from skdgp._progress import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import aerodynamic_coefficients
@@ -35,8 +36,10 @@ def run(source: Source, options, folder: OutputFolder, console: Console, *, comm
     if find_spec("matplotlib") is None:
         warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', UserWarning, stacklevel=2)
     loads = Loads(None if options.thrust == "none" else options.thrust, list(options.external_forces))
-    train = {name: complete_rows(table, options.regressors) for name, table in source.train.items()}
-    test = {name: complete_rows(table, options.regressors) for name, table in source.test.items()}
+    train, test = checked(source.train), checked(source.test)
+    warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
+    train = {name: complete_rows(table, options.regressors) for name, table in train.items()}
+    test = {name: complete_rows(table, options.regressors) for name, table in test.items()}
     check_same_columns(train, test, options.regressors)
     learned = _learn(source.aircraft, train, loads, options, console)
     evaluations = []
@@ -74,8 +77,6 @@ def _learn(aircraft, train, loads, options, console) -> dict:
     )
     seconds = _fit(pipeline, table, targets, console)
     console.stage("calibration")
-    scaler = pipeline["standardscaler"]
-    warn_of_still(pipeline["regressorselector"].regressors_, scaler.mean_, scaler.var_**0.5)
     return {
         "pipeline": pipeline,
         "widened": calibrate_noise(pipeline, table, Y.mask(targets.notna())),

@@ -9,12 +9,17 @@ import pandas as pd
 
 from skdgp._signal import flight_segments
 from skdgp._validation import check_columns
+from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 FORCES = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r", "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
 MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
-STILL = 1e-9
-"""A regressor that varies by less than this fraction of itself was not moved."""
+
+
+def checked(flights: dict[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """Return the flights with NaN for what was not measured; warn of all faults found, once."""
+    check = FlightCheck(bridge=0)
+    return {name: check.fit_transform(table) for name, table in flights.items()}
 
 
 def complete_rows(table: pd.DataFrame, regressors) -> pd.DataFrame:
@@ -63,16 +68,6 @@ def check_same_columns(train: dict[str, pd.DataFrame], test: dict[str, pd.DataFr
     read = [name for table in train.values() for name in _columns_read(table, regressors)]
     for table in (*train.values(), *test.values()):
         check_columns(table, [name for name in read if name not in MIXED])
-
-
-def warn_of_still(names, mean: np.ndarray, std: np.ndarray) -> None:
-    """Warn of regressors that have one value throughout."""
-    still = [name for name, m, s in zip(names, mean, std, strict=True) if s <= STILL * abs(m)]
-    if still:
-        _warn(
-            f"In the training flights {still} never change: what they do cannot be learned. Fly manoeuvres that move "
-            "them, or leave them out by --regressors."
-        )
 
 
 def _columns_read(table, regressors) -> list[str]:

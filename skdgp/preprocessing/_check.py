@@ -140,8 +140,8 @@ class FlightCheck(TableTransformer):
         table, found = _inspected(table, self.ignore)
         faults = [each for each in found if each.kind != "gap"]
         if faults:
-            done = f"What was not measured is NaN; gaps up to {self.bridge:g} s are interpolated."
-            warnings.warn(told(faults, done), FlightDataWarning, stacklevel=4)
+            then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
+            warnings.warn(told(faults, f"What was not measured is NaN{then}."), FlightDataWarning, stacklevel=4)
         return self._bridged(without_faults(table, found))
 
     def _columns_out(self, names):

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils._param_validation import StrOptions
 
+from skdgp._faults import FlightDataWarning
 from skdgp._validation import check_columns
 from skdgp._vocabulary import TRUTH_SUFFIX
 from skdgp.preprocessing._rates import SUFFIX
@@ -31,6 +32,10 @@ MAKERS = {
     "q_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
     "r_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
 }
+
+
+STILL = 1e-9
+"""A regressor that varies by less than this fraction of itself was not moved."""
 
 
 class RegressorSelector(TableTransformer):
@@ -70,6 +75,12 @@ class RegressorSelector(TableTransformer):
     ValueError
         If a column is missing (with the nearest name), not numeric, or in ``transform`` NaN or infinite somewhere.
 
+    Warns
+    -----
+    FlightDataWarning
+        In ``fit`` with targets, if a regressor never moved at the rows that are learned from, or there are no more of
+        these than regressors.
+
     Examples
     --------
     >>> import pandas as pd
@@ -87,6 +98,25 @@ class RegressorSelector(TableTransformer):
     def __init__(self, regressors="classical", *, extra=()):
         self.regressors = regressors
         self.extra = extra
+
+    def fit(self, X, y=None):
+        """Learn which columns are there.
+
+        Parameters
+        ----------
+        X : DataFrame of shape (n, n_columns)
+            Flight table.
+        y : array-like of shape (n,) or (n, P), optional
+            Targets, NaN where not observed: tell which rows are learned from.
+
+        Returns
+        -------
+        self
+        """
+        super().fit(X, y)
+        if y is not None and not self._passes and len(y) == len(X):
+            _warn_of_untold(numeric(X, self.regressors_), np.asarray(y, dtype=float), self.regressors_)
+        return self
 
     def _recognises(self, X):
         named = isinstance(self.regressors, str)
@@ -163,6 +193,29 @@ def _warn_of_truth(chosen):
         )
 
 
+def _warn_of_untold(values, targets, names):
+    """Warn of what the rows with targets cannot tell: regressors that never moved, slopes more than rows."""
+    values = values[np.isfinite(targets.reshape(len(values), -1)).any(axis=1)]
+    known = values[np.isfinite(values).all(axis=1)]
+    if not len(known):
+        return
+    still = [name for name, v in zip(names, known.T, strict=True) if np.ptp(v) <= STILL * np.abs(v).max()]
+    if len(known) <= len(names):
+        warnings.warn(
+            f"Got {len(known)} samples to learn from for {len(names)} regressors: too few to tell what each does (at "
+            f"least {len(names) + 1}, better hundreds): give longer flights, more samples of them, or fewer columns.",
+            FlightDataWarning,
+            stacklevel=3,
+        )
+    elif still:
+        warnings.warn(
+            f"In the training flights {still} never change: what they do cannot be learned, and the model knows "
+            "nothing about them. Fly manoeuvres that move them, or leave them out of the regressors.",
+            FlightDataWarning,
+            stacklevel=3,
+        )
+
+
 def _check_whole(values, names, table):
     """Raise a ValueError that tells where regressors are NaN or infinite, by the columns that they were made from."""
     holes = ~np.isfinite(values)
@@ -183,7 +236,8 @@ def _remedy_of_holes(measured) -> str:
     if not measured:
         return "leave out rows that stand alone between gaps, which have no rate of change"
     return (
-        "drop these rows of the flight and of its targets, as python -m skdgp identify does: keep = "
+        "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) and of its targets, as "
+        "python -m skdgp identify does: keep = "
         f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = flight[keep], Y[keep]. Interpolate a slow "
         "sensor to the clock of the others, leave out a column that is empty"
     )

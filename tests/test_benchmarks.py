@@ -152,3 +152,19 @@ class TestComparison:
         comparison.main(words)
         tables = (json.loads(text)["toy"] for text in (before, (tmp_path / "comparison.json").read_text()))
         assert next(tables) == next(tables)
+
+    def test_gpytorchs_predictions_are_those_of_its_covariance(self, script):
+        pytest.importorskip("gpytorch", reason="compares with GPyTorch, which is not installed")
+        np, rng = importlib.import_module("numpy"), importlib.import_module("numpy").random.default_rng(0)
+        X, asked = rng.normal(size=(20, 3)), rng.normal(size=(5, 3))
+        lcm = script("_peers").ExactLCM(n_steps=3, length_scale=3.0).fit(X, np.sin(X[:, :2]))
+        joint = lcm.model.covar_module(*(2 * [importlib.import_module("torch").as_tensor(np.vstack([X, asked]))]))
+        K, noise = joint.to_dense().detach().numpy(), lcm.likelihood.task_noises.detach().numpy()
+        mean = np.array([each.constant.item() for each in lcm.model.mean_module.base_means])
+        seen, new = K[:40, :40] + np.kron(np.eye(20), np.diag(noise)), K[40:, :40]
+        expected = new @ np.linalg.solve(seen, (np.sin(X[:, :2]) - mean).ravel())
+        variance = np.diag(K)[40:] - np.einsum("ij,ji->i", new, np.linalg.solve(seen, new.T))
+        function, measurement = lcm.bands(asked)
+        assert lcm.predict(asked) == pytest.approx(mean + expected.reshape(5, 2), abs=1e-5)
+        assert function**2 == pytest.approx(variance.reshape(5, 2), abs=1e-5)
+        assert measurement**2 == pytest.approx(function**2 + noise)

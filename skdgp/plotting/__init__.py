@@ -9,6 +9,14 @@ from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._coefficients import CoefficientDisplay
 from skdgp.plotting._coupling import CouplingDisplay
 from skdgp.plotting._flight import FlightDisplay
+from skdgp.plotting._learning_curve import FlightLearningCurveDisplay
 from skdgp.plotting._states import StateDisplay
 
-__all__ = ["CalibrationDisplay", "CoefficientDisplay", "CouplingDisplay", "FlightDisplay", "StateDisplay"]
+__all__ = [
+    "CalibrationDisplay",
+    "CoefficientDisplay",
+    "CouplingDisplay",
+    "FlightDisplay",
+    "FlightLearningCurveDisplay",
+    "StateDisplay",
+]

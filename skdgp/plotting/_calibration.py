@@ -131,11 +131,11 @@ class CalibrationDisplay:
             one.axhline(1.0, color="#333333", linewidth=1.0, linestyle=":")
             one.set(xlim=(0, 1), xticks=[0, 0.5, 1])
             one.set_title(symbol(self.output_names[k]), loc="left", fontsize="medium")
-            one.set_ylim(bottom=0)
             tidy(one)
             self.bars_.append(bars)
         for unused in self.axes_.T.flat[len(chosen) :]:
             unused.set_visible(False)
+        self.axes_.flat[0].set_ylim(0, 1.05 * np.max(self.pit[:, chosen], initial=1.0, where=self.pit[:, chosen] > 0))
         for left in self.axes_[:, 0]:
             left.set_ylabel("density")
         for bottom in self.axes_[-1]:

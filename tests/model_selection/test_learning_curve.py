@@ -9,9 +9,6 @@ from sklearn.linear_model import LinearRegression
 from skdgp.metrics import SCORERS, score_outputs
 from skdgp.model_selection import BlockSplit, flight_learning_curve, thin_targets
 
-# Fits cut short to be quick say so.
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
-
 
 @pytest.fixture
 def linear(model):

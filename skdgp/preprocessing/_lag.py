@@ -10,7 +10,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 from sklearn.utils._param_validation import StrOptions
 
-from skdgp._clock import flight_segments
+from skdgp._clock import flight_segments, uniform_grid
 from skdgp._validation import check_columns
 from skdgp.preprocessing._flight_log import NEEDED
 from skdgp.preprocessing._lag_estimate import FORCE, RATE, SURFACES, UNKNOWN, Lag, air_lag, stretches, surface_lag
@@ -24,6 +24,9 @@ GROUPS = {
     "attitude": ("phi", "theta", "psi"),
     "gps": ("v_north", "v_east", "v_down", "north", "east", "down"),
 }
+CONTROLS = (*SURFACES, "throttle", "propeller_speed")
+"""Channels without noise, in which steps are common."""
+PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 BIASES = ("p_bias", "q_bias", "r_bias")
 SIGNIFICANT = 3.0
@@ -39,9 +42,10 @@ ENOUGH = 120.0
 class LagCorrector(TableTransformer):
     r"""Estimate how late air data, surfaces, attitude and GPS are against the inertial unit, and shift them back.
 
-    A channel that lags by tau shows at t what was at t - tau, so it is replaced by its value at t + tau, on the cubic
-    spline through it, stretch by stretch and never across a gap. Where that is beyond the end of a stretch the last
-    value stands: put this step at full rate, before smoothing.
+    A channel that lags by tau shows at t what was at t - tau, so it is replaced by its value at t + tau, stretch by
+    stretch and never across a gap; where that is beyond the end of a stretch the last value stands. Sensors are shifted
+    in frequency, which leaves white noise white for :class:`FlightSmoother` to find; controls, and channels of a
+    jittered clock, on cubic splines. For full-rate flights, before smoothing.
 
     Attitude and GPS are tied to gyros and accelerometers by kinematics, through
     :class:`FlightPathReconstruction`. Surfaces and vanes are tied to them by a local linear model, without assumed
@@ -106,7 +110,8 @@ class LagCorrector(TableTransformer):
         for group, lag in self.lags_["applied"].items():
             for name in GROUPS.get(group, (group,)):
                 if lag and name in table:
-                    new[name] = _on_time(time, _unwrapped(table, [name])[:, 0], lag, table.get("flight"))
+                    values, noisy = _unwrapped(table, [name])[:, 0], name not in CONTROLS
+                    new[name] = _on_time(time, values, lag, table.get("flight"), noisy=noisy)
                     if name in WRAPPED:
                         new[name] = _rewrapped(new[name], table[name])
         return with_columns(table, new)
@@ -115,15 +120,38 @@ class LagCorrector(TableTransformer):
         return names
 
 
-def _on_time(time, values, lag, flight):
+def _on_time(time, values, lag, flight, *, noisy):
     """Return a channel as it is without its lag, on the rows where it was sampled."""
     out, rows = values.copy(), np.flatnonzero(np.isfinite(values))
     for run in flight_segments(time[rows], None if flight is None else np.asarray(flight)[rows]):
         here = rows[run]
-        if len(here) > 1:
-            later = np.clip(time[here] + lag, time[here[0]], time[here[-1]])
-            out[here] = CubicSpline(time[here], values[here])(later)
+        if len(here) < 2:
+            continue
+        grid, jittered = uniform_grid(time[here])
+        clock = time[here] if jittered else grid
+        later = clock + lag
+        if noisy and not jittered:
+            shifted = _advanced(values[here], lag * (len(grid) - 1) / (grid[-1] - grid[0]))
+        else:
+            shifted = CubicSpline(clock, values[here])(np.clip(later, clock[0], clock[-1]))
+        shifted[later > clock[-1]], shifted[later < clock[0]] = values[here[-1]], values[here[0]]
+        out[here] = shifted
     return out
+
+
+def _advanced(values, steps):
+    """Return equidistant values a fraction of steps later: an all-pass, so that white noise stays white.
+
+    Every frequency is turned by its phase (Oppenheim & Schafer 2010, section 4.5). The values are continued oddly
+    beyond both ends, and the line between these shifted by itself, so that what repeats is continuous.
+    """
+    reach = min(len(values) - 1, PADDING + int(np.ceil(abs(steps))))
+    padded = np.pad(values, reach, mode="reflect", reflect_type="odd")
+    n = len(padded)
+    slope = (padded[-1] - padded[0]) / (n - 1)
+    line = padded[0] + slope * np.arange(n)
+    turned = np.fft.rfft(padded - line) * np.exp(2j * np.pi * np.fft.rfftfreq(n) * steps)
+    return (np.fft.irfft(turned, n) + line + slope * steps)[reach : n - reach]
 
 
 def _estimated(table) -> dict[str, Lag]:

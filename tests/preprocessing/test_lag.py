@@ -1,0 +1,150 @@
+"""Lags that are put in are found, with the uncertainty they have, and taken out."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from skdgp.datasets import load_example_flights
+from skdgp.preprocessing import FlightSmoother, LagCorrector
+from skdgp.preprocessing._lag_estimate import air_lag, stretches, surface_lag
+
+STEP = 0.025
+
+
+@pytest.fixture(scope="module")
+def examples():
+    return load_example_flights().train
+
+
+@pytest.fixture(scope="module")
+def latlon(examples):
+    return examples[examples.flight == "latlon"].reset_index(drop=True)
+
+
+def late(table, **lags):
+    """Return the table with groups of channels late by so many seconds."""
+    return LagCorrector({group: -lag for group, lag in lags.items()}).fit_transform(table)
+
+
+def linear_aircraft(seed, air=0.0, surfaces=0.0, seconds=60.0):
+    """Return a log of an aircraft whose accelerations are linear in vanes, surfaces and rates, sensors late."""
+    rng = np.random.default_rng(seed)
+    time = STEP * np.arange(-80, round(seconds / STEP) + 80)
+
+    def wave():
+        values = gaussian_filter1d(rng.normal(size=time.size), 6)
+        return values / values.std()
+
+    p, q, r, alpha, beta, elevator, aileron, rudder = (wave() for _ in range(8))
+    acceleration = np.column_stack([2 * elevator - q - alpha, 3 * aileron - p + beta, rudder - r + beta])
+    turning = dict(zip("qpr", cumulative_trapezoid(acceleration, time, axis=0, initial=0).T, strict=True))
+    table = {"ax": 0.1 * alpha**2, "ay": -4 * beta + rudder, "az": -9.8 - 9 * alpha - elevator} | turning
+    sensed = {"alpha": (0.1 * alpha, air), "beta": (0.1 * beta, air), "elevator": (elevator, surfaces)}
+    sensed |= {"aileron": (aileron, surfaces), "rudder": (rudder, surfaces)}
+    table |= {name: CubicSpline(time, values)(time - lag) for name, (values, lag) in sensed.items()}
+    for name in ("alpha", "beta"):
+        table[name] = table[name] + rng.normal(0, 0.02, time.size)
+    return pd.DataFrame({"time": time, **table})[80:-80].reset_index(drop=True)
+
+
+class TestEstimate:
+    def test_clean_flights_have_none_worth_taking_away(self, latlon):
+        flights = stretches(latlon)
+        surfaces = surface_lag(flights)
+        assert abs(surfaces.lag) < 0.01
+        assert abs(air_lag(flights, surfaces.lag).lag) < 0.01
+
+    @pytest.mark.parametrize("air", [0.08, -0.08])
+    @pytest.mark.parametrize("surfaces", [0.05, -0.05, 0.0])
+    def test_lags_put_in_together_are_found(self, latlon, air, surfaces):
+        flights = stretches(late(latlon, air=air, surfaces=surfaces))
+        found = surface_lag(flights)
+        assert abs(found.lag - surfaces) < 0.01
+        assert abs(air_lag(flights, found.lag).lag - air) < 0.01
+
+    def test_the_standard_deviation_is_honest(self):
+        """Over logs of one aircraft, errors of the lag of noisy vanes are as large as said."""
+        errors = []
+        for seed in range(16):
+            found = air_lag(stretches(linear_aircraft(seed, air=0.06, seconds=40)), 0.0)
+            errors.append((found.lag - 0.06) / found.std)
+        assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.7
+
+    def test_attitude_and_gps_are_found_by_kinematics(self, latlon):
+        spoilt = late(latlon[:2400], attitude=0.06, gps=-0.05)
+        lags = LagCorrector().fit(spoilt).lags_
+        assert abs(lags.lag["attitude"] - 0.06) < 0.005
+        assert abs(lags.lag["gps"] + 0.05) < 0.005
+        assert lags.remark[["attitude", "gps"]].tolist() == ["taken away"] * 2
+
+    def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
+        table = linear_aircraft(0)
+        rng = np.random.default_rng(9)
+        names = ["alpha", "beta", "elevator", "aileron", "rudder"]
+        lags = LagCorrector().fit(table.assign(**{name: rng.normal(size=len(table)) for name in names})).lags_
+        assert (lags.applied == 0).all()
+        assert lags.remark.str.startswith("not told").all()
+
+    def test_a_flight_too_short_tells_nothing(self):
+        lags = LagCorrector().fit(linear_aircraft(0, seconds=10)).lags_
+        assert lags.remark.tolist() == ["not told by these flights"] * 4
+
+
+class TestTransform:
+    def test_what_was_late_is_on_time_again(self):
+        lags = LagCorrector().fit(linear_aircraft(3, air=0.08, surfaces=-0.05)).lags_
+        assert lags.remark[["air", "surfaces"]].tolist() == ["taken away"] * 2
+        spoilt, truth = linear_aircraft(3, surfaces=0.1), linear_aircraft(3)
+        error = LagCorrector().fit_transform(spoilt).elevator - truth.elevator
+        assert error[20:-20].std() < 0.1 * (spoilt.elevator - truth.elevator)[20:-20].std()
+
+    def test_clean_flights_pass_unchanged(self, latlon):
+        pd.testing.assert_frame_equal(LagCorrector().fit_transform(latlon[:1600]), latlon[:1600])
+
+    def test_lags_are_undone(self, latlon):
+        there = late(latlon, air=0.08, psi=0.03)
+        back = LagCorrector({"air": 0.08, "psi": 0.03}).fit_transform(there)
+        inner = slice(20, -20)
+        for name in ("alpha", "psi"):  # noise, and turns of 2 pi, as they were
+            np.testing.assert_allclose(back[name][inner], latlon[name][inner], atol=0.02 * latlon[name].std())
+        changed = [name for name in latlon if not latlon[name].equals(there[name])]
+        assert sorted(changed) == ["airspeed", "alpha", "beta", "psi"]
+
+    def test_white_noise_stays_white(self, latlon):
+        noise = FlightSmoother(joint=None).fit(latlon).noise_std_["alpha"]
+        later = FlightSmoother(joint=None).fit(late(latlon, air=0.0675)).noise_std_["alpha"]
+        assert abs(later / noise - 1) < 0.03
+
+    def test_never_across_a_gap_or_into_another_flight(self):
+        time = np.r_[0:50, 100:150, 0:50] * STEP
+        table = pd.DataFrame({"time": time, "flight": ["a"] * 100 + ["b"] * 50, "alpha": np.repeat([1.0, 2, 3], 50)})
+        for lag in (0.3, -0.3):
+            out = LagCorrector({"alpha": lag}).fit_transform(table)
+            np.testing.assert_allclose(out.alpha, table.alpha)
+
+    def test_what_was_not_sampled_stays_so(self):
+        time = np.arange(0, 10, STEP)
+        table = pd.DataFrame({"time": time, "alpha": np.sin(time - 0.1)})
+        table.loc[table.index % 4 != 0, "alpha"] = np.nan
+        table.loc[100:200, "alpha"] = np.nan
+        out = LagCorrector({"alpha": 0.1}).fit_transform(table)
+        assert out.alpha.isna().equals(table.alpha.isna())
+        known = out.alpha.notna() & ~table.index.isin([*range(92, 100), *range(390, 400)])
+        np.testing.assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)
+
+    def test_none_changes_nothing(self, latlon):
+        pd.testing.assert_frame_equal(LagCorrector(None).fit_transform(latlon), latlon)
+
+    @pytest.mark.parametrize(
+        ("lags", "words"), [({"vane": 0.1}, r"lags of \['vane'\], but"), ({"air": np.nan}, "expected finite numbers")]
+    )
+    def test_lags_that_cannot_be(self, lags, words):
+        with pytest.raises(ValueError, match=words):
+            LagCorrector(lags).fit(linear_aircraft(0, seconds=2))
+
+    def test_without_inertial_sensors_nothing_is_estimated(self):
+        with pytest.raises(ValueError, match="lacks the columns 'az'"):
+            LagCorrector().fit(linear_aircraft(0, seconds=2).drop(columns="az"))

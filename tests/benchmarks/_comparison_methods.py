@@ -31,22 +31,28 @@ def finite_differences(table):
     return table
 
 
+def classical(*first):
+    """Return what makes the steps that lead to the scaled classical regressors, for an aircraft."""
+    return lambda aircraft: make_pipeline(
+        *first,
+        ElevonSplitter(),
+        RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
+        RegressorSelector("classical"),
+        StandardScaler(),
+    )
+
+
 INPUTS = {
-    "filtered": lambda: [FlightSmoother()],
-    "reconstructed": lambda: [FlightPathReconstruction(), FlightSmoother()],
-    "raw": lambda: [FunctionTransformer(finite_differences)],
+    "filtered": classical(FlightSmoother()),
+    "reconstructed": classical(FlightPathReconstruction(), FlightSmoother()),
+    "raw": classical(FunctionTransformer(finite_differences)),
+    "own": lambda aircraft: make_identification_pipeline(aircraft)[:-1],
 }
 
 
 def regressors(kind, task):
     """Return the scaled regressors (n, d) of the flight to learn from and of the one to predict."""
-    steps = make_pipeline(
-        *INPUTS[kind](),
-        ElevonSplitter(),
-        RateNondimensionalizer(span=task.aircraft.span, chord=task.aircraft.chord),
-        RegressorSelector("classical"),
-        StandardScaler(),
-    )
+    steps = INPUTS[kind](task.aircraft)
     return np.asarray(steps.fit_transform(task.train)), np.asarray(steps.transform(task.test))
 
 

@@ -14,7 +14,6 @@ PUBLISHED = {  # mean absolute error of cadmium, raw and of logarithms (shared d
     "GPRN": (0.4525, 0.4040),
     "GPAR": (None, 0.3996),
 }
-SHOWN = ("filtered", "own")  # inputs whose coefficients and bands are shown
 
 
 def tables(runs):
@@ -23,7 +22,7 @@ def tables(runs):
     for flight in dict.fromkeys(run["flight"] for run in runs.values() if "flight" in run):
         own = {(run["method"], run["inputs"]): run for run in runs.values() if run.get("flight") == flight}
         found[flight] = [summary(own, name) for name in ORDER if any(name == method for method, _ in own)]
-        shown = [own[key] for name in ORDER for key in ((name, kind) for kind in SHOWN) if key in own]
+        shown = [own[name, shown_inputs(name)] for name in ORDER if (name, shown_inputs(name)) in own]
         found[f"{flight}_NRMSE"] = [coefficients(run, "NRMSE", 1) for run in shown]
         found[f"{flight}_relative"] = [coefficients(run, "median_relative_error", 100, "%") for run in shown]
     ahead = [row for flight in found if flight != "methods" for row in standing(flight, runs)]
@@ -42,7 +41,7 @@ def methods():
 
 def summary(runs, name):
     own = {kind: runs[name, kind] for kind in ("raw", "filtered", "reconstructed", "own") if (name, kind) in runs}
-    shown = own.get("filtered") or own.get("own") or {}
+    shown = own.get(shown_inputs(name), {})
     holds = {kind: 100 * float(np.mean(values)) for kind, values in shown.get("band_holds", {}).items()}
     return {
         "method": METHODS[name].name,
@@ -52,6 +51,11 @@ def summary(runs, name):
         "band of measured holds %": holds.get("measured"),
         "CPU s": shown.get("cpu_seconds"),
     }
+
+
+def shown_inputs(name):
+    """Return the inputs whose bands, seconds and coefficients are shown."""
+    return "own" if METHODS[name].whole else "filtered"
 
 
 def mean(run):

@@ -5,10 +5,10 @@
 Each method learns the measured coefficients of one flight, from 755 samples spread evenly or from all of them, and
 predicts another flight, from the same regressors. These come from raw channels with plain finite differences, from
 channels filtered by ``FlightSmoother``, or from ``FlightPathReconstruction``; each scaled. ``pipeline`` is
-``make_identification_pipeline`` as it stands, on inputs of its own, with its noise calibrated as the command line
-does. NRMSE and median relative error are of every sample of the test flight, against truth where there is one; what
-95 % bands hold is of every tenth sample: bands of the function against truth, bands of measurements against measured
-coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
+``make_identification_pipeline`` as it stands, with its noise calibrated as the command line does; its inputs are its
+``own``, which the others get as well. NRMSE and median relative error are of every sample of the test flight, against
+truth where there is one; what 95 % bands hold is of every tenth sample: bands of the function against truth, bands of
+measurements against measured coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
 
 Each run is kept as OUT/comparison/FLIGHT-INPUTS-METHOD.json, and not run again unless ``--redo`` says so; the tables
 are of all runs that are there. Peers take some hours on one core.
@@ -38,7 +38,7 @@ from skdgp.model_selection import thin_targets
 
 SAMPLES = 755
 BANDS_EVERY = 10
-OWN = "own"  # inputs of a method that takes flight tables
+OWN = "own"  # inputs as the pipeline makes them
 FLIGHTS = {
     "viggen_latlon": ("viggen_uav", "train_latlon", "test_twoalt"),
     "c172p": ("c172p", "train_latlon", "test_calm"),
@@ -96,7 +96,7 @@ def toy(n=300):
 
 
 def run(task, X, Xt, name):
-    """Return the scores of one method; X, Xt: regressors of the two flights, unless it makes its own."""
+    """Return the scores of one method; X, Xt: regressors of the two flights, which a whole pipeline makes itself."""
     method = METHODS[name]
     rows = (task.targets if method.all_samples else task.thinned).notna().all(axis=1).to_numpy()
     start = time.process_time()
@@ -144,11 +144,11 @@ def jura(folder):
 
 def wanted(options, peers):
     """Yield (flight, inputs, method) of every run that is asked for, those that matter most first."""
-    for inputs in (*options.inputs, OWN):
+    for inputs in options.inputs:
         for flight in options.flights:
             for name, method in METHODS.items():
                 asked = name in options.methods or ("ours" in options.methods and method.ours)
-                if asked and method.whole == (inputs == OWN) and (peers or not method.gpytorch):
+                if asked and (inputs == OWN or not method.whole) and (peers or not method.gpytorch):
                     yield flight, inputs, name
 
 
@@ -181,7 +181,7 @@ def main(words=None):
     if options.data is None and not options.smoke:
         parser.error("the folder of the shared data is needed")
     if options.smoke:
-        options.flights, options.inputs = ["toy"], ["filtered"]
+        options.flights, options.inputs = ["toy"], [kind for kind in ("filtered", OWN) if kind in options.inputs]
         options.methods = [name for name in options.methods if name != "jura"]
     kept, task, X, known = Kept(options.out), None, None, None
     for flight, inputs, method in wanted(options, not options.no_peers and has_gpytorch()):
@@ -190,7 +190,7 @@ def main(words=None):
             continue
         if known != (flight, inputs):
             task = toy() if options.smoke else task_of(flight, options.data)
-            X = (None, None) if inputs == OWN else regressors(inputs, task)
+            X = regressors(inputs, task)
             known = flight, inputs
         result = run(task, *X, method)
         kept.keep(name, {"flight": flight, "inputs": inputs, "method": method, **result})

@@ -143,8 +143,7 @@ FLIGHTS = {  # of the comparison
     "c172p": "Cessna 172, calm air",
     "ampyx_ap2": "AP2, a real flight",
 }
-INPUTS = {"raw": "o", "filtered": "s", "reconstructed": "D", "own": "s"}
-ORDER = ("raw", "filtered", "reconstructed")
+INPUTS = {"raw": "o", "filtered": "s", "reconstructed": "D", "own": "*"}
 
 
 def comparison(results):
@@ -159,7 +158,7 @@ def comparison(results):
             at, shade = methods.index(_called(row)), PALETTE["blue" if "skdgp" in row["method"] else "grey"]
             for kind, marker in INPUTS.items():
                 error = row[f"NRMSE {kind}"]
-                filled = shade if kind in ("filtered", "own") else "none"
+                filled = shade if kind == "filtered" else "none"
                 ax.plot(error, at, marker, color=shade, markerfacecolor=filled, markersize=5) if error else None
         ax.set_xlabel("NRMSE")
         ax.set_title(FLIGHTS[flight], fontsize="small")
@@ -167,10 +166,10 @@ def comparison(results):
         ax.margins(x=0.06)
     axes[0, 0].set_yticks(range(len(methods)), methods)
     axes[0, 0].invert_yaxis()
-    marks = [plt.Line2D([], [], linestyle="", marker=INPUTS[kind], color="grey", label=kind) for kind in ORDER]
-    for mark, kind in zip(marks, ORDER, strict=True):
+    marks = [plt.Line2D([], [], linestyle="", marker=INPUTS[kind], color="grey", label=kind) for kind in INPUTS]
+    for mark, kind in zip(marks, INPUTS, strict=True):
         mark.set_markerfacecolor("grey" if kind == "filtered" else "none")
-    figure.legend(handles=marks, loc="outside lower right", ncols=3, frameon=False)
+    figure.legend(handles=marks, loc="outside lower right", ncols=4, frameon=False)
     return figure
 
 

@@ -14,7 +14,7 @@ from sklearn.preprocessing import StandardScaler
 from skdgp._model_file import ModelFileError, load_model, save_model
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+from skdgp.preprocessing import ElevonSplitter, FlightCheck, FlightSmoother, RateNondimensionalizer, RegressorSelector
 
 __all__ = ["ModelFileError", "calibrate_noise", "load_model", "make_identification_pipeline", "save_model"]
 
@@ -34,6 +34,7 @@ def make_identification_pipeline(
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
     ========================== ========================================================================================
+    ``flightcheck``            faults of the log named and taken out, short gaps bridged
     ``flightsmoother``         sensor noise out, rates of change in, flight by flight, without delay
     ``elevonsplitter``         elevons into elevator and aileron; tables that hold these already pass
     ``ratenondimensionalizer`` p b / 2V, q c / 2V, ... with the aircraft's span and chord
@@ -95,6 +96,7 @@ def make_identification_pipeline(
             "Aircraft.from_json(path) or Aircraft.from_toml(path)."
         )
     pipeline = make_pipeline(
+        FlightCheck(),
         FlightSmoother(cutoff=cutoff, derivatives=_derivatives(regressors)),
         ElevonSplitter(),
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),

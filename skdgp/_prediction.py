@@ -15,7 +15,7 @@ FEWER_SAMPLES = "Ask for fewer samples at a time, or for return_std=True, which 
 class PredictionMixin:
     """Predictions from ``posterior_``, which knows normalised outputs: y = ``_center`` + ``_scale`` z."""
 
-    def predict(self, X, return_std=False, return_cov=False, include_noise=False):
+    def predict(self, X, return_std=False, return_cov=False, include_noise=False, include_input_noise=False):
         """Predict the outputs (equations 17 and 18).
 
         Parameters
@@ -27,6 +27,9 @@ class PredictionMixin:
             Also return the joint covariance of all outputs at all samples, (P n, P n), output-major.
         include_noise : bool
             Whether these are of a new measurement rather than of the underlying function.
+        include_input_noise : bool, float or array (n,)
+            Whether X is as noisy as the regressors of the fit (``input_noise``), rather than exact: by the slopes J of
+            the mean, J S J^T is added. A number: so many times the variance of the fit, as in rougher air.
 
         Returns
         -------
@@ -47,6 +50,7 @@ class PredictionMixin:
             mean, variance = mean
             if include_noise:
                 variance = variance + self.noise_variance_ / self._scale**2
+            variance = variance + np.einsum("npr,npr->np", *[self._reach(X, include_input_noise)] * 2)
             return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
         mean = self._shaped(mean * self._scale + self._center)
         if not return_cov:
@@ -55,6 +59,9 @@ class PredictionMixin:
         cov = self.posterior_.covariance(X)
         if include_noise:
             cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
+        reach = self._reach(X, include_input_noise)
+        blocks = cov.reshape(len(self._scale), len(X), len(self._scale), len(X))
+        np.einsum("iaja->aij", blocks)[:] += reach @ reach.swapaxes(1, 2)
         scale = np.repeat(self._scale, len(X))
         return mean, cov * np.multiply.outer(scale, scale)
 
@@ -123,6 +130,53 @@ class PredictionMixin:
                 weight = None if sample_weight is None else np.asarray(sample_weight)[seen]
                 scores.append(r2_score(y_true[seen], y_pred[seen], sample_weight=weight))
         return float(np.mean(scores)) if scores else float("nan")
+
+    # -- what was learned ------------------------------------------------------------------------------
+
+    def log_marginal_likelihood(self, theta=None, eval_gradient=False):
+        """Return the log marginal likelihood of the normalised outputs (equation 20).
+
+        Parameters
+        ----------
+        theta : ndarray or None
+            ``kernel_.theta`` followed by the logarithm of the noise variances of the normalised outputs. None:
+            at the fitted values.
+        eval_gradient : bool
+            Also return the gradient with respect to theta.
+        """
+        check_is_fitted(self)
+        P = len(self._scale)
+        if theta is None:
+            if not eval_gradient:
+                return self.log_marginal_likelihood_value_
+            theta = self.theta_
+        theta = np.asarray(theta, dtype=float)
+        expected = (self.kernel_.n_dims + P,)
+        if theta.shape != expected:
+            raise ValueError(
+                f"Got theta of shape {theta.shape}, but expected {expected}: the kernel's {expected[0] - P} "
+                f"hyperparameters and the logarithms of {P} noise variances, as in theta_."
+            )
+        kernel = self.kernel_.clone_with_theta(theta[:-P])
+        return self.posterior_.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
+
+    @property
+    def theta_(self):
+        """Fitted hyperparameters, as ``log_marginal_likelihood`` takes them."""
+        check_is_fitted(self, "kernel_")
+        return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
+
+    def _reach(self, X, times):
+        """Return J R of noisy regressors, (n, P, r); of exact ones r is zero."""
+        times = np.asarray(times, dtype=float)
+        if times.shape not in ((), (len(X),)) or not (times >= 0).all():
+            raise ValueError(
+                f"Got include_input_noise of shape {times.shape}, but expected a bool, or how many times the variance "
+                f"of the fit: a number, or one for each of the {len(X)} rows, from 0 on."
+            )
+        if self._root is None or not times.any():
+            return np.zeros((len(X), len(self._scale), 0))
+        return np.sqrt(times.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) @ self._root)
 
     def _check_regressors(self, X):
         if self._is_plain(X):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from functools import partial
-from numbers import Integral
+from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
@@ -21,12 +21,13 @@ from skdgp._targets import (
     check_memory,
     check_same_targets,
     check_targets,
+    input_root,
     warn_of_indices,
     warn_of_inducing,
     warn_of_samples,
     warn_of_tolerance,
 )
-from skdgp.inference import Data, compact, fit_exact, fit_sparse, output_correlation
+from skdgp.inference import Data, compact, fit_exact, fit_sparse, output_correlation, reach_of
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
 EXACT_LIMIT = 6000
@@ -80,6 +81,10 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         it chose.
     n_inducing : int
         Of sparse inference: inducing inputs of each latent process.
+    input_noise : None, "learned", float, array (d,) or (d, d)
+        How noisy the regressors are, each sample by itself: standard deviations, or a covariance, in the units of X;
+        or a standard deviation for each is learned. By the slopes J of the mean it adds J S J^T to the noise of the
+        outputs, together (McHutchon & Rasmussen 2011). None: the regressors are exact.
     optimizer : "fmin_l_bfgs_b", callable or None
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values.
     n_restarts_optimizer : int
@@ -100,6 +105,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         The fitted covariance, in units of normalised outputs.
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, in squared units of the outputs.
+    input_covariance_ : ndarray (d, d)
+        Covariance of the regressors' noise, where there is any.
     log_marginal_likelihood_value_ : float
         Of the normalised outputs; where inference is sparse its lower bound, neighbours that repeat each other as one.
     inference_ : {"exact", "sparse", "compact"}
@@ -139,6 +146,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         "trend": [StrOptions({"linear", "constant"}), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
+        "input_noise": [StrOptions({"learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
         "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
@@ -157,6 +165,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         trend="linear",
         inference="auto",
         n_inducing=100,
+        input_noise=None,
         optimizer="fmin_l_bfgs_b",
         n_restarts_optimizer=0,
         max_iter=60,
@@ -171,6 +180,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         self.trend = trend
         self.inference = inference
         self.n_inducing = n_inducing
+        self.input_noise = input_noise
         self.optimizer = optimizer
         self.n_restarts_optimizer = n_restarts_optimizer
         self.max_iter = max_iter
@@ -255,6 +265,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.noise * self._scale**2
+        self._root = best.root
+        self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_, self.converged_ = best.n_iter, best.n_evaluations, best.converged
         return self
@@ -270,7 +282,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         if self.trend == "linear":
             kernel = LinearTrend() + kernel
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
-        search = partial(search, kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter)
+        root = input_root(self.input_noise, X.shape[1])
+        search = partial(search, kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter, input_noise=root)
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
         starts = [{"random_state": int(seed), "spread": float(k > 0)} for k, seed in enumerate(seeds)]
         fits = fit_map(search, starts, self.n_jobs)
@@ -324,7 +337,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         warn_of_indices(index, y)
         Y, names, _ = check_targets(y, len(X), type(self).__name__)
         check_same_targets(names, self.output_names_)
-        data = Data.from_table(X, (Y - self._center) / self._scale)
+        reach = None if self._root is None else reach_of(self.posterior_, X, self._root)
+        data = Data.from_table(X, (Y - self._center) / self._scale, reach)
         if self.inference_ == "exact":
             check_memory(self.posterior_.data.n_values + data.n_values, "Exact inference on", FEWER_LATER)
         if data.n_values:
@@ -389,41 +403,6 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         small.posterior_, small.compaction_, small.inference_ = posterior, compaction, "compact"
         small.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         return small
-
-    # -- what was learned ------------------------------------------------------------------------------
-
-    def log_marginal_likelihood(self, theta=None, eval_gradient=False):
-        """Return the log marginal likelihood of the normalised outputs (equation 20).
-
-        Parameters
-        ----------
-        theta : ndarray or None
-            ``kernel_.theta`` followed by the logarithm of the noise variances of the normalised outputs. None:
-            at the fitted values.
-        eval_gradient : bool
-            Also return the gradient with respect to theta.
-        """
-        check_is_fitted(self)
-        P = len(self._scale)
-        if theta is None:
-            if not eval_gradient:
-                return self.log_marginal_likelihood_value_
-            theta = self.theta_
-        theta = np.asarray(theta, dtype=float)
-        expected = (self.kernel_.n_dims + P,)
-        if theta.shape != expected:
-            raise ValueError(
-                f"Got theta of shape {theta.shape}, but expected {expected}: the kernel's {expected[0] - P} "
-                f"hyperparameters and the logarithms of {P} noise variances, as in theta_."
-            )
-        kernel = self.kernel_.clone_with_theta(theta[:-P])
-        return self.posterior_.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
-
-    @property
-    def theta_(self):
-        """Fitted hyperparameters, as ``log_marginal_likelihood`` takes them."""
-        check_is_fitted(self, "kernel_")
-        return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
     def output_correlation(self):
         """Say which outputs are coupled, how strongly, and with what shift.

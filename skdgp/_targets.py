@@ -97,6 +97,24 @@ def warn_of_tolerance(tolerance: float, reached: float, n_inducing: int) -> None
     )
 
 
+def input_root(input_noise, d: int):
+    """Return R (d, r) of the covariance R R^T of the regressors' noise, or what asks for none or for learning."""
+    if input_noise is None or isinstance(input_noise, str):
+        return input_noise
+    given = np.asarray(input_noise, dtype=float)
+    expected = f"expected a standard deviation, {d} of them, or a covariance ({d}, {d}), in the units of X."
+    if given.shape not in ((), (d,), (d, d)) or not np.isfinite(given).all():
+        raise ValueError(f"Got input_noise of shape {given.shape}, but {expected}")
+    if given.ndim < 2:
+        if (given < 0).any():
+            raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
+        return np.diag(np.broadcast_to(given, d))
+    values, vectors = np.linalg.eigh(given)
+    if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
+        raise ValueError(f"Got input_noise that is no covariance (not symmetric, or not positive), but {expected}")
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
 def unnamed(n: int) -> list[str]:
     """Return the names of outputs that came without."""
     return [f"y{i}" for i in range(n)]

@@ -29,6 +29,7 @@ CHANNELS = {
     "wind_north": Channel("m/s", "velocity of the air, north"),
     "wind_east": Channel("m/s", "velocity of the air, east"),
     "wind_down": Channel("m/s", "velocity of the air, down"),
+    "gust": Channel("m/s", "how much the air changes in one second, standard deviation along one axis"),
     # Inertial quantities.
     "p": Channel("rad/s", "roll rate, > 0 right wing down"),
     "q": Channel("rad/s", "pitch rate, > 0 nose up"),

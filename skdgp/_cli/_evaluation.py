@@ -12,6 +12,7 @@ import pandas as pd
 from skdgp._signal import flight_segments, noise_level
 from skdgp._vocabulary import COEFFICIENTS, LATERAL, LONGITUDINAL, TRUTH_SUFFIX
 from skdgp.dynamics import aerodynamic_coefficients, replay, replay_errors
+from skdgp.identification import flight_regressors
 from skdgp.metrics import (
     interval_coverage,
     median_relative_error,
@@ -41,7 +42,8 @@ class Loads:
 class Evaluation:
     """Predictions of one flight, (n, 6) each, and how they replay.
 
-    ``std`` is of the function, ``measured_std`` of a new measurement: computed at ``rows``, interpolated between.
+    ``std`` is of the function at regressors as noisy as this flight's, ``measured_std`` of a new measurement: computed
+    at ``rows``, interpolated between.
     ``states`` maps "measured" and, where it is known, "truth" to the errors of the replay.
     """
 
@@ -60,11 +62,12 @@ class Evaluation:
 def evaluate(pipeline, aircraft, name: str, table: pd.DataFrame, *, loads: Loads, horizons) -> Evaluation:
     """Predict a flight and replay it."""
     measured = aerodynamic_coefficients(table, aircraft, **loads.keywords()).to_numpy()
-    regressors, regressor = pipeline[:-1].transform(table), pipeline[-1]
+    (regressors, times), regressor = flight_regressors(pipeline, table), pipeline[-1]
     mean = regressor.predict(regressors)
     step = -(-len(table) // STD_ROWS)
     rows = np.arange(step // 2, len(table), step)
-    std = _between(len(table), rows, regressor.predict(regressors[rows], return_std=True)[1])
+    std = regressor.predict(regressors[rows], return_std=True, include_input_noise=times[rows])[1]
+    std = _between(len(table), rows, std)
     measured_std = np.sqrt(std**2 + regressor.noise_variance_)
     flown = _replay(name, table, aircraft, mean, measured_std, loads, horizons)
     states = _state_errors(flown, table)

@@ -73,7 +73,11 @@ def _learn(aircraft, train, loads, options, console) -> dict:
     check_known(Y, table)
     targets = thin_targets(Y, _n_samples(options, len(Y)))
     pipeline = make_identification_pipeline(
-        aircraft, regressors=options.regressors, regressor=_regressor(options), mixer=_mixer(table)
+        aircraft,
+        regressors=options.regressors,
+        reconstruction="passthrough" if options.reconstruction == "none" else "auto",
+        regressor=_regressor(options),
+        mixer=_mixer(table),
     )
     seconds = _fit(pipeline, table, targets, console)
     console.stage("calibration")
@@ -91,6 +95,7 @@ def _regressor(options) -> DependentGPRegressor:
     regressor = DependentGPRegressor(
         trend=None if options.trend == "none" else options.trend,
         inference=options.inference,
+        input_noise=None if options.input_noise == "none" else options.input_noise,
         n_restarts_optimizer=options.restarts,
         n_jobs=options.n_jobs,
         random_state=options.seed,
@@ -113,7 +118,7 @@ def _mixer(table):
 
 def _n_samples(options, n_rows):
     if options.samples is None:
-        return n_rows if options.inference == "sparse" else SAMPLES
+        return SAMPLES if options.inference == "exact" else n_rows
     return n_rows if options.samples == "all" else options.samples
 
 

@@ -6,6 +6,8 @@ import argparse
 from difflib import get_close_matches
 from importlib.metadata import version
 
+from skdgp.preprocessing._selector import REGRESSOR_SETS
+
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
@@ -18,7 +20,8 @@ Learn the coefficients CX CY CZ Cl Cm Cn from the flights TRAIN, and try the mod
 
  1. Inverse dynamics: forces and moments from accelerations and rates, less thrust and other known loads, over
     rho V^2 S / 2.
- 2. A dependent Gaussian process learns all six at once from --samples rows spread over the flights.
+ 2. The path of each flight is reconstructed from all its sensors, and a dependent Gaussian process learns all six
+    coefficients at once from --samples rows spread over the flights.
  3. On flights it has not seen its coefficients are compared with the measured ones and flown: integrated from
     the measured state, which is taken anew every --horizons seconds.
 
@@ -51,7 +54,7 @@ Ctrl-C during the fit keeps the best model so far and goes on; a second one stop
 
 DEMO = """\
 Do what identify does on the example flights: a simulated delta-wing UAV of 45 kg in turbulence, whose true
-coefficients are known. Two flights to learn from, one to be tested on. About half a minute on two cores.
+coefficients are known. Two flights to learn from, one to be tested on. About a minute on two cores.
 """
 
 
@@ -86,10 +89,10 @@ def build_parser() -> argparse.ArgumentParser:
         commands.add_parser, "identify", help="learn a model from flight logs", description=IDENTIFY, epilog=TABLES
     )
     _add_flights(identify)
-    _add_model(identify, samples=None, said="755; all with --inference sparse")
+    _add_model(identify, samples=None, said="all; 755 with --inference exact")
     identify.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the outputs")
     demo = _parser(commands.add_parser, "demo", help="the same on simulated example flights", description=DEMO)
-    _add_model(demo, samples=250, said="250")
+    _add_model(demo, samples=None, said="all; 755 with --inference exact")
     demo.add_argument(
         "-o", "--output", metavar="DIR", default="skdgp-demo", help="folder for the outputs (default: %(default)s)"
     )
@@ -135,14 +138,14 @@ def _add_model(parser, *, samples, said):
         type=_samples,
         default=samples,
         metavar="N|all",
-        help=f"rows to learn from, spread over the flights; time grows with the cube (default: {said})",
+        help=f"rows to learn from, spread over the flights (default: {said})",
     )
     group.add_argument(
         "--inference",
         choices=["auto", "exact", "sparse"],
         default="auto",
-        help="exact conditions on every row learned from; sparse on inducing variables, so that it can learn from all "
-        "rows of a long flight (default: auto, exact up to about a thousand rows)",
+        help="exact conditions on every row learned from, in time that grows with their cube; sparse on inducing "
+        "variables, so that it learns from all rows of a long flight (default: auto, exact up to a thousand rows)",
     )
     group.add_argument(
         "--inducing", type=_at_least(1), default=None, metavar="N", help="inducing inputs of sparse inference"
@@ -150,10 +153,23 @@ def _add_model(parser, *, samples, said):
     group.add_argument(
         "--regressors",
         type=_regressors,
-        default="classical",
+        default="quasi-steady",
         metavar="SET",
-        help="classical (alpha, beta, rates, controls: what a simulator knows), paper (accelerations too), or columns "
-        "such as alpha,beta,q_hat,elevator (default: classical)",
+        help="quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot too), paper (accelerations "
+        "too), or columns such as alpha,beta,q_hat,elevator (default: quasi-steady)",
+    )
+    group.add_argument(
+        "--reconstruction",
+        choices=["auto", "none"],
+        default="auto",
+        help="auto reconstructs the path of each flight from all its sensors, where the log holds accelerations, "
+        "attitude, ground velocity and airspeed; none smooths channel by channel (default: auto)",
+    )
+    group.add_argument(
+        "--input-noise",
+        choices=["learned", "none"],
+        default="learned",
+        help="learned: the model finds how noisy its regressors are; none takes them for exact (default: learned)",
     )
     group.add_argument(
         "--trend",
@@ -219,7 +235,7 @@ def _jobs(text):
 
 def _regressors(text):
     names = [name.strip() for name in text.split(",") if name.strip()]
-    return text if text in ("classical", "paper") else names
+    return text if text in REGRESSOR_SETS else names
 
 
 def _seconds(text):

@@ -3,7 +3,7 @@
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, fit_exact, fit_sparse
+from skdgp.inference._fit import Fit, fit_exact, fit_sparse, reach_of
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._repeats import autocorrelation_time
@@ -24,5 +24,6 @@ __all__ = [
     "log_likelihood",
     "maximize",
     "output_correlation",
+    "reach_of",
     "shares_of",
 ]

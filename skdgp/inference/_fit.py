@@ -24,17 +24,21 @@ SUBSET = 2400  # values that sparse inference learns hyperparameters from jointl
 FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
 SETTLING = 10  # steps, at most, to the noise that all values show
 NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
+INPUT_BOUNDS = (1e-7, 0.3)  # of the variance of a regressor
+LEAST_OWN = 0.01  # of an output's noise is its own
 
 
 class Fit(NamedTuple):
     """A posterior, and how its hyperparameters were found.
 
     ``noise`` (P,) is the variance of a measurement, which in a sparse posterior counts for less where neighbours repeat
-    each other; ``value`` is the likelihood, or its bound, by which fits of the same data can be compared.
+    each other; ``root`` (d, r) is R of the regressors' noise, R R^T, where they are noisy; ``value`` is the likelihood,
+    or its bound, by which fits of the same data can be compared.
     """
 
     posterior: ExactPosterior | SparsePosterior
     noise: np.ndarray
+    root: np.ndarray | None
     value: float
     n_iter: int
     n_evaluations: int
@@ -48,6 +52,7 @@ class _Found(NamedTuple):
 
     kernel: object
     noise: np.ndarray
+    root: np.ndarray | None = None
     n_iter: int = 0
     n_evaluations: int = 0
     interrupted: bool = False
@@ -59,10 +64,11 @@ class _Found(NamedTuple):
         value = posterior.log_marginal_likelihood if value is None else value
         n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
         interrupted = self.interrupted or bool(more and more.interrupted)
-        return Fit(posterior, self.noise, value, self.n_iter, n_evaluations, interrupted, self.rising, self.converged)
+        story = self.n_iter, n_evaluations, interrupted, self.rising, self.converged
+        return Fit(posterior, self.noise, self.root, value, *story)
 
 
-def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) -> Fit:
+def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, spread=0.0) -> Fit:
     """Return the exact posterior at the best hyperparameters found from one starting point.
 
     Parameters
@@ -77,14 +83,17 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, spread=0.0) ->
     max_iter : int
         Iterations on the joint likelihood.
     random_state : int, RandomState or None
+    input_noise : ndarray (d, r), "learned" or None
+        R of the covariance R R^T of the regressors' noise; or a variance for each regressor is learned.
     spread : float
         Standard deviation of what is added to the starting theta: for restarts.
     """
-    found = _learn(kernel, X, Y, slice(None), optimizer, max_iter, check_random_state(random_state), spread)
-    return found.fit(ExactPosterior(found.kernel, found.noise, Data.from_table(X, Y)))
+    options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
+    found, data = _learn(kernel, X, Y, slice(None), *options)
+    return found.fit(ExactPosterior(found.kernel, found.noise, data))
 
 
-def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, spread=0.0) -> Fit:
+def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, input_noise=None, spread=0.0) -> Fit:
     """Return the sparse posterior on all samples, at hyperparameters learned from some of them.
 
     Parameters are those of ``fit_exact``, and
@@ -101,13 +110,14 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     Z = _centres(X, n_inducing, random_state)
     size = kernel.initialize(X, Y, np.random.RandomState(0)).features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    found = _learn(kernel, X, Y, _some_rows(Y, random_state), optimizer, max_iter, random_state, spread)
+    rows = _some_rows(Y, random_state)
+    found, _ = _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread)
     kernel, features = found.kernel, found.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features, found.noise, shares)
         if optimizer is None:
-            return found.fit(posterior)
+            return _reached(found, posterior, X, Y, 1.0)
         least = NOISE_BOUNDS[0] * column_scale(Y) ** 2
         posterior = _settled(posterior, 1.0, least)
         value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
@@ -120,7 +130,23 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, s
     best = _learn_features(features, kernel, noise, X, Y, int(repeats.min()))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features.rebuild(kernel, best.theta), noise, shares)
-    return found.fit(posterior, value, best)
+    return _reached(found, posterior, X, Y, repeats, value, best)
+
+
+def _reached(found, posterior, X, Y, repeats, value=None, more=None) -> Fit:
+    """Return the fit, where regressors are noisy with the noise that they carry, of what had seemed each output's own.
+
+    ``repeats`` (P,) neighbours count as one, in this as in the rest of the noise.
+    """
+    if found.root is None:
+        return found.fit(posterior, value, more)
+    reach = reach_of(posterior, X, found.root)
+    carried = np.mean(np.einsum("npr,npr->np", reach, reach), axis=0)
+    noise = np.maximum(found.noise - carried, LEAST_OWN * found.noise)
+    shares = shares_of(Data.from_table(X, Y, reach * np.sqrt(repeats * np.ones(len(noise)))[:, None]))
+    with sharing(shares):
+        posterior = SparsePosterior(posterior.kernel, posterior.features, noise * repeats, shares)
+    return found._replace(noise=noise).fit(posterior, value, more)
 
 
 def _learn_features(features, kernel, noise, X, Y, step):
@@ -152,46 +178,84 @@ def _repeats(posterior, X, Y):
     return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
 
 
-def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, spread) -> _Found:
-    """Return hyperparameters: of each output alone, then of all jointly from the rows."""
+def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread) -> tuple[_Found, Data]:
+    """Return hyperparameters: of each output alone, then of all jointly from the rows; and the values of these."""
     P = Y.shape[1]
     noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
     noise = np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), *noise_bounds.T)
-    if optimizer is None:
-        return _Found(kernel, noise)
     stop = Event()
     singles, n_evaluations, n_iter = None, 0, 0
-    if P > 1 and not open_kernel.is_given():
+    if optimizer is not None and P > 1 and not open_kernel.is_given():
         found = fit_singles(open_kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop)
         singles, noise, n_evaluations = found
-    X, Y = X[rows], Y[rows]
+    everything, X, Y = (X, Y), X[rows], Y[rows]
     data = Data.from_table(X, Y)
+    if optimizer is None:
+        found = _Found(kernel, noise, None if isinstance(input_noise, str) else input_noise)
+        return found, _carried(data, found, X, Y)
 
-    def climb(kernel, noise, max_iter, spread=0.0):
+    def climb(kernel, noise, bounds, max_iter, data, spread=0.0):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
         best = maximize(
-            likelihood_of(kernel, data, P),
+            likelihood_of(kernel, data, len(noise)),
             theta,
-            bounds_of(kernel, noise_bounds),
+            bounds_of(kernel, bounds),
             optimizer=optimizer,
             max_iter=max_iter,
             stop=stop,
         )
-        return kernel.clone_with_theta(best.theta[:-P]), np.exp(best.theta[-P:]), best
+        theta, noise = np.split(best.theta, [-len(noise)])
+        return kernel.clone_with_theta(theta), np.exp(noise), best
 
     # From few hyperparameters to many: filters alike over the outputs first. From there the way up is short, and it
-    # ends at optima that predict better than those found from arbitrary widths.
+    # ends at optima that predict better than those found from arbitrary widths. Where regressors are noisy, the slopes
+    # found on the way say what their noise carries.
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
-    if coarse.n_dims < kernel.n_dims:
-        coarse, noise, best = climb(coarse, noise, -(-max_iter // 2), spread)
+    if coarse.n_dims < kernel.n_dims or input_noise is not None:
+        coarse, noise, best = climb(coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
         n_evaluations, n_iter, spread = n_evaluations + best.n_evaluations, best.n_iter, 0.0
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
-    kernel, noise, best = climb(kernel, noise, max_iter - n_iter, spread)
-    n_evaluations, n_iter = n_evaluations + best.n_evaluations, n_iter + best.n_iter
-    return _Found(kernel, noise, n_iter, n_evaluations, stop.is_set(), best.rising, best.converged)
+    root, bounds = input_noise, noise_bounds
+    if isinstance(input_noise, str):
+        root, data, noise, more = _start_of_inputs(coarse, noise, data, X, Y, column_scale(everything[0]))
+        bounds = np.concatenate([noise_bounds, more])
+    elif input_noise is not None:
+        data = _carried(data, _Found(coarse, noise, root), X, Y)
+    kernel, noise, best = climb(kernel, noise, bounds, max_iter - n_iter, data, spread)
+    if isinstance(input_noise, str):
+        root = root * np.sqrt(noise[P:])
+    found = _Found(kernel, noise[:P], root, n_iter + best.n_iter, n_evaluations + best.n_evaluations)
+    found = found._replace(interrupted=stop.is_set(), rising=best.rising, converged=best.converged)
+    return found, _carried(data, found, X, Y)
+
+
+def reach_of(posterior, X, root) -> np.ndarray:
+    """Return where noisy regressors carry the outputs, G = J R, (n, P, r): slopes of the mean times R."""
+    return posterior.gradient(X) @ root
+
+
+def _carried(data, found, X, Y) -> Data:
+    """Return the values with the noise that regressors carry, by the slopes of what was found."""
+    if found.root is None:
+        return data
+    return Data.from_table(X, Y, reach_of(ExactPosterior(found.kernel, found.noise, data), X, found.root))
+
+
+def _start_of_inputs(kernel, noise, data, X, Y, scale):
+    """Return R of regressors with noise of variance s each, values that it reaches, noise and s, and bounds of s.
+
+    At the start half of the noise comes from the regressors, each off by the same part of its spread.
+    """
+    root = np.diag(scale)
+    data = _carried(data, _Found(kernel, noise, root), X, Y)
+    carried = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.scatter.reach]
+    part = 0.5 * float(np.nanmedian(noise / np.maximum(carried, 1e-12)))
+    least, most = INPUT_BOUNDS
+    start = np.full(len(scale), np.clip(part, 10 * least, most / 10))
+    return root, data, np.concatenate([0.5 * noise, start]), np.tile(INPUT_BOUNDS, (len(scale), 1))
 
 
 def _some_rows(Y, random_state):

@@ -35,6 +35,18 @@ def flight_logs(table: pd.DataFrame, gravity: float) -> list[tuple[object, np.nd
     return logs
 
 
+def missing_in(table: pd.DataFrame) -> list[str]:
+    """Return which needed channels are not there, or silent throughout some flight."""
+    absent = [name for name in ("time", *NEEDED) if name not in table]
+    flights = [table] if "flight" not in table else [part for _, part in table.groupby("flight", observed=True)]
+    return absent + sorted({name for part in flights for name in _silent(part, absent)}, key=NEEDED.index)
+
+
+def _silent(table, absent=()):
+    there = [name for name in NEEDED if name not in absent]
+    return [name for name in there if not np.isfinite(numeric(table, [name])).any()]
+
+
 def first_guess(log: Log, constants) -> Path:
     """Return the path that GPS and attitude show by themselves, in air at rest."""
     return Path(_bridged(log.time, log.velocity), log.attitude, np.zeros_like(log.velocity), constants)
@@ -52,7 +64,7 @@ def _log(table, time, stretch, gravity):
 
 
 def _check_heard(table):
-    silent = [name for name in NEEDED if not np.isfinite(numeric(table, [name])).any()]
+    silent = _silent(table)
     if silent:
         flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
         raise ValueError(

@@ -96,6 +96,7 @@ def estimate(log: Log, start: Path, noise: dict, *, learn, free, gust_time: floa
             break
     else:
         settled = False
+    noise = noise | {kind: noise[alike] for kind, alike in zip(TIES[6:], _tie_names(log)[6:], strict=True)}
     return Estimate(path, noise, posterior.covariance, _air_std(path, posterior, free), settled)
 
 

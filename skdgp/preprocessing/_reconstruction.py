@@ -12,7 +12,17 @@ from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._validation import check_columns, check_radians
-from skdgp.preprocessing._flight_log import AIR, ATTITUDE, FORCE, NEEDED, RATE, VELOCITY, first_guess, flight_logs
+from skdgp.preprocessing._flight_log import (
+    AIR,
+    ATTITUDE,
+    FORCE,
+    NEEDED,
+    RATE,
+    VELOCITY,
+    first_guess,
+    flight_logs,
+    missing_in,
+)
 from skdgp.preprocessing._flight_path import GUSTS, NOISE, estimate
 from skdgp.preprocessing._kinematics import CONSTANTS, INERTIAL, SENSORS, WIND, air_data, air_data_rates
 from skdgp.preprocessing._table import TableTransformer, with_columns
@@ -60,14 +70,22 @@ class FlightPathReconstruction(TableTransformer):
         Correlation time of gusts [s]. The longer, the more a steady vertical wind is possible instead of a vane's bias.
     gravity : float, default=9.80665
         [m/s^2]. An error appears as bias of the accelerometers.
+    incomplete : {"raise", "pass"}, default="raise"
+        What to do in ``fit`` with flights that lack a channel that no path can be had without: raise, or let this and
+        every further table pass as it is (``missing_`` says why), for the next step to smooth.
 
     Attributes
     ----------
+    missing_ : list of str
+        Channels without which flights pass as they are; empty where they are reconstructed.
     noise_std_ : dict of str to float
         Standard deviation of each sensor's noise: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt (roll and pitch), heading.
     error_std_ : dict of str to float
         Expected error of reconstructed airspeed, alpha and beta: root mean square of their standard deviations.
+    gust_std_ : float
+        How much the air changes in one second [m/s], root mean square over the flights of ``fit``; of each flight it is
+        in the column ``gust`` that ``transform`` makes.
     sensors_ : dict of str to float
         Errors of the other sensors, learned over all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
@@ -101,13 +119,15 @@ class FlightPathReconstruction(TableTransformer):
         "rates": [StrOptions({"air", "steady"})],
         "gust_time": [Interval(Real, 0, None, closed="neither")],
         "gravity": [Interval(Real, 0, None, closed="neither")],
+        "incomplete": [StrOptions({"raise", "pass"})],
     }
 
-    def __init__(self, *, calibrate="inertial", rates="air", gust_time=10.0, gravity=9.80665):
+    def __init__(self, *, calibrate="inertial", rates="air", gust_time=10.0, gravity=9.80665, incomplete="raise"):
         self.calibrate = calibrate
         self.rates = rates
         self.gust_time = gust_time
         self.gravity = gravity
+        self.incomplete = incomplete
 
     def calibration(self, X) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone, and which of them it shows.
@@ -127,16 +147,22 @@ class FlightPathReconstruction(TableTransformer):
         check_is_fitted(self)
         table = self._as_table(X)
         self._check(table)
+        if self.missing_:
+            raise ValueError(f"The flights of fit lack {self.missing_}, so nothing was learned of their sensors.")
         return _calibration(self._estimates(table, free=self._errors(), learn=GUSTS, sensors={}), self._errors())
 
     def _fit_table(self, table):
         errors = self._errors()
+        self.missing_ = missing_in(table) if self.incomplete == "pass" else []
+        if self.missing_:
+            return
         self._check(table)
         self.noise_std_ = dict(NOISE)
         found = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors={})
         samples = [len(log.time) for _, _, log, _ in found]
         variances = {name: [each.noise[name] ** 2 for *_, each in found] for name in NOISE}
         self.noise_std_ = {name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()}
+        self.gust_std_ = float(np.sqrt(np.average([_gust(each) ** 2 for *_, each in found], weights=samples)))
         left = np.sqrt(np.average([each.air_std**2 for *_, each in found], axis=0, weights=samples))
         self.error_std_ = dict(zip(AIR, left.tolist(), strict=True))
         self.sensors_ = dict.fromkeys(SENSORS, 0.0) | _pooled(found, errors)
@@ -145,18 +171,21 @@ class FlightPathReconstruction(TableTransformer):
             self._warn_of_hidden()
 
     def _transform_table(self, table):
+        if self.missing_:
+            return table
         self._check(table)
         inertial = [name for name in self._errors() if name in INERTIAL]
-        new = {name: np.empty(len(table)) for name in MADE}
+        new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
         for _, rows, log, found in self._estimates(table, free=inertial, learn=GUSTS, sensors=self.sensors_):
             for name, values in _channels(found.path, log, self.rates).items():
                 new[name][rows] = values
+            new["gust"][rows] = _gust(found)
         for name in ATTITUDE:
             new[name] = _near(new[name], table[name].to_numpy(float, na_value=np.nan))
         return with_columns(table, new)
 
     def _columns_out(self, names):
-        return names + [name for name in MADE if name not in names]
+        return names + [name for name in (*MADE, "gust") if name not in names and not self.missing_]
 
     def _errors(self):
         """Return the names of the sensors' errors to estimate."""
@@ -229,6 +258,11 @@ def _slopes(air, path, log):
 def _near(angle, logged):
     """Return the same angle within pi of the one that was logged."""
     return angle - 2 * np.pi * np.round((angle - np.where(np.isfinite(logged), logged, angle)) / (2 * np.pi))
+
+
+def _gust(found) -> float:
+    """Return how much the air changes in one second, along one axis [m/s]: root mean square of the two directions."""
+    return float(np.sqrt(np.mean([found.noise[name] ** 2 for name in GUSTS])))
 
 
 def _pooled(found, errors):

@@ -19,6 +19,7 @@ SURFACES = ("elevator", "aileron", "rudder")
 ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
 OPTIONAL = ("throttle", *SURFACES)
 REGRESSOR_SETS = {
+    "quasi-steady": ("alpha", "beta", "p", "q", "r", *SURFACES, "throttle"),
     "classical": ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", *SURFACES, "throttle"),
     "paper": (
         *("ax", "ay", "az", "p", "q", "r", "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle"),
@@ -41,14 +42,17 @@ STILL = 1e-9
 class RegressorSelector(TableTransformer):
     """Choose the regressors from a flight table, by the name of a set or one by one.
 
-    ============== ===========================================================================================
-    ``classical``  alpha, beta, p, q, r, alpha_dot, beta_dot, elevator, aileron, rudder, throttle
-    ``paper``      ax, ay, az, p, q, r, p_dot, q_dot, r_dot, alpha_dot, beta_dot, throttle, elevator, aileron,
-                   rudder (Hemakumara & Sukkarieh 2011, eq 22)
-    ============== ===========================================================================================
+    ================= ========================================================================================
+    ``quasi-steady``  alpha, beta, p, q, r, elevator, aileron, rudder, throttle
+    ``classical``     alpha, beta, p, q, r, alpha_dot, beta_dot, elevator, aileron, rudder, throttle
+    ``paper``         ax, ay, az, p, q, r, p_dot, q_dot, r_dot, alpha_dot, beta_dot, throttle, elevator,
+                      aileron, rudder (Hemakumara & Sukkarieh 2011, eq 22)
+    ================= ========================================================================================
 
     The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar S): a model on it
-    scores well and cannot be simulated, as a simulator has no accelerations to give. Hence ``"classical"``.
+    scores well and cannot be simulated, as a simulator has no accelerations to give. In most flights alpha_dot nearly
+    equals q, and beta_dot nearly -r cos alpha: the data then hardly tell them apart (Klein & Morelli 2006, section
+    5.1), and a model of both errs where another flight does. Hence ``"quasi-steady"``, which merges them.
 
     In the named sets a non-dimensional rate (``p_hat``) takes the place of the rate where the table has it, and
     controls that the aircraft does not have (throttle, elevator, aileron, rudder; at least one surface must be there)
@@ -56,7 +60,7 @@ class RegressorSelector(TableTransformer):
 
     Parameters
     ----------
-    regressors : {"classical", "paper"} or list of str, default="classical"
+    regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         Named set, or columns in order.
     extra : sequence of str, default=()
         Columns to add to a named set, such as ``["airspeed"]``.
@@ -95,7 +99,7 @@ class RegressorSelector(TableTransformer):
         "extra": [list, tuple, np.ndarray],
     }
 
-    def __init__(self, regressors="classical", *, extra=()):
+    def __init__(self, regressors="quasi-steady", *, extra=()):
         self.regressors = regressors
         self.extra = extra
 

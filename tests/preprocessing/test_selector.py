@@ -24,13 +24,16 @@ PAPER = [
     "aileron",
     "rudder",
 ]
+QUASI_STEADY = [name for name in CLASSICAL if name not in ("alpha_dot", "beta_dot")]
 NUMBERS = [*dict.fromkeys(CLASSICAL + PAPER), "alpha_true"]
 EVERY = pd.DataFrame(np.random.default_rng(0).normal(size=(6, len(NUMBERS))), columns=NUMBERS).assign(
     airspeed=30.0, flight="one"
 )
 
 
-@pytest.mark.parametrize(("name", "columns"), [("classical", CLASSICAL), ("paper", PAPER)])
+@pytest.mark.parametrize(
+    ("name", "columns"), [("quasi-steady", QUASI_STEADY), ("classical", CLASSICAL), ("paper", PAPER)]
+)
 def test_named_sets(name, columns):
     selector = RegressorSelector(name).fit(EVERY)
     assert selector.regressors_ == columns
@@ -38,17 +41,20 @@ def test_named_sets(name, columns):
     pd.testing.assert_frame_equal(selector.transform(EVERY), EVERY[columns])
 
 
-def test_default_is_classical():
-    assert RegressorSelector().fit(EVERY).regressors_ == CLASSICAL
+def test_default_is_quasi_steady():
+    assert RegressorSelector().fit(EVERY).regressors_ == QUASI_STEADY
 
 
 def test_extra_columns_come_last_once():
-    assert RegressorSelector(extra=["airspeed", "alpha"]).fit(EVERY).regressors_ == [*CLASSICAL, "airspeed"]
+    assert RegressorSelector("classical", extra=["airspeed", "alpha"]).fit(EVERY).regressors_ == [
+        *CLASSICAL,
+        "airspeed",
+    ]
 
 
 def test_nondimensional_rates_take_the_place_of_rates():
     table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(EVERY)
-    chosen = RegressorSelector().fit(table).regressors_
+    chosen = RegressorSelector("classical").fit(table).regressors_
     assert chosen == [
         "alpha",
         "beta",
@@ -66,29 +72,29 @@ def test_nondimensional_rates_take_the_place_of_rates():
 
 @pytest.mark.parametrize("absent", [["throttle"], ["rudder"], ["throttle", "aileron", "rudder"]])
 def test_controls_that_the_aircraft_does_not_have(absent):
-    selector = RegressorSelector().fit(EVERY.drop(columns=absent))
+    selector = RegressorSelector("classical").fit(EVERY.drop(columns=absent))
     assert sorted(selector.absent_) == sorted(absent)
     assert selector.regressors_ == [name for name in CLASSICAL if name not in absent]
 
 
 def test_a_misspelt_control_is_not_an_absent_one():
     with pytest.raises(ValueError, match=r"'throttle' \(nearest: 'Throttle'\)"):
-        RegressorSelector().fit(EVERY.rename(columns={"throttle": "Throttle"}))
+        RegressorSelector("classical").fit(EVERY.rename(columns={"throttle": "Throttle"}))
 
 
 def test_an_aircraft_without_any_surface():
     with pytest.raises(ValueError, match="lacks the columns 'elevator'"):
-        RegressorSelector().fit(EVERY.drop(columns=["elevator", "aileron", "rudder"]))
+        RegressorSelector("classical").fit(EVERY.drop(columns=["elevator", "aileron", "rudder"]))
 
 
 def test_missing_state_is_an_error_with_the_nearest_name():
     with pytest.raises(ValueError, match=r"'alpha' \(nearest: 'alphas'\)"):
-        RegressorSelector().fit(EVERY.drop(columns="alpha_true").rename(columns={"alpha": "alphas"}))
+        RegressorSelector("classical").fit(EVERY.drop(columns="alpha_true").rename(columns={"alpha": "alphas"}))
 
 
 def test_missing_rate_of_change_points_to_its_maker():
     with pytest.raises(ValueError, match=r"\['alpha_dot', 'beta_dot'\].*put FlightSmoother\(\) before"):
-        RegressorSelector().fit(EVERY.drop(columns=["alpha_dot", "beta_dot"]))
+        RegressorSelector("classical").fit(EVERY.drop(columns=["alpha_dot", "beta_dot"]))
     with pytest.raises(ValueError, match=r"\['p_dot'\].*derivatives="):
         RegressorSelector("paper").fit(EVERY.drop(columns=["p_dot"]))
 
@@ -96,15 +102,15 @@ def test_missing_rate_of_change_points_to_its_maker():
 def test_unsplit_elevons_point_to_the_splitter():
     table = EVERY.drop(columns=["elevator", "aileron"]).assign(elevon_left=0.0, elevon_right=0.1)
     with pytest.raises(ValueError, match=r"put ElevonSplitter\(\) before"):
-        RegressorSelector().fit(table)
+        RegressorSelector("classical").fit(table)
 
 
 def test_truth_only_by_name_and_with_a_warning():
-    assert not any(name.endswith("_true") for name in RegressorSelector().fit(EVERY).regressors_)
+    assert not any(name.endswith("_true") for name in RegressorSelector("classical").fit(EVERY).regressors_)
     with pytest.warns(UserWarning, match=r"\['alpha_true'\] are noise-free truth"):
         RegressorSelector(["alpha_true", "q"]).fit(EVERY)
     with pytest.raises(ValueError, match="lacks the columns 'alpha'"):
-        RegressorSelector().fit(EVERY.drop(columns="alpha"))  # alpha_true does not stand in
+        RegressorSelector("classical").fit(EVERY.drop(columns="alpha"))  # alpha_true does not stand in
 
 
 def test_holes_are_refused_by_the_names_of_what_was_measured():
@@ -112,7 +118,7 @@ def test_holes_are_refused_by_the_names_of_what_was_measured():
     table.loc[[1, 2], "q"] = np.nan
     table.loc[3, "beta"] = np.inf
     table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(table)
-    selector = RegressorSelector().fit(table)
+    selector = RegressorSelector("classical").fit(table)
     with pytest.raises(ValueError, match=r"3 of 6 rows .*by rows: \{'beta': 1, 'q': 2\}.*drop these rows") as error:
         selector.transform(table)
     remedy = str(error.value).split("identify does: ")[1].split(". Interpolate")[0]
@@ -125,7 +131,7 @@ def test_rows_without_airspeed_are_not_called_rows_without_rates():
     table = EVERY.assign(airspeed=[np.nan, 1, 1, 1, 1, 1])
     table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(table)
     with pytest.raises(ValueError, match=r"by rows: \{'airspeed': 1\}"):
-        RegressorSelector().fit_transform(table)
+        RegressorSelector("classical").fit_transform(table)
 
 
 def test_a_rate_of_change_without_neighbours():
@@ -134,7 +140,7 @@ def test_a_rate_of_change_without_neighbours():
     with pytest.warns(UserWarning, match="NaN"):
         made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(flight)
     with pytest.raises(ValueError, match=r"1 of 30 rows.*'alpha_dot': 1.*rows that stand alone between gaps"):
-        RegressorSelector().fit_transform(made)
+        RegressorSelector("classical").fit_transform(made)
 
 
 def test_lists_are_taken_at_their_word():
@@ -149,7 +155,7 @@ def test_lists_are_taken_at_their_word():
 
 
 def test_transform_needs_what_fit_chose():
-    selector = RegressorSelector().fit(EVERY)
+    selector = RegressorSelector("classical").fit(EVERY)
     with pytest.raises(ValueError, match="lacks the columns 'rudder'"):
         selector.transform(EVERY.drop(columns="rudder"))
     with pytest.raises(ValueError, match="with no rows"):
@@ -159,4 +165,4 @@ def test_transform_needs_what_fit_chose():
 def test_a_hole_in_a_mixed_control_is_one_in_the_surface():
     table = EVERY.drop(columns=["elevator", "aileron"]).assign(elevon_left=[np.nan, 0, 0, 0, 0, 0], elevon_right=0.1)
     with pytest.raises(ValueError, match=r"1 of 6 rows .*by rows: \{'elevon_left': 1\}"):
-        RegressorSelector().fit_transform(ElevonSplitter().fit_transform(table))
+        RegressorSelector("classical").fit_transform(ElevonSplitter().fit_transform(table))

@@ -119,7 +119,7 @@ def test_whole_way_to_regressors_in_a_grid_search():
         FlightSmoother(),
         ElevonSplitter(),
         RateNondimensionalizer(span=2.0, chord=1.0),
-        RegressorSelector(),
+        RegressorSelector("classical"),
         StandardScaler(),
         LinearRegression(),
     )
@@ -137,7 +137,7 @@ def test_whole_way_to_regressors_in_a_grid_search():
 def test_shared_flight(shared_data):
     table = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
     steps = make_pipeline(
-        FlightSmoother(), ElevonSplitter(), RateNondimensionalizer(span=2.8, chord=1.2), RegressorSelector()
+        FlightSmoother(), ElevonSplitter(), RateNondimensionalizer(span=2.8, chord=1.2), RegressorSelector("classical")
     )
     out = steps.fit_transform(table)
     assert out.shape == (14_400, 11)

@@ -219,7 +219,7 @@ class NoisyModel(RegressorMixin, BaseEstimator):
         self.n_outputs_ = np.ndim(y)
         return self
 
-    def predict(self, X, return_std=False, include_noise=False):
+    def predict(self, X, return_std=False, include_noise=False, include_input_noise=False):
         mean = np.zeros(len(X))
         return (mean, mean + (2.0 if include_noise else 1.0)) if return_std else mean
 
@@ -227,7 +227,7 @@ class NoisyModel(RegressorMixin, BaseEstimator):
 class TwoOutputs(NoisyModel):
     """The same for two outputs."""
 
-    def predict(self, X, return_std=False, include_noise=False):
+    def predict(self, X, return_std=False, include_noise=False, include_input_noise=False):
         mean = np.zeros((len(X), 2))
         return (mean, mean + (2.0 if include_noise else 1.0)) if return_std else mean
 

@@ -201,9 +201,9 @@ def predict_observed(estimator, X, y, *, with_std: bool):
 
 
 def predict_with_noise(estimator, X):
-    """Return mean and std, with measurement noise where the estimator can add it."""
+    """Return mean and std, with the noise of measurements and regressors where the estimator can add it."""
     check_predicts_std(estimator)
-    noise = {"include_noise": True} if accepts(estimator, "include_noise") else {}
+    noise = {name: True for name in ("include_noise", "include_input_noise") if accepts(estimator, name)}
     return tuple(np.asarray(part) for part in unwrap(estimator).predict(X, return_std=True, **noise))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skdgp._vocabulary import COEFFICIENTS
+from skdgp.metrics._scorers import predict_with_noise
 from skdgp.plotting._arrays import check_columns_of, check_std, check_time, choose, names_of
 from skdgp.plotting._comparison import Comparison, check_level, draw_comparison
 from skdgp.plotting._style import axis_label, check_matplotlib, legend_above, panels, tidy
@@ -197,6 +198,5 @@ def time_of(X) -> np.ndarray:
 
 
 def predict_with_std(estimator, X, include_noise: bool):
-    """Return mean and std of a fitted estimator; the noise is asked for only when wanted."""
-    noise = {"include_noise": True} if include_noise else {}
-    return estimator.predict(X, return_std=True, **noise)
+    """Return mean and std of a fitted estimator; noise, that of regressors too, is asked for only when wanted."""
+    return predict_with_noise(estimator, X) if include_noise else estimator.predict(X, return_std=True)

@@ -267,7 +267,7 @@ class TestCoefficients:
             CoefficientDisplay.from_estimator(
                 model, None, measured, time=time, include_noise=include_noise, ax=Figure()
             )
-        assert asked == [{"return_std": True}, {"return_std": True, "include_noise": True}]
+        assert asked == [{"return_std": True}, {"return_std": True, "include_noise": True, "include_input_noise": True}]
 
     @pytest.mark.parametrize(
         ("change", "message"),
@@ -368,7 +368,7 @@ class TestCalibration:
             return mean, std
 
         CalibrationDisplay.from_estimator(SimpleNamespace(predict=predict), None, measured, ax=Figure())
-        assert asked == [{"return_std": True, "include_noise": True}]
+        assert asked == [{"return_std": True, "include_noise": True, "include_input_noise": True}]
 
     def test_transform_against_the_definition(self):
         _, measured, mean, std = outputs(300)

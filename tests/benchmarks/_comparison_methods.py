@@ -11,7 +11,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp.identification import calibrate_noise
+from skdgp.identification import calibrate_noise, flight_regressors
+from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightPathReconstruction,
@@ -73,14 +74,17 @@ class Dependent:
         return tuple(self.regressor.predict(X, return_std=True, include_noise=noise)[1] for noise in (False, True))
 
 
-class Identification(Dependent):
-    """The whole pipeline, from flight tables, with its noise calibrated as the command line does.
+class Identification:
+    """The whole pipeline, from flight tables, as the command line fits it.
 
-    ``arguments`` are those of ``make_identification_pipeline``, ``parameters`` what its ``set_params`` is given.
+    ``arguments`` are those of ``make_identification_pipeline``, ``parameters`` what its ``set_params`` is given,
+    ``samples`` how many are learned from where not all, with the noise ``calibrated`` on others; ``gusts``: whether
+    bands know how gusty the flight is.
     """
 
-    def __init__(self, arguments=None, parameters=None, *, calibrated=True):
-        self.arguments, self.parameters, self.calibrated = arguments or {}, parameters or {}, calibrated
+    def __init__(self, arguments=None, parameters=None, *, samples=None, calibrated=True, gusts=True):
+        self.arguments, self.parameters, self.samples = arguments or {}, parameters or {}, samples
+        self.calibrated, self.gusts = calibrated, gusts
 
     def unfitted(self, aircraft):
         pipeline = make_identification_pipeline(aircraft, **self.arguments)
@@ -88,11 +92,23 @@ class Identification(Dependent):
         return pipeline.set_params(**seeds).set_params(**self.parameters)
 
     def fit_flight(self, task):
-        pipeline = self.unfitted(task.aircraft).fit(task.train, task.thinned)
+        learned = task.targets if self.samples is None else thin_targets(task.targets, self.samples)
+        self.pipeline = self.unfitted(task.aircraft).fit(task.train, learned)
         if self.calibrated:
-            calibrate_noise(pipeline, task.train, task.targets.mask(task.thinned.notna()))
-        self.transform, self.regressor = pipeline[:-1].transform, pipeline[-1]
+            calibrate_noise(self.pipeline, task.train, task.targets.mask(learned.notna()))
         return self
+
+    def transform(self, table):
+        """Return the regressors and, last, how much noisier they are than those of the fit."""
+        X, times = flight_regressors(self.pipeline, table)
+        return np.column_stack([X, times if self.gusts else np.ones(len(X))])
+
+    def predict(self, X):
+        return self.pipeline[-1].predict(X[:, :-1])
+
+    def bands(self, X):
+        words = {"return_std": True, "include_input_noise": X[:, -1]}
+        return tuple(self.pipeline[-1].predict(X[:, :-1], include_noise=noise, **words)[1] for noise in (False, True))
 
 
 class Method(NamedTuple):
@@ -157,8 +173,9 @@ METHODS = {
     ),
     "pipeline": Method(
         "**skdgp pipeline**",
-        "make_identification_pipeline, its defaults; calibrate_noise",
+        "make_identification_pipeline, its defaults",
         Identification,
+        all_samples=True,
         ours=True,
         whole=True,
     ),

@@ -10,7 +10,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
-from sklearn.utils._param_validation import Interval, StrOptions
+from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._parallel import check_n_jobs, fit_map
@@ -28,7 +28,7 @@ from skdgp._targets import (
     warn_of_tolerance,
 )
 from skdgp.inference import Data, compact, fit_exact, fit_sparse, output_correlation, reach_of
-from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
+from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
 EXACT_LIMIT = 6000
 """Observed values up to which inference="auto" is exact: about two seconds an evaluation on two cores."""
@@ -70,10 +70,11 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         Whether each output also has a latent process of its own, which none of the others sees.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
-    trend : {"linear", "constant", None}
-        "constant" takes the mean of each output away (the paper's centring). "linear" adds a linear function
-        of the regressors whose weights are integrated out, so that the model goes on sensibly where there were
-        no data, with the uncertainty of the slopes. None: neither.
+    trend : {"linear", "constant"}, transformer or None
+        "constant" takes the mean of each output away (the paper's centring). "linear" adds a linear function of the
+        regressors whose weights are integrated out: the model goes on sensibly where there were no data, with the
+        uncertainty of the slopes. A transformer, such as ``PolynomialFeatures(2)``: linear in its columns
+        (``BasisTrend``). None: neither.
     inference : {"auto", "exact", "sparse"}
         "exact" conditions on every observed value. "sparse" learns hyperparameters from some of them and conditions a
         summary on all, in time linear in the samples and memory that does not grow; rows in the order of the log tell
@@ -143,7 +144,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         "n_latent": [Interval(Integral, 0, None, closed="left")],
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
-        "trend": [StrOptions({"linear", "constant"}), None],
+        "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
         "input_noise": [StrOptions({"learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
@@ -243,7 +244,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
             check_memory(n_values, "Exact inference on", FEWER_VALUES)
         else:
             warn_of_inducing(self.n_inducing, len(X))
-        self._center = np.nanmean(Y, axis=0) if self.trend else np.zeros(Y.shape[1])
+        self._center = np.nanmean(Y, axis=0) if self.trend is not None else np.zeros(Y.shape[1])
         scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
         self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
         best = self._search(X, (Y - self._center) / self._scale)
@@ -279,8 +280,8 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
                 self.n_latent, private_latents=self.private_latents, covariance_type=self.covariance_type
             )
         kernel = clone(kernel)
-        if self.trend == "linear":
-            kernel = LinearTrend() + kernel
+        if self.trend not in ("constant", None):
+            kernel = (LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)) + kernel
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
         root = input_root(self.input_noise, X.shape[1])
         search = partial(search, kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter, input_noise=root)
@@ -418,7 +419,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         check_is_fitted(self)
         kernel = self.kernel_.stationary_part()
         if kernel is None:
-            raise ValueError("The kernel has no stationary part: a linear trend alone couples no outputs.")
+            raise ValueError("The kernel has no stationary part: a trend alone couples no outputs.")
         found = output_correlation(kernel)
         found["output_names"] = list(self.output_names_)
         return found

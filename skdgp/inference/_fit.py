@@ -89,7 +89,7 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=No
         Standard deviation of what is added to the starting theta: for restarts.
     """
     options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
-    found, data = _learn(kernel, X, Y, slice(None), *options)
+    found, data = _learn(kernel.prepared(X), X, Y, slice(None), *options)
     return found.fit(ExactPosterior(found.kernel, found.noise, data))
 
 
@@ -106,7 +106,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, i
     ValueError
         When matrices of all inducing variables would not fit the machine's memory.
     """
-    random_state = check_random_state(random_state)
+    random_state, kernel = check_random_state(random_state), kernel.prepared(X)
     Z = _centres(X, n_inducing, random_state)
     size = kernel.initialize(X, Y, np.random.RandomState(0)).features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)

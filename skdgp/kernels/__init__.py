@@ -2,6 +2,6 @@
 
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
-from skdgp.kernels._trend import LinearTrend
+from skdgp.kernels._trend import BasisTrend, LinearTrend
 
-__all__ = ["ConvolvedGaussian", "LinearTrend", "MultiOutputKernel", "Sum"]
+__all__ = ["BasisTrend", "ConvolvedGaussian", "LinearTrend", "MultiOutputKernel", "Sum"]

@@ -6,7 +6,9 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
+import joblib
 import numpy as np
+from sklearn.base import BaseEstimator
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
@@ -115,6 +117,10 @@ class MultiOutputKernel(Kernel):
     @abstractmethod
     def stationary_part(self) -> MultiOutputKernel | None:
         """Return what of the covariance depends on the separation alone, None if nothing does."""
+
+    def prepared(self, X) -> MultiOutputKernel:
+        """Return the kernel, still without values, with what it takes from the inputs (n, d) of all samples alone."""
+        return self
 
     def couples(self, i: int, j: int) -> bool:
         """Return whether cov(y_i, y_j) can differ from zero: where it cannot, no block is asked for."""
@@ -259,7 +265,7 @@ class MultiOutputKernel(Kernel):
         if type(self) is not type(other):
             return False
         mine, theirs = self.get_params(), other.get_params()
-        return set(mine) == set(theirs) and all(np.array_equal(mine[k], theirs[k]) for k in mine)
+        return set(mine) == set(theirs) and all(_equal(mine[k], theirs[k]) for k in mine)
 
     __hash__ = None
 
@@ -330,6 +336,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
         first = self.k1.initialize(X, Y, random_state, **of("k1"))
         return Sum(first, self.k2.initialize(X, first.unexplained(X, Y), random_state, **of("k2")))
 
+    def prepared(self, X):
+        return Sum(self.k1.prepared(X), self.k2.prepared(X))
+
     def coarse(self):
         return Sum(self.k1.coarse(), self.k2.coarse())
 
@@ -367,6 +376,11 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def __repr__(self):
         return f"{self.k1!r} + {self.k2!r}"
+
+
+def _equal(a, b) -> bool:
+    """Return whether parameters are the same; estimators by what they hold."""
+    return joblib.hash(a) == joblib.hash(b) if isinstance(a, BaseEstimator) else np.array_equal(a, b)
 
 
 def _pairs(f: Free) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skdgp.kernels._rows import ExponentialRows, LinearRows, SumRows
+from skdgp.kernels._rows import ExponentialRows, SumRows, TrendRows
 
 JITTER = 1e-6
 """White noise of the inducing variables, part of their definition: the bound stays a bound."""
@@ -169,11 +169,11 @@ def _widened(kernel, width):
 
 
 class TrendFeatures(Features):
-    """The standardised weights of a linear trend: with them nothing is approximated."""
+    """The standardised weights of a trend: with them nothing is approximated."""
 
     def __init__(self, kernel):
         self.kernel = kernel
-        self.n_weights = kernel.n_features + 1
+        self.n_weights = kernel.n_weights
         self.size = kernel.n_outputs * self.n_weights
 
     def columns(self, i):
@@ -186,7 +186,7 @@ class TrendFeatures(Features):
         return self.kernel.basis(i, X)
 
     def rows(self):
-        return LinearRows(self.kernel)
+        return TrendRows(self.kernel)
 
     def Kfu_derivative(self, i, X):
         return self.kernel.basis_derivative(i, X)

@@ -56,17 +56,18 @@ class ExponentialRows:
         return E
 
 
-class LinearRows:
-    """The basis functions of a linear trend of every output, (1, x - c) times their scales."""
+class TrendRows:
+    """The basis functions of a trend of every output, (1, phi(x) - c) times their scales."""
 
     def __init__(self, kernel):
-        self.center = np.broadcast_to(kernel._value("center"), kernel.n_features)
+        self.columns = kernel.columns
+        self.center = kernel._value("center")
         self.scales = np.column_stack([kernel._value("intercept_scale"), kernel._value("slope_scale")]).ravel()
-        self.sizes = np.full(kernel.n_outputs, kernel.n_features + 1)
+        self.sizes = np.full(kernel.n_outputs, kernel.n_weights)
 
     def __call__(self, X) -> np.ndarray:
         """Return all columns at X (n, d), (n, C)."""
-        basis = np.column_stack([np.ones(len(X)), X - self.center])
+        basis = np.column_stack([np.ones(len(X)), self.columns(X) - self.center])
         return np.tile(basis, len(self.sizes)) * self.scales
 
 

@@ -7,9 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 from sklearn.base import clone
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, StandardScaler
 
 import skdgp.kernels
-from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, _strips
+from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, _strips
 
 
 def convolved(n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds):
@@ -39,6 +41,15 @@ def trend(P=3, d=2, seed=1):
     return LinearTrend(rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, d)), center=rng.normal(size=d))
 
 
+def basis_trend(transformer, P=3, d=2, seed=1):
+    """A trend in the columns of a transformer that was fitted to fifty samples."""
+    rng = np.random.default_rng(seed)
+    X = rng.normal(0, 1.2, (50, d))
+    K = clone(transformer).fit_transform(X).shape[1]
+    scales = rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, K))
+    return BasisTrend(transformer, *scales, center=rng.normal(size=K)).initialize(X, np.zeros((50, P)), 0)
+
+
 KERNELS = {
     **{kind: convolved(covariance_type=kind) for kind in ("spherical", "diag", "full", "tied")},
     **{
@@ -58,6 +69,11 @@ KERNELS = {
         length_scale_bounds=np.stack([np.full((5, 3, 2), 0.1), np.arange(30.0).reshape(5, 3, 2) + 9], axis=-1)
     ),
     "trend": trend(),
+    "trend in polynomials": basis_trend(PolynomialFeatures(2, include_bias=False)),
+    "trend in splines + dependent": basis_trend(
+        make_pipeline(StandardScaler(), SplineTransformer(3, degree=5, extrapolation="continue", include_bias=False))
+    )
+    + convolved(1),
     "trend + dependent": trend() + convolved(1, covariance_type="full", shift=True),
     "dependent + dependent": convolved(1, private=False) + convolved(1, private=False, covariance_type="tied", seed=5),
     "trend + (dependent + dependent)": trend() + (convolved(1) + convolved(0, seed=8)),

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
 from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -16,6 +14,8 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from skdgp._parallel import check_n_jobs, fit_map
 from skdgp._prediction import PredictionMixin
 from skdgp._targets import (
+    FEWER_LATER,
+    FEWER_VALUES,
     check_compaction,
     check_enough,
     check_memory,
@@ -25,6 +25,7 @@ from skdgp._targets import (
     warn_of_indices,
     warn_of_inducing,
     warn_of_samples,
+    warn_of_search,
     warn_of_tolerance,
 )
 from skdgp.inference import Data, compact, fit_exact, fit_sparse, output_correlation, reach_of
@@ -32,15 +33,6 @@ from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutpu
 
 EXACT_LIMIT = 6000
 """Observed values up to which inference="auto" is exact: about two seconds an evaluation on two cores."""
-
-FEWER_VALUES = (
-    "Use inference='sparse', or observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread "
-    "over the log."
-)
-FEWER_LATER = (
-    "Compact the model first (model.compact(), which goes on learning in memory that does not grow), or fit with "
-    "inference='sparse'."
-)
 
 
 class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -63,13 +55,15 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
     ----------
     kernel : MultiOutputKernel or None
         Covariance of the processes. None: ``ConvolvedGaussian(n_latent, private_latents=private_latents,
-        covariance_type=covariance_type)``. What the kernel leaves open is taken from the data.
+        covariance_type=covariance_type, length_scale_prior=length_scale_prior)``. What is open is taken from the data.
     n_latent : int
         Latent processes shared by all outputs.
     private_latents : bool
         Whether each output also has a latent process of its own, which none of the others sees.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
+    length_scale_prior : None, "auto", pair or array (d, 2)
+        Prior median of the widths and spread of their logarithms, see ``ConvolvedGaussian``. None: no prior.
     trend : {"linear", "constant"}, transformer or None
         "constant" takes the mean of each output away (the paper's centring). "linear" adds a linear function of the
         regressors whose weights are integrated out: the model goes on sensibly where there were no data, with the
@@ -144,6 +138,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         "n_latent": [Interval(Integral, 0, None, closed="left")],
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
+        "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
@@ -163,6 +158,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         n_latent=2,
         private_latents=True,
         covariance_type="diag",
+        length_scale_prior=None,
         trend="linear",
         inference="auto",
         n_inducing=100,
@@ -178,6 +174,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         self.n_latent = n_latent
         self.private_latents = private_latents
         self.covariance_type = covariance_type
+        self.length_scale_prior = length_scale_prior
         self.trend = trend
         self.inference = inference
         self.n_inducing = n_inducing
@@ -248,20 +245,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
         self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
         best = self._search(X, (Y - self._center) / self._scale)
-        if best.interrupted:
-            warnings.warn(
-                f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
-                "hyperparameters so far are kept. Fit again for more.",
-                ConvergenceWarning,
-                stacklevel=3,
-            )
-        elif best.rising:
-            warnings.warn(
-                f"The fit stopped at max_iter={self.max_iter} while the log likelihood was still rising fast: the "
-                "hyperparameters are not good yet. Raise max_iter, or scale the regressors (StandardScaler).",
-                ConvergenceWarning,
-                stacklevel=3,
-            )
+        warn_of_search(best, self.max_iter)
         vars(self).pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
@@ -277,7 +261,10 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         kernel = self.kernel
         if kernel is None:
             kernel = ConvolvedGaussian(
-                self.n_latent, private_latents=self.private_latents, covariance_type=self.covariance_type
+                self.n_latent,
+                private_latents=self.private_latents,
+                covariance_type=self.covariance_type,
+                length_scale_prior=self.length_scale_prior,
             )
         kernel = clone(kernel)
         if self.trend not in ("constant", None):

@@ -8,7 +8,17 @@ from numbers import Integral, Real
 
 import numpy as np
 import pandas as pd
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
+
+FEWER_VALUES = (
+    "Use inference='sparse', or observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread "
+    "over the log."
+)
+FEWER_LATER = (
+    "Compact the model first (model.compact(), which goes on learning in memory that does not grow), or fit with "
+    "inference='sparse'."
+)
 
 
 def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
@@ -146,9 +156,25 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
         )
 
 
-def _warn(message):
+def warn_of_search(best, max_iter: int) -> None:
+    """Warn of a search for hyperparameters that was interrupted, or stopped far from an optimum."""
+    if best.interrupted:
+        _warn(
+            f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
+            "hyperparameters so far are kept. Fit again for more.",
+            ConvergenceWarning,
+        )
+    elif best.rising:
+        _warn(
+            f"The fit stopped at max_iter={max_iter} while the log likelihood was still rising fast: the "
+            "hyperparameters are not good yet. Raise max_iter, or scale the regressors (StandardScaler).",
+            ConvergenceWarning,
+        )
+
+
+def _warn(message, category=UserWarning):
     # From here through the check, fit and scikit-learn's wrapper of it, to who called fit.
-    warnings.warn(message, UserWarning, stacklevel=5)
+    warnings.warn(message, category, stacklevel=5)
 
 
 def _physical_memory():

@@ -33,7 +33,7 @@ class Fit(NamedTuple):
 
     ``noise`` (P,) is the variance of a measurement, which in a sparse posterior counts for less where neighbours repeat
     each other; ``root`` (d, r) is R of the regressors' noise, R R^T, where they are noisy; ``value`` is the likelihood,
-    or its bound, by which fits of the same data can be compared.
+    or its bound, and the kernel's prior with it: by it fits of the same data can be compared.
     """
 
     posterior: ExactPosterior | SparsePosterior
@@ -64,6 +64,7 @@ class _Found(NamedTuple):
         value = posterior.log_marginal_likelihood if value is None else value
         n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
         interrupted = self.interrupted or bool(more and more.interrupted)
+        value += posterior.kernel.log_prior()
         story = self.n_iter, n_evaluations, interrupted, self.rising, self.converged
         return Fit(posterior, self.noise, self.root, value, *story)
 

@@ -73,12 +73,15 @@ def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop
 
 
 def likelihood_of(kernel, data, n_outputs):
-    """Return the log likelihood as a function of [theta, log noise]."""
+    """Return the log likelihood, and what the kernel's prior adds to it, as a function of [theta, log noise]."""
     workspace = np.empty((data.n_values, data.n_values))
 
     def evaluate(theta):
         kernel_there, noise = kernel.clone_with_theta(theta[:-n_outputs]), np.exp(theta[-n_outputs:])
-        return log_likelihood(kernel_there, noise, data, eval_gradient=True, workspace=workspace)
+        value, gradient = log_likelihood(kernel_there, noise, data, eval_gradient=True, workspace=workspace)
+        prior, slope = kernel_there.log_prior(eval_gradient=True)
+        gradient[: len(slope)] += slope
+        return value + prior, gradient
 
     return evaluate
 

@@ -122,6 +122,10 @@ class MultiOutputKernel(Kernel):
         """Return the kernel, still without values, with what it takes from the inputs (n, d) of all samples alone."""
         return self
 
+    def log_prior(self, eval_gradient=False):
+        """Return the log density of the prior on theta, zero where there is none; on request its gradient too."""
+        return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
+
     def couples(self, i: int, j: int) -> bool:
         """Return whether cov(y_i, y_j) can differ from zero: where it cannot, no block is asked for."""
         return True
@@ -338,6 +342,10 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def prepared(self, X):
         return Sum(self.k1.prepared(X), self.k2.prepared(X))
+
+    def log_prior(self, eval_gradient=False):
+        first, second = (k.log_prior(eval_gradient) for k in (self.k1, self.k2))
+        return (first[0] + second[0], np.concatenate([first[1], second[1]])) if eval_gradient else first + second
 
     def coarse(self):
         return Sum(self.k1.coarse(), self.k2.coarse())

@@ -5,17 +5,19 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from sklearn.base import clone
 
 from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, number, or_default
 from skdgp.kernels._features import ConvolvedFeatures
+from skdgp.kernels._latents import TIED_AXIS, check_ties, who_feeds
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._parts import rank_parts
+from skdgp.kernels._prior import log_normal, prior_of
 from skdgp.kernels._start import starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 LOST = 0.1  # an amplitude below this fraction of the starting one means that the output was taken for noise
-TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
 
 
@@ -56,6 +58,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         mu, in the units of the regressors. Only differences between outputs matter: the first output's is zero.
     amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array (..., 2), "fixed" or None
         Bounds on the values. None: from the data.
+    length_scale_prior : pair, array (d, 2), "auto" or None
+        Median of the length scales, in the units of the regressors, and standard deviation of their logarithms: a
+        log-normal prior that joins the likelihood in what ``fit`` maximises. "auto": e^sqrt(2) sqrt(12 d) standard
+        deviations of the regressor, and sqrt(3) (Hvarfner, Hellsten & Nardi 2024). None: no prior.
 
     Attributes
     ----------
@@ -90,6 +96,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         length_scale_bounds=None,
         shear_bounds=None,
         shift_bounds="fixed",
+        length_scale_prior=None,
     ):
         self.n_latent = n_latent
         self.private_latents = private_latents
@@ -103,6 +110,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.length_scale_bounds = length_scale_bounds
         self.shear_bounds = shear_bounds
         self.shift_bounds = shift_bounds
+        self.length_scale_prior = length_scale_prior
 
     # -- shapes ----------------------------------------------------------------------------------------
 
@@ -128,7 +136,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         if not (lengths > 0).all() or not np.isfinite(w).all():
             raise ValueError("Got a length_scale that is not positive or an amplitude that is not finite.")
         lengths = as_shape("length_scale", lengths, (M, P, d))
-        self._check_ties(lengths, feeds)
+        check_ties(self.covariance_type, lengths, feeds)
         return {
             "feeds": feeds,
             "amplitude": as_shape("amplitude", w, (M, P)) * feeds,
@@ -137,35 +145,8 @@ class ConvolvedGaussian(MultiOutputKernel):
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
 
-    def _check_ties(self, lengths, feeds):
-        axis = TIED_AXIS.get(self.covariance_type)
-        if axis is None:
-            return
-        most = np.where(feeds[..., None] > 0, lengths, 0.0).max(axis=axis, keepdims=True)
-        if not np.allclose(np.where(feeds[..., None] > 0, lengths, most), most, rtol=1e-9, atol=0.0):
-            along = "regressors" if self.covariance_type == "spherical" else "outputs"
-            raise ValueError(
-                f"Got length scales that differ along the {along} with covariance_type={self.covariance_type!r}, but "
-                "expected equal ones: use covariance_type='diag', or give one length scale to all."
-            )
-
     def _who_feeds(self, P):
-        """Return (M, P), one where a latent feeds an output."""
-        if self.feeds is None:
-            feeds = np.concatenate([np.ones((self.n_latent, P)), np.eye(P)[: P * bool(self.private_latents)]])
-        else:
-            feeds = np.asarray(self.feeds, dtype=float)
-        if len(feeds) == 0:
-            raise ValueError(
-                "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
-                "n_latent, or set private_latents=True."
-            )
-        if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
-            raise ValueError(
-                f"Got latents that feed the outputs as {feeds.astype(int).tolist()}, but expected (M, {P}) with at "
-                "least one latent for every output, and no idle latent: raise n_latent, or set private_latents=True."
-            )
-        return feeds
+        return who_feeds(self.feeds, self.n_latent, self.private_latents, P)
 
     def _value(self, name):
         return self._arrays()[name]
@@ -184,7 +165,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.amplitude is not None and self.length_scale is not None
 
     def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0):
-        params = self.get_params()
+        params = self.prepared(X).get_params()
         feeds = self._who_feeds(Y.shape[1])
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
             if params[name] is not None:
@@ -222,6 +203,18 @@ class ConvolvedGaussian(MultiOutputKernel):
             "length_scale": np.where(private, own, np.exp(weight @ np.log(own))[:, None, :]),
         }
 
+    def prepared(self, X):
+        return clone(self).set_params(length_scale_prior=prior_of(self.length_scale_prior, X))
+
+    def log_prior(self, eval_gradient=False):
+        (widths,) = (f for f in self._free() if f.name == "length_scale")
+        if self.length_scale_prior is None or widths.fixed:
+            return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
+        lengths = self._value("length_scale")
+        value, slope = log_normal(widths.index, lengths, prior_of(self.length_scale_prior, lengths[0]))
+        by_entry = {name: np.zeros_like(self._value(name)) for name in PARAMETERS} | {"length_scale": slope}
+        return (value, self.pull_back(by_entry)) if eval_gradient else value
+
     def coarse(self):
         if self.covariance_type in ("diag", "full") and self.length_scale is None and self.length_scale_bounds is None:
             return ConvolvedGaussian(
@@ -231,11 +224,13 @@ class ConvolvedGaussian(MultiOutputKernel):
                 feeds=self.feeds,
                 amplitude=self.amplitude,
                 amplitude_bounds=self.amplitude_bounds,
+                length_scale_prior=self.length_scale_prior,
             )
         return self
 
     def single(self):
-        return ConvolvedGaussian(0, covariance_type="spherical" if self.covariance_type == "spherical" else "diag")
+        kind = "spherical" if self.covariance_type == "spherical" else "diag"
+        return ConvolvedGaussian(0, covariance_type=kind, length_scale_prior=self.length_scale_prior)
 
     def stationary_part(self):
         return self

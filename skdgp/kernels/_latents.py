@@ -1,0 +1,40 @@
+"""Which latent feeds which output, and what of their filters is tied."""
+
+from __future__ import annotations
+
+import numpy as np
+
+TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
+
+
+def who_feeds(feeds, n_latent, private_latents, P) -> np.ndarray:
+    """Return (M, P), one where a latent feeds an output."""
+    if feeds is None:
+        feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P)[: P * bool(private_latents)]])
+    else:
+        feeds = np.asarray(feeds, dtype=float)
+    if len(feeds) == 0:
+        raise ValueError(
+            "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
+            "n_latent, or set private_latents=True."
+        )
+    if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
+        raise ValueError(
+            f"Got latents that feed the outputs as {feeds.astype(int).tolist()}, but expected (M, {P}) with at "
+            "least one latent for every output, and no idle latent: raise n_latent, or set private_latents=True."
+        )
+    return feeds
+
+
+def check_ties(covariance_type, lengths, feeds) -> None:
+    """Raise a ValueError where length scales (M, P, d) differ that the type holds equal."""
+    axis = TIED_AXIS.get(covariance_type)
+    if axis is None:
+        return
+    most = np.where(feeds[..., None] > 0, lengths, 0.0).max(axis=axis, keepdims=True)
+    if not np.allclose(np.where(feeds[..., None] > 0, lengths, most), most, rtol=1e-9, atol=0.0):
+        along = "regressors" if covariance_type == "spherical" else "outputs"
+        raise ValueError(
+            f"Got length scales that differ along the {along} with covariance_type={covariance_type!r}, but "
+            "expected equal ones: use covariance_type='diag', or give one length scale to all."
+        )

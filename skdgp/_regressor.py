@@ -28,11 +28,13 @@ from skdgp._targets import (
     warn_of_search,
     warn_of_tolerance,
 )
-from skdgp.inference import Data, compact, fit_exact, fit_sparse, output_correlation, reach_of
+from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, output_correlation, reach_of
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
 EXACT_LIMIT = 6000
 """Observed values up to which inference="auto" is exact: about two seconds an evaluation on two cores."""
+
+MOST_LATENT = 3  # shared, that n_latent="auto" tries
 
 
 class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -56,8 +58,9 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
     kernel : MultiOutputKernel or None
         Covariance of the processes. None: ``ConvolvedGaussian(n_latent, private_latents=private_latents,
         covariance_type=covariance_type, length_scale_prior=length_scale_prior)``. What is open is taken from the data.
-    n_latent : int
-        Latent processes shared by all outputs.
+    n_latent : int or "auto"
+        Latent processes shared by all outputs. "auto": one more, up to 3, as long as the evidence for it
+        exceeds what its hyperparameters would fit by chance (the Bayesian information criterion).
     private_latents : bool
         Whether each output also has a latent process of its own, which none of the others sees.
     covariance_type : {"spherical", "diag", "full", "tied"}
@@ -110,6 +113,10 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         Of a model made by ``compact``: what that changed.
     posterior_ : ExactPosterior or SparsePosterior
         The state of knowledge about the normalised outputs.
+    n_latent_ : int or None
+        Latent processes that are shared; None where a kernel was given.
+    n_latent_scores_ : dict
+        Of ``n_latent="auto"``: the criterion for each number that was tried, in nats; the largest is taken.
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``; evaluations of the likelihood in all.
     converged_ : bool
@@ -135,7 +142,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
 
     _parameter_constraints = {
         "kernel": [MultiOutputKernel, None],
-        "n_latent": [Interval(Integral, 0, None, closed="left")],
+        "n_latent": [Interval(Integral, 0, None, closed="left"), StrOptions({"auto"})],
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
         "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
@@ -258,25 +265,37 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
 
     def _search(self, X, Z):
         """Return the best fit over the starting points."""
-        kernel = self.kernel
-        if kernel is None:
-            kernel = ConvolvedGaussian(
-                self.n_latent,
-                private_latents=self.private_latents,
-                covariance_type=self.covariance_type,
-                length_scale_prior=self.length_scale_prior,
-            )
-        kernel = clone(kernel)
-        if self.trend not in ("constant", None):
-            kernel = (LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)) + kernel
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
         root = input_root(self.input_noise, X.shape[1])
-        search = partial(search, kernel, X, Z, optimizer=self.optimizer, max_iter=self.max_iter, input_noise=root)
+        options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
+        kernel = self._choose(X, Z, options | {"random_state": int(seeds[0])})
         starts = [{"random_state": int(seed), "spread": float(k > 0)} for k, seed in enumerate(seeds)]
-        fits = fit_map(search, starts, self.n_jobs)
+        fits = fit_map(partial(search, kernel, X, Z, **options), starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.value)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))
+
+    def _choose(self, X, Z, options):
+        """Return the prior, its number of shared latents taken from the data where that was asked."""
+        self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
+        if self.n_latent_ == "auto":
+            fewest = int(not self.private_latents)
+            numbers = range(fewest, (MOST_LATENT if Z.shape[1] > 1 else fewest) + 1)
+            choice = choose_kernel([self._prior(number) for number in numbers], X, Z, **options)
+            self.n_latent_ = numbers[choice.index]
+            self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
+        return self._prior(self.n_latent_)
+
+    def _prior(self, n_latent):
+        options = {
+            "private_latents": self.private_latents,
+            "covariance_type": self.covariance_type,
+            "length_scale_prior": self.length_scale_prior,
+        }
+        kernel = ConvolvedGaussian(n_latent, **options) if self.kernel is None else clone(self.kernel)
+        if self.trend not in ("constant", None):
+            kernel = (LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)) + kernel
+        return kernel
 
     # -- after the fit ---------------------------------------------------------------------------------
 

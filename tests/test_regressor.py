@@ -58,8 +58,9 @@ class TestScikitLearnContract:
             DependentGPRegressor(max_iter=5),
             DependentGPRegressor(max_iter=5, inference="sparse", n_inducing=8, n_latent=1),
             DependentGPRegressor(max_iter=5, trend="constant", covariance_type="full", n_latent=1),
+            DependentGPRegressor(max_iter=2, n_latent="auto"),
         ],
-        ids=["exact", "sparse", "full"],
+        ids=["exact", "sparse", "full", "chosen"],
     )
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):

@@ -8,9 +8,11 @@ from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._repeats import autocorrelation_time
 from skdgp.inference._samples import shares_of
+from skdgp.inference._selection import Choice, choose_kernel
 from skdgp.inference._sparse import SparsePosterior
 
 __all__ = [
+    "Choice",
     "Compaction",
     "Data",
     "ExactPosterior",
@@ -18,6 +20,7 @@ __all__ = [
     "Optimum",
     "SparsePosterior",
     "autocorrelation_time",
+    "choose_kernel",
     "compact",
     "fit_exact",
     "fit_sparse",

@@ -111,7 +111,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, i
     Z = _centres(X, n_inducing, random_state)
     size = kernel.initialize(X, Y, np.random.RandomState(0)).features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    rows = _some_rows(Y, random_state)
+    rows = some_rows(Y, random_state)
     found, _ = _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread)
     kernel, features = found.kernel, found.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
@@ -259,7 +259,7 @@ def _start_of_inputs(kernel, noise, data, X, Y, scale):
     return root, data, np.concatenate([0.5 * noise, start]), np.tile(INPUT_BOUNDS, (len(scale), 1))
 
 
-def _some_rows(Y, random_state):
+def some_rows(Y, random_state):
     """Return rows with about SUBSET observed values, every output among them as often as its share allows."""
     seen = np.isfinite(Y)
     quota = SUBSET // Y.shape[1]

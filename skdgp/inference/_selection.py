@@ -1,0 +1,62 @@
+"""How rich a kernel the data can tell: by the evidence, less what further hyperparameters fit by chance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from sklearn.utils import check_random_state
+
+from skdgp.inference._fit import fit_exact, some_rows
+
+
+class Choice(NamedTuple):
+    """Which kernel was chosen, and the criterion in nats of those that were tried, the first ones."""
+
+    index: int
+    scores: list[float]
+
+
+def choose_kernel(kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None) -> Choice:
+    r"""Choose among kernels, from few hyperparameters to many, by the Bayesian information criterion.
+
+    With L the marginal likelihood at its maximum over the q hyperparameters, noise variances among them, and N observed
+    values, the first kernel is taken whose
+
+    .. math:: \log L - \tfrac12\, q \log N
+
+    the next one does not exceed (Schwarz 1978, halved and turned over): more hyperparameters than the data can tell
+    raise L by chance, and predict worse.
+
+    Parameters
+    ----------
+    kernels : sequence of MultiOutputKernel
+        Without values; fewest hyperparameters first.
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed. Where more than 2400 values were, rows spread over them are used.
+    optimizer, max_iter, random_state, input_noise
+        As for ``fit_exact``.
+
+    Returns
+    -------
+    Choice
+
+    Raises
+    ------
+    KeyboardInterrupt
+        At Ctrl-C: there is nothing yet to keep.
+    """
+    rows = some_rows(Y, check_random_state(random_state))
+    X, Y = X[rows], Y[rows]
+    options = {"optimizer": optimizer, "max_iter": max_iter, "random_state": random_state, "input_noise": input_noise}
+    scores = []
+    for kernel in kernels:
+        fit = fit_exact(kernel, X, Y, **options)
+        if fit.interrupted:
+            raise KeyboardInterrupt
+        n_hyperparameters = fit.posterior.kernel.n_dims + Y.shape[1]
+        scores.append(fit.value - 0.5 * n_hyperparameters * np.log(np.isfinite(Y).sum()))
+        if len(scores) > 1 and scores[-1] <= scores[-2]:
+            return Choice(len(scores) - 2, scores)
+    return Choice(len(scores) - 1, scores)

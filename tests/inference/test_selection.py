@@ -1,0 +1,98 @@
+"""How many latents outputs share, chosen by the evidence."""
+
+import numpy as np
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp._progress import listening
+from skdgp.inference import Data, _fit, choose_kernel, fit_exact, log_likelihood
+from skdgp.kernels import ConvolvedGaussian
+
+# Fits cut short to be quick say so.
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+OPTIONS = {"optimizer": "fmin_l_bfgs_b", "max_iter": 30, "random_state": 0}
+N, P = 60, 3
+X = np.sort(np.random.default_rng(0).uniform(0, 24, (N, 1)), axis=0)
+
+
+def drawn(shared, noise=0.1):
+    """Return processes of unit variance, (N, P), and their measurements; ``shared`` of it they have in common."""
+    rng = np.random.default_rng(4)
+    w = np.concatenate([np.sqrt(shared) * np.array([[1.0, -1.0, 1.0]]), np.sqrt(1 - shared) * np.eye(P)])
+    kernel = ConvolvedGaussian(1, amplitude=w, length_scale=np.ones((P + 1, P, 1)))
+    L = np.linalg.cholesky(kernel(X) + 1e-9 * np.eye(N * P))
+    truth = (L @ rng.normal(size=N * P)).reshape(P, N).T
+    return truth, truth + noise * rng.normal(size=truth.shape)
+
+
+def fitted(Y, **parameters):
+    return DependentGPRegressor(**({"n_latent": "auto", "max_iter": 25, "random_state": 0} | parameters)).fit(X, Y)
+
+
+def test_the_criterion_is_the_likelihood_less_half_log_n_for_each_hyperparameter():
+    _, Y = drawn(0.8)
+    Y[::7, 1] = np.nan
+    kernels = [ConvolvedGaussian(k) for k in (0, 1)]
+    choice = choose_kernel(kernels, X, Y, **OPTIONS)
+    assert choice.index == np.argmax(choice.scores)
+    for kernel, score in zip(kernels, choice.scores, strict=True):
+        posterior = fit_exact(kernel, X, Y, **OPTIONS).posterior
+        value = log_likelihood(posterior.kernel, posterior.noise, Data.from_table(X, Y))
+        q, n_values = len(posterior.kernel.theta) + P, np.isfinite(Y).sum()
+        assert score == pytest.approx(value - q / 2 * np.log(n_values))
+
+
+def test_of_many_values_some_are_used(monkeypatch):
+    _, Y = drawn(0.0)
+    monkeypatch.setattr(_fit, "SUBSET", 60)
+    rows = _fit.some_rows(Y, np.random.RandomState(0))
+    assert 20 <= len(rows) < 30
+    found = choose_kernel([ConvolvedGaussian(0)], X, Y, **OPTIONS)
+    assert found.scores == choose_kernel([ConvolvedGaussian(0)], X[rows], Y[rows], **OPTIONS).scores
+
+
+def test_independent_outputs_share_nothing():
+    _, Y = drawn(0.0)
+    model, alone = fitted(Y), fitted(Y, n_latent=0)
+    assert model.n_latent_ == 0
+    assert list(model.n_latent_scores_) == [0, 1]  # the second lost, so no third was tried
+    np.testing.assert_array_equal(model.predict(X), alone.predict(X))
+
+
+def test_a_shared_latent_is_found_and_pays_where_an_output_is_missing():
+    truth, Y = drawn(0.9)
+    Y[np.arange(N) % 5 > 0, 0] = np.nan
+    model, alone = fitted(Y), fitted(Y, n_latent=0)
+    assert model.n_latent_ >= 1
+    assert model.n_latent_scores_[model.n_latent_] == max(model.n_latent_scores_.values())
+    error, error_alone = (np.sqrt(np.mean((each.predict(X) - truth)[:, 0] ** 2)) for each in (model, alone))
+    assert error < 0.8 * error_alone
+
+
+def test_one_output_shares_with_nobody():
+    model = fitted(drawn(0.9)[1][:, 0], max_iter=3)
+    assert (model.n_latent_, list(model.n_latent_scores_)) == (0, [0])
+
+
+def test_without_private_latents_at_least_one_is_shared():
+    assert fitted(drawn(0.0)[1], private_latents=False, max_iter=2).n_latent_ >= 1
+
+
+def test_a_number_or_a_kernel_leaves_nothing_to_choose():
+    _, Y = drawn(0.9)
+    given, own = fitted(Y, n_latent=1, max_iter=2), fitted(Y, kernel=ConvolvedGaussian(1), max_iter=2)
+    assert (given.n_latent_, given.n_latent_scores_) == (1, {})
+    assert (own.n_latent_, own.n_latent_scores_) == (None, {})
+
+
+def test_regressors_may_be_noisy_and_inference_sparse():
+    model = fitted(drawn(0.9)[1], input_noise="learned", inference="sparse", n_inducing=10, max_iter=3)
+    assert np.isfinite(list(model.n_latent_scores_.values())).all()
+
+
+def test_an_interruption_before_anything_is_known_ends_the_fit():
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with listening(interrupt), pytest.raises(KeyboardInterrupt):
+        fitted(drawn(0.9)[1])

@@ -1,0 +1,139 @@
+"""Regressors that are noisy: what the estimator and the identification pipeline make of them."""
+
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.datasets import load_example_flights
+from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.identification import flight_regressors, predict_flight
+from skdgp.model_selection import thin_targets
+
+SIGMA = 0.08  # of the regressor
+
+
+def waves(n=300, sigma=SIGMA, seed=0):
+    """Two functions of x, of which a noisy x is seen."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-2, 2, (n, 1))
+    truth = np.column_stack([np.sin(3 * x[:, 0]), np.cos(3 * x[:, 0])])
+    return x + rng.normal(0, sigma, x.shape), truth + rng.normal(0, 0.02, truth.shape), x, truth
+
+
+def fitted(input_noise, inference="exact", **options):
+    X, Y, *_ = waves()
+    options = {"n_latent": 1, "max_iter": 40, "random_state": 0, "n_inducing": 20} | options
+    return DependentGPRegressor(input_noise=input_noise, inference=inference, **options).fit(X, Y)
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return fitted("learned")
+
+
+@parametrize_with_checks([DependentGPRegressor(input_noise="learned", n_latent=1, max_iter=3, random_state=0)])
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_is_an_estimator(estimator, check):
+    check(estimator)
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_what_is_learned_is_the_noise_that_was_made(inference):
+    model = fitted("learned", inference)
+    assert model.input_covariance_.shape == (1, 1)
+    assert np.sqrt(model.input_covariance_[0, 0]) == pytest.approx(SIGMA, rel=0.3)
+    assert fitted(None, inference).noise_variance_.mean() > 3 * model.noise_variance_.mean()  # else it is the outputs'
+
+
+def test_bands_hold_the_truth_at_noisy_regressors(learned):
+    """The function at the true regressor is off by what the seen one is off, which exact regressors cannot know."""
+    X, _, _, truth = waves(seed=1)
+    mean, std = learned.predict(X, return_std=True, include_input_noise=True)
+    assert 0.85 < np.mean(np.abs(truth - mean) < 1.96 * std) <= 1.0
+    _, naive = fitted(None).predict(X, return_std=True)
+    assert np.mean(np.abs(truth - mean) < 1.96 * naive) < 0.5
+
+
+def test_the_wider_part_goes_with_the_slope(learned):
+    X = waves(seed=1)[0][:30]
+    variance = [learned.predict(X, return_std=True, include_input_noise=times)[1] ** 2 for times in (0.0, 1.0, 4.0)]
+    slope = learned.predict_gradient(X)[..., 0]
+    carried = slope**2 * learned.input_covariance_[0, 0]
+    np.testing.assert_allclose(variance[1] - variance[0], carried, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(variance[2] - variance[0], 4 * carried, rtol=1e-6, atol=1e-12)
+    each = np.r_[np.ones(10), np.zeros(20)]
+    mixed = learned.predict(X, return_std=True, include_input_noise=each)[1] ** 2
+    np.testing.assert_allclose(mixed, np.where(each[:, None] > 0, variance[1], variance[0]))
+
+
+def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
+    X = waves(seed=1)[0][:5]
+    words = {"include_noise": True, "include_input_noise": True}
+    std, cov = learned.predict(X, return_std=True, **words)[1], learned.predict(X, return_cov=True, **words)[1]
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)).reshape(2, -1).T, std)
+    exact = learned.predict(X, return_cov=True, include_noise=True)[1]
+    slope = learned.predict_gradient(X)[..., 0]
+    off = (cov - exact)[:5, 5:]  # of the first output with the second
+    np.testing.assert_allclose(np.diag(off), slope.prod(axis=1) * learned.input_covariance_[0, 0], atol=1e-9)
+    np.testing.assert_allclose(off - np.diag(np.diag(off)), 0.0, atol=1e-9)
+
+
+def test_given_noise_may_be_a_number_deviations_or_a_covariance():
+    number, array, matrix = (fitted(given) for given in (0.1, [0.1], [[0.01]]))
+    X = waves(seed=1)[0][:10]
+    for other in (array, matrix):
+        np.testing.assert_allclose(other.predict(X), number.predict(X), rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(other.input_covariance_, [[0.01]])
+
+
+@pytest.mark.parametrize("wrong", [[0.1, 0.2], [-0.1], [[-1.0]], [[np.nan]]])
+def test_nonsense_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"Got input_noise .*expected a standard deviation, 1 of them, or a"):
+        fitted(wrong)
+    with pytest.raises(ValueError, match=r"Got include_input_noise of shape \(2,\), but expected a bool"):
+        fitted(0.1, optimizer=None).predict([[0.0]], return_std=True, include_input_noise=[1.0, 1.0])
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_survives_pickling_compaction_and_further_samples(inference):
+    model = fitted(0.1, inference)
+    X, Y, *_ = waves(seed=2)
+    words = {"return_std": True, "include_input_noise": True}
+    before = model.predict(X, **words)
+    for mine, theirs in zip(pickle.loads(pickle.dumps(model)).predict(X, **words), before, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-9)
+    small = model.compact(30)
+    np.testing.assert_allclose(small.predict(X), before[0], atol=0.1)
+    for one in (model, small):
+        grown = one.partial_fit(X, Y).predict(X, return_std=True)[1]
+        assert (grown < before[1] + 1e-9).mean() > 0.95
+
+
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+def test_bands_of_a_flight_widen_with_its_gusts():
+    gusty, calm = load_example_flights(), load_example_flights(turbulence=0.0)
+    train = gusty.train.iloc[:2400]
+    learned = thin_targets(aerodynamic_coefficients(train, gusty.aircraft)[["CZ", "Cm"]], 40)
+    model = make_identification_pipeline(gusty.aircraft, memory=None)
+    model.set_params(dependentgpregressor__max_iter=4, dependentgpregressor__random_state=0)
+    model.fit(train, learned)
+    rougher, calmer = (flight_regressors(model, data.test.iloc[:1200])[1] for data in (gusty, calm))
+    assert rougher.min() == rougher.max() > 1.0 > 0.3 > calmer.max()  # the test flight's air is the rougher
+    spread = [
+        predict_flight(model, data.test.iloc[:1200], include_noise=True)[1].mean(axis=0) for data in (gusty, calm)
+    ]
+    assert (spread[0] > spread[1]).all()
+
+
+def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
+    t = np.arange(0, 20, 0.1)
+    flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
+    data = load_example_flights()
+    model = make_identification_pipeline(data.aircraft, regressors=["alpha"], cutoff=None, mixer="passthrough")
+    model.fit(flight, pd.DataFrame({"CZ": -4 * flight.alpha}))
+    assert model["flightpathreconstruction"].missing_[0] == "p"
+    np.testing.assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))

@@ -9,6 +9,7 @@ import pytest
 
 FOLDER = Path(__file__).parent / "benchmarks"
 SCRIPTS = (
+    "sharing",
     "likelihood",
     "growth",
     "evaluations",
@@ -19,6 +20,7 @@ SCRIPTS = (
     "workers",
     "comparison",
     "ablation",
+    "structure",
 )
 
 

@@ -165,7 +165,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[np.ndar
         if step in (None, "passthrough"):
             continue
         flight = step.transform(flight)
-        if isinstance(step, FlightPathReconstruction) and not step.missing_:
+        if isinstance(step, FlightPathReconstruction) and not step.missing_ and "gust" in flight:
             times = (flight["gust"].to_numpy() ** 2 + CALM**2) / (step.gust_std_**2 + CALM**2)
     return np.asarray(flight), times
 

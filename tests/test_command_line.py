@@ -24,7 +24,7 @@ from skdgp._cli._parser import build_parser
 from skdgp._vocabulary import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import load_model
+from skdgp.identification import load_model, predict_flight
 from skdgp.metrics import interval_coverage, median_relative_error
 
 # Fits cut short to be quick say so.
@@ -147,7 +147,7 @@ class TestIdentify:
         table = pd.read_csv(folder / "test.csv")
         loads = {name: model.options[name] for name in ("thrust", "external_forces")}
         Y = aerodynamic_coefficients(table, model.aircraft, **loads)
-        mean, std = model.pipeline.predict(table, return_std=True, include_noise=True)
+        mean, std = predict_flight(model.pipeline, table, include_noise=True)
         of = next(iter(metrics["test"].values()))["coefficients"]["measured"]
         error = median_relative_error(Y, mean, multioutput="raw_values")
         inside = interval_coverage(Y, mean, std, multioutput="raw_values")
@@ -199,7 +199,9 @@ class TestIdentify:
         monkeypatch.setattr(_outputs, "render_report", lambda content: "")
         pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
         assert identify("--test", str(tmp_path / "bare.csv"), output=tmp_path / "out") == 0
-        assert "is not replayed: it lacks ['phi']" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert "is not replayed: it lacks ['phi']" in said
+        assert "Got flights without ['phi'], which those of the fit had: their paths are not reconstructed" in said
         (flight,) = json.loads((tmp_path / "out" / "metrics.json").read_text())["test"].values()
         assert flight["states"] == {}
         assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._faults import FlightDataWarning
 from skdgp._validation import check_columns, check_radians
 from skdgp.preprocessing._flight_log import (
     AIR,
@@ -25,6 +26,7 @@ from skdgp.preprocessing._flight_log import (
 )
 from skdgp.preprocessing._flight_path import GUSTS, NOISE, estimate
 from skdgp.preprocessing._kinematics import CONSTANTS, INERTIAL, SENSORS, WIND, air_data, air_data_rates
+from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import TableTransformer, with_columns
 
 WINDS = ("wind_north", "wind_east", "wind_down")
@@ -71,8 +73,9 @@ class FlightPathReconstruction(TableTransformer):
     gravity : float, default=9.80665
         [m/s^2]. An error appears as bias of the accelerometers.
     incomplete : {"raise", "pass"}, default="raise"
-        What to do in ``fit`` with flights that lack a channel that no path can be had without: raise, or let this and
-        every further table pass as it is (``missing_`` says why), for the next step to smooth.
+        What to do with flights that lack a channel that no path can be had without: raise, or let them pass. Where
+        those of ``fit`` do (``missing_``), every further table passes as it is, for the next step to smooth; where only
+        those of ``transform`` do, `FlightSmoother` makes of them what it can.
 
     Attributes
     ----------
@@ -98,6 +101,11 @@ class FlightPathReconstruction(TableTransformer):
     ValueError
         If one of time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed is missing, or has no
         value throughout a flight; if time does not increase within a flight; if angles are not radians.
+
+    Warns
+    -----
+    FlightDataWarning
+        In ``transform``, where flights pass though those of ``fit`` were reconstructed.
 
     Examples
     --------
@@ -146,9 +154,9 @@ class FlightPathReconstruction(TableTransformer):
         """
         check_is_fitted(self)
         table = self._as_table(X)
-        self._check(table)
         if self.missing_:
             raise ValueError(f"The flights of fit lack {self.missing_}, so nothing was learned of their sensors.")
+        self._check(table)
         return _calibration(self._estimates(table, free=self._errors(), learn=GUSTS, sensors={}), self._errors())
 
     def _fit_table(self, table):
@@ -173,6 +181,15 @@ class FlightPathReconstruction(TableTransformer):
     def _transform_table(self, table):
         if self.missing_:
             return table
+        missing = missing_in(table) if self.incomplete == "pass" else []
+        if missing:
+            warnings.warn(
+                f"Got flights without {missing}, which those of the fit had: their paths are not reconstructed, each "
+                "channel is smoothed by itself (FlightSmoother). Expect larger errors than with those sensors.",
+                FlightDataWarning,
+                stacklevel=3,
+            )
+            return FlightSmoother().fit_transform(table)
         self._check(table)
         inertial = [name for name in self._errors() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}

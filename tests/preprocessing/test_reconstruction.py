@@ -7,6 +7,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
+from skdgp._faults import FlightDataWarning
 from skdgp.preprocessing import FlightPathReconstruction, FlightSmoother
 from skdgp.preprocessing._bordered import Prior, Rows, solve
 from skdgp.preprocessing._flight_log import NEEDED, first_guess, flight_logs
@@ -295,6 +296,38 @@ class TestHonesty:
         wrapped = table.assign(psi=table.psi % (2 * np.pi))
         out = FlightPathReconstruction().fit_transform(wrapped)
         assert np.abs(out.psi - wrapped.psi).max() < 0.05
+
+
+class TestIncomplete:
+    def test_flights_of_fit_that_lack_a_sensor_pass_as_they_are(self):
+        flight = flown(20).drop(columns="phi")
+        reconstruction = FlightPathReconstruction(incomplete="pass").fit(flight)
+        assert reconstruction.missing_ == ["phi"]
+        pd.testing.assert_frame_equal(reconstruction.transform(flight), flight)
+        with pytest.raises(ValueError, match=r"The flights of fit lack \['phi'\], so nothing was learned"):
+            reconstruction.calibration(flight)
+
+    def test_a_sensor_silent_in_one_of_the_flights_is_missing(self):
+        second = flown(20).assign(flight="two", p=np.nan)
+        both = pd.concat([flown(20), second], ignore_index=True)
+        assert FlightPathReconstruction(incomplete="pass").fit(both).missing_ == ["p"]
+
+    def test_a_later_flight_that_lacks_one_is_smoothed_and_said(self):
+        flight = flown(40)
+        reconstruction = FlightPathReconstruction(incomplete="pass").fit(flight)
+        assert reconstruction.missing_ == []
+        with pytest.warns(FlightDataWarning, match=r"Got flights without \['phi'\], which those of the fit had"):
+            out = reconstruction.transform(flight.drop(columns="phi"))
+        assert error(flight, out, "alpha") < 0.7 * error(flight, flight, "alpha")
+        assert "alpha_dot" in out
+        assert "gust" not in out
+
+
+def test_gusts_are_told():
+    reconstruction = FlightPathReconstruction().fit(flown(60, gusts=0.4))
+    assert reconstruction.gust_std_ == pytest.approx(0.4, rel=0.3)
+    assert reconstruction.transform(flown(60, gusts=0.8, seed=1))["gust"].iloc[0] == pytest.approx(0.8, rel=0.3)
+    assert reconstruction.transform(flown(60, gusts=0.0, seed=1))["gust"].iloc[0] < 0.05
 
 
 class TestBadInput:

@@ -186,15 +186,17 @@ class SparsePosterior:
 
     def gradient(self, Xs, return_variance=False):
         """Return d mean / d x at Xs, (n, P, d), and on request the variance of the slopes."""
-        P, d = self.kernel.n_outputs, np.shape(Xs)[1]
-        mean = np.empty((len(Xs), P, d))
-        variance = np.empty((len(Xs), P, d)) if return_variance else None
-        for rows in row_slices(len(Xs)):
-            for i in range(P):
-                c = self.features.columns(i)
-                D = self.features.Kfu_derivative(i, Xs[rows])
-                mean[rows, i] = (D @ self.weights[c]).T
-                if return_variance:
-                    learned = learned_from(D.reshape(-1, len(c)), self.roots[i]).reshape(d, -1).T
-                    variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, Xs[rows]) - learned, 0.0)
-        return (mean, variance) if return_variance else mean
+        parts = thread_map(partial(self._gradient, Xs, self.roots if return_variance else None), row_slices(len(Xs)))
+        mean, variance = zip(*parts, strict=True)
+        return (np.concatenate(mean), np.concatenate(variance)) if return_variance else np.concatenate(mean)
+
+    def _gradient(self, Xs, roots, rows):
+        """Return mean and, where roots are given, variance of the slopes at some rows, (n, P, d) each."""
+        x, outputs = Xs[rows], range(self.kernel.n_outputs)
+        D = [self.features.Kfu_derivative(i, x) for i in outputs]
+        mean = np.stack([(D[i] @ self.weights[self.features.columns(i)]).T for i in outputs], axis=1)
+        if roots is None:
+            return mean, None
+        learned = [learned_from(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T for i in outputs]
+        prior = np.stack([self.kernel.derivative_diag(i, x) for i in outputs], axis=1)
+        return mean, np.maximum(prior - np.stack(learned, axis=1), 0.0)

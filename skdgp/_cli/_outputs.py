@@ -117,7 +117,7 @@ def _options(outcome) -> dict:
         "external_forces": outcome.loads.external_forces,
         **{name: chosen[name] for name in names},
         "inducing": outcome.regressor.n_inducing,
-        "latents": outcome.regressor.n_latent,
+        "latents": outcome.regressor.n_latent_,
         "max_iter": outcome.regressor.max_iter,
     }
 
@@ -202,7 +202,7 @@ def _model_summary(outcome) -> ModelSummary:
         n_samples=outcome.n_samples,
         n_available=outcome.n_available,
         regressors=outcome.pipeline["regressorselector"].regressors_,
-        n_latent=regressor.n_latent,
+        n_latent=regressor.n_latent_,
         n_private=len(COEFFICIENTS) if regressor.private_latents else 0,
         kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}",
         trend=regressor.trend or "none",

@@ -178,7 +178,11 @@ def _add_model(parser, *, samples, said):
         help="what the process is added to: linear goes on where there were no data (default: linear)",
     )
     group.add_argument(
-        "--latents", type=_at_least(0), default=None, metavar="M", help="latent processes that the outputs share"
+        "--latents",
+        type=_latents,
+        default=None,
+        metavar="M|auto",
+        help="latent processes that the outputs share; auto: as many as the data show (default: 2)",
     )
     group.add_argument("--max-iter", type=_at_least(1), default=None, metavar="N", help="iterations of the fit")
     group.add_argument(
@@ -214,6 +218,10 @@ def _whole(text, expected):
         return int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}") from None
+
+
+def _latents(text):
+    return text if text == "auto" else _at_least(0)(text)
 
 
 def _samples(text):

@@ -213,6 +213,12 @@ class TestIdentify:
         assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]) == 0
         assert "1 rows that stand alone between gaps are left out" in capsys.readouterr().err
 
+    def test_a_flight_too_short_for_its_model_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        pd.read_csv(folder / "latlon.csv").iloc[:160].to_csv(tmp_path / "short.csv", index=False)
+        assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "short.csv")]) == 0
+        assert "The training flights last 3.98 s, in which" in capsys.readouterr().err
+
     def test_a_surface_that_was_never_moved_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
         monkeypatch.setattr(_outputs, "render_report", lambda content: "")
         pd.read_csv(folder / "latlon.csv").assign(rudder=0.01).to_csv(tmp_path / "still.csv", index=False)

@@ -12,7 +12,7 @@ from skdgp._cli._console import Console
 from skdgp._cli._evaluation import Loads, evaluate
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._outputs import Outcome, writers
-from skdgp._cli._rows import check_known, check_same_columns, checked, complete_rows
+from skdgp._cli._rows import check_known, check_same_columns, checked, complete_rows, warn_of_short
 from skdgp._cli._source import Source
 from skdgp._cli._summary import summary
 from skdgp._faults import TOLD, FlightDataWarning
@@ -41,6 +41,7 @@ def run(source: Source, options, folder: OutputFolder, console: Console, *, comm
     train = {name: complete_rows(table, options.regressors) for name, table in train.items()}
     test = {name: complete_rows(table, options.regressors) for name, table in test.items()}
     check_same_columns(train, test, options.regressors)
+    warn_of_short(train, options.regressors)
     learned = _learn(source.aircraft, train, loads, options, console)
     evaluations = []
     for name, table in test.items():

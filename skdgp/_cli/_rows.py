@@ -7,12 +7,14 @@ import warnings
 import numpy as np
 import pandas as pd
 
+from skdgp._faults import FlightDataWarning
 from skdgp._signal import flight_segments
 from skdgp._validation import check_columns
 from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 FORCES = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r", "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
+QUARTER = 0.25  # s
 MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
 
 
@@ -58,6 +60,29 @@ def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
             f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of the others, or drop "
             "columns that are empty."
         )
+
+
+def warn_of_short(train: dict[str, pd.DataFrame], regressors) -> None:
+    """Warn of flights in which regressors change their side less often than there are regressors to tell apart."""
+    columns = [name for name in _columns_read(next(iter(train.values())), regressors) if name != "airspeed"]
+    changes = np.sum([[_changes(table, name) for name in columns] for table in train.values()], axis=0)
+    if np.median(changes) < len(columns):
+        seconds = sum(np.ptp(table["time"]) for table in train.values())
+        warnings.warn(
+            f"The training flights last {seconds:.3g} s, in which {columns} pass their means {np.median(changes):g} "
+            f"times (median): too few changes to tell what each of {len(columns)} does. Fly longer, or name fewer "
+            "--regressors.",
+            FlightDataWarning,
+            stacklevel=2,
+        )
+
+
+def _changes(table, name) -> int:
+    """Return how often a channel passes its mean; quarters of a second at a time, lest noise counts."""
+    time, values = table["time"].to_numpy(float), table[name].to_numpy(float)
+    side = max(1, round(QUARTER / np.median(np.diff(time)))) if len(time) > 1 else 1
+    blocks = values[: len(values) // side * side].reshape(-1, side).mean(axis=1) - values.mean()
+    return int(np.sum(blocks[1:] * blocks[:-1] < 0))
 
 
 def check_same_columns(train: dict[str, pd.DataFrame], test: dict[str, pd.DataFrame], regressors) -> None:

@@ -107,6 +107,8 @@ class TestIdentify:
 
     def test_metrics_say_how_the_fit_went(self, identified):
         fit = identified[2]["fit"]
+        assert fit["paths_reconstructed"] is True
+        assert all(0 < fit["input_noise_std"][name] < 0.1 for name in ("alpha", "beta", "q_hat"))
         assert fit["samples"] == 40
         assert fit["samples_available"] == 1400
         assert fit["values"] == 240

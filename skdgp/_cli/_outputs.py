@@ -110,7 +110,7 @@ def report_of(outcome: Outcome) -> ReportContent:
 
 def _options(outcome) -> dict:
     chosen = vars(outcome.options)
-    names = ("inference", "regressors", "trend", "seed", "restarts", "horizons")
+    names = ("inference", "regressors", "reconstruction", "input_noise", "trend", "seed", "restarts", "horizons")
     return {
         "samples": outcome.n_samples,
         "thrust": outcome.loads.thrust,
@@ -139,7 +139,22 @@ def _fit_facts(outcome) -> dict:
         "interrupted": outcome.interrupted,
         "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
         "noise_widened": _by_coefficient(outcome.widened),
+        "input_noise_std": _input_noise(outcome),
+        "paths_reconstructed": _lacking(outcome) == [],
     }
+
+
+def _input_noise(outcome) -> dict[str, float]:
+    """Return how noisy the regressors were found to be, standard deviations in their own units."""
+    std = np.sqrt(np.diag(outcome.regressor.input_covariance_)) * outcome.pipeline["standardscaler"].scale_
+    names = outcome.pipeline["regressorselector"].regressors_
+    return {str(name): float(value) for name, value in zip(names, std, strict=True)}
+
+
+def _lacking(outcome) -> list[str] | None:
+    """Return which channels kept the paths of the flights from being reconstructed; None where that was not asked."""
+    step = outcome.pipeline["flightpathreconstruction"]
+    return None if isinstance(step, str) else step.missing_
 
 
 def _flown(table) -> dict[str, float]:
@@ -226,6 +241,13 @@ def _inference(regressor) -> str:
 def _remarks(outcome) -> dict[str, str]:
     tables = outcome.train | {evaluation.name: evaluation.table for evaluation in outcome.evaluations}
     remarks = {"Thrust": " or ".join(THRUSTS[name] for name in _thrusts(outcome, tables))}
+    lacking = _lacking(outcome)
+    if lacking is not None:
+        without = f"not reconstructed, the flights lack {', '.join(lacking)}; smoothed channel by channel"
+        remarks["Flight paths"] = without if lacking else "reconstructed from all sensors"
+    noisy = {name: value for name, value in _input_noise(outcome).items() if value > 0}
+    if noisy:
+        remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())
     if outcome.loads.external_forces:
         remarks["Other loads"] = ", ".join(outcome.loads.external_forces)
     if len(outcome.evaluations) > 1:

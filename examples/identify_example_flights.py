@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import aerodynamic_coefficients
-from skdgp.identification import calibrate_noise, make_identification_pipeline
+from skdgp.identification import calibrate_noise, make_identification_pipeline, predict_flight
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 from skdgp.plotting import CoefficientDisplay
@@ -35,7 +35,7 @@ def main(arguments=None):
     model.fit(train, learned)
     calibrate_noise(model, train, measured.mask(learned.notna()))
 
-    mean, std = model.predict(test, return_std=True, include_noise=True)
+    mean, std = predict_flight(model, test, include_noise=True)
 
     measured = aerodynamic_coefficients(test, aircraft)
     errors = normalized_rmse(measured, mean, multioutput="raw_values")

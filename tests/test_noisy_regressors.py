@@ -137,3 +137,23 @@ def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
     model.fit(flight, pd.DataFrame({"CZ": -4 * flight.alpha}))
     assert model["flightpathreconstruction"].missing_[0] == "p"
     np.testing.assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))
+
+
+def test_an_interrupted_fit_counts_no_noise_twice():
+    """What regressors carry is no part of the outputs' own noise, also where the search was cut short."""
+    X, Y, *_ = waves()
+    calls = iter(range(1000))
+
+    def interrupted(function, theta, bounds):
+        function(theta)
+        if next(calls) > 3:
+            raise KeyboardInterrupt
+        return theta, 0.0
+
+    options = {"inference": "sparse", "n_latent": 1, "n_inducing": 20, "random_state": 0, "optimizer": interrupted}
+    with pytest.warns(UserWarning, match="interrupted"):
+        model = DependentGPRegressor(input_noise=0.1, **options).fit(X, Y)
+    carried = np.mean(model.predict_gradient(X)[..., 0] ** 2, axis=0) * 0.1**2
+    seen = np.mean((Y - model.predict(X)) ** 2, axis=0)
+    assert (model.noise_variance_ + carried < 2 * seen).all()
+    assert (carried > 0.5 * seen).all()

@@ -127,7 +127,7 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, i
         noise = posterior.noise
         found = found._replace(noise=noise / repeats)
     if found.interrupted:
-        return found.fit(posterior, value)
+        return _reached(found, posterior, X, Y, repeats, value)
     best = _learn_features(features, kernel, noise, X, Y, int(repeats.min()))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features.rebuild(kernel, best.theta), noise, shares)

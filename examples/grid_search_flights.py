@@ -74,7 +74,7 @@ def main(arguments=None):
     flights, aircraft = flights_of(options.days)
     targets = thin_targets(aerodynamic_coefficients(flights, aircraft), options.samples)
 
-    model = make_identification_pipeline(aircraft)
+    model = make_identification_pipeline(aircraft, reconstruction="passthrough")
     model.set_params(dependentgpregressor__max_iter=options.max_iter, dependentgpregressor__random_state=0)
     search = GridSearchCV(
         model,

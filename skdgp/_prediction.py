@@ -50,7 +50,7 @@ class PredictionMixin:
             mean, variance = mean
             if include_noise:
                 variance = variance + self.noise_variance_ / self._scale**2
-            variance = variance + np.einsum("npr,npr->np", *[self._reach(X, include_input_noise)] * 2)
+            variance = variance + np.sum(self._reach(X, include_input_noise) ** 2, axis=2)
             return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
         mean = self._shaped(mean * self._scale + self._center)
         if not return_cov:
@@ -140,7 +140,7 @@ class PredictionMixin:
         ----------
         theta : ndarray or None
             ``kernel_.theta`` followed by the logarithm of the noise variances of the normalised outputs. None:
-            at the fitted values.
+            at the fitted values. What noisy regressors carry stays as it was fitted.
         eval_gradient : bool
             Also return the gradient with respect to theta.
         """

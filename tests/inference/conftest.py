@@ -20,6 +20,21 @@ def central_difference(function, x, step=1e-3):
     return np.stack(columns, axis=-1)
 
 
+def stacked_covariances(features, arrays):
+    """Return Kfu of all outputs, (N, K), zero where a feature is not felt."""
+    K = np.zeros((sum(map(len, arrays)), features.size))
+    row = 0
+    for i, x in enumerate(arrays):
+        K[row : row + len(x), features.columns(i)] = features.Kfu(i, x)
+        row += len(x)
+    return K
+
+
+@pytest.fixture(scope="session")
+def stacked():
+    return stacked_covariances
+
+
 @pytest.fixture(scope="session")
 def differences():
     return central_difference

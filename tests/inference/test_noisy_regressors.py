@@ -33,15 +33,6 @@ def dense(problem, *scale):
     return problem.kernel(problem.data.X) + noise_of(problem, *scale)
 
 
-def stacked(features, arrays):
-    K = np.zeros((sum(map(len, arrays)), features.size))
-    row = 0
-    for i, x in enumerate(arrays):
-        K[row : row + len(x), features.columns(i)] = features.Kfu(i, x)
-        row += len(x)
-    return K
-
-
 def sparse(problem, kernel=None, noise=None, features=None):
     kernel = problem.kernel if kernel is None else kernel
     noise = problem.noise if noise is None else noise
@@ -79,7 +70,7 @@ class TestExact:
 
 
 class TestSparse:
-    def test_bound_is_titsias_with_that_noise(self, noisy):
+    def test_bound_is_titsias_with_that_noise(self, noisy, stacked):
         features, S = noisy.kernel.features(Z), noise_of(noisy)
         Kfu = stacked(features, noisy.data.X)
         Qff = Kfu @ np.linalg.solve(features.Kuu(), Kfu.T)
@@ -87,7 +78,7 @@ class TestSparse:
         expected = multivariate_normal(cov=Qff + S).logpdf(noisy.y) - 0.5 * missing
         assert sparse(noisy).log_marginal_likelihood == pytest.approx(expected, rel=1e-8)
 
-    def test_posterior(self, noisy):
+    def test_posterior(self, noisy, stacked):
         features, S = noisy.kernel.features(Z), noise_of(noisy)
         Kuu, Kfu, Ksu = features.Kuu(), stacked(features, noisy.data.X), stacked(features, [NEW] * 3)
         weights = np.linalg.solve(Kuu + Kfu.T @ np.linalg.solve(S, Kfu), Kfu.T @ np.linalg.solve(S, noisy.y))

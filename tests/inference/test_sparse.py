@@ -17,27 +17,18 @@ def sparse(problem, inputs=Z):
     return SparsePosterior(problem.kernel, problem.kernel.features(inputs), problem.noise, shares_of(problem.data))
 
 
-def stacked(features, arrays):
-    """Kfu of all outputs, (N, K), zero where a feature is not felt."""
-    K = np.zeros((sum(map(len, arrays)), features.size))
-    row = 0
-    for i, x in enumerate(arrays):
-        K[row : row + len(x), features.columns(i)] = features.Kfu(i, x)
-        row += len(x)
-    return K
-
-
-def reference(problem, inputs=Z):
+@pytest.fixture
+def reference(problem, stacked):
     """Kuu, Kfu, S and Qff of Titsias (2009)."""
-    features = problem.kernel.features(inputs)
+    features = problem.kernel.features(Z)
     Kuu, Kfu = features.Kuu(), stacked(features, problem.data.X)
     S = np.repeat(problem.noise, [len(y) for y in problem.data.y])
     return features, Kuu, Kfu, S, Kfu @ np.linalg.solve(Kuu, Kfu.T)
 
 
 class TestBound:
-    def test_is_titsias(self, problem):
-        *_, S, Qff = reference(problem)
+    def test_is_titsias(self, problem, reference):
+        *_, S, Qff = reference
         missing = problem.kernel.diag(problem.data.X) - np.diag(Qff)
         expected = multivariate_normal(cov=Qff + np.diag(S)).logpdf(problem.y) - 0.5 * (missing / S).sum()
         assert sparse(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-9)
@@ -89,8 +80,8 @@ class TestBound:
 
 
 class TestPosterior:
-    def test_mean_and_covariance(self, problem):
-        features, Kuu, Kfu, S, _ = reference(problem)
+    def test_mean_and_covariance(self, problem, reference, stacked):
+        features, Kuu, Kfu, S, _ = reference
         B = Kuu + Kfu.T / S @ Kfu
         Ks = stacked(features, [NEW] * 3)
         mean = Ks @ np.linalg.solve(B, Kfu.T @ (problem.y / S))

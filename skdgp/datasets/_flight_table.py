@@ -7,10 +7,10 @@ import pandas as pd
 
 from skdgp._vocabulary import COEFFICIENTS, TRUTH_SUFFIX
 from skdgp.datasets._brumby import BRUMBY
-from skdgp.datasets._loads import Loads, air_density, loads
+from skdgp.datasets._loads import Loads, loads
 from skdgp.datasets._sensors import measure
 from skdgp.datasets._simulation import FlightRecord
-from skdgp.dynamics import body_to_ned, quaternion_to_euler
+from skdgp.dynamics import body_to_ned, quaternion_to_euler, standard_density
 from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
 
 __all__ = ["flight_table", "truth_of"]
@@ -49,7 +49,7 @@ def _known_columns(record, truth, flight) -> dict:
     return {
         "time": record.time,
         "altitude": altitude,
-        "density": air_density(altitude),
+        "density": standard_density(altitude),
         "throttle": record.throttle[:, flight],
         "elevator": 0.5 * (left + right),
         "aileron": 0.5 * (left - right),

@@ -8,9 +8,9 @@ import numpy as np
 
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._gusts import Gusts
-from skdgp.dynamics import air_data, ned_to_body, rigid_body_derivative
+from skdgp.dynamics import air_data, ned_to_body, rigid_body_derivative, standard_density
 
-__all__ = ["Loads", "air_density", "loads"]
+__all__ = ["Loads", "loads"]
 
 UNIT_FORCE, ARM = BRUMBY.thrust_line.loads(1.0)
 """Force and moment of one newton of thrust."""
@@ -46,7 +46,7 @@ def loads(state, controls, wind, gust: Gusts, slopes) -> Loads:
     rates = state[..., 10:13] - gust.rates
     coefficients = brumby_coefficients(_regressors(airspeed, alpha, beta, rates, slopes, controls))
 
-    density = air_density(-state[..., 2])
+    density = standard_density(-state[..., 2])
     pressure = (0.5 * BRUMBY.wing_area * density * airspeed**2)[..., None]
     thrust = BRUMBY.propeller.thrust(controls[..., 3], airspeed, density)[..., None]
     torque = BRUMBY.propeller.torque(controls[..., 3], airspeed, density)[..., None]
@@ -60,11 +60,6 @@ def loads(state, controls, wind, gust: Gusts, slopes) -> Loads:
         airspeed, alpha, beta, coefficients, thrust_force, thrust_moment, force, derivative,
         _air_slopes(velocity, acceleration),
     )  # fmt: skip
-
-
-def air_density(altitude) -> np.ndarray:
-    """Return the density of the standard atmosphere below 11 km [kg/m^3]."""
-    return 1.225 * (1.0 - 2.25577e-5 * np.asarray(altitude)) ** 4.25588
 
 
 def _regressors(airspeed, alpha, beta, rates, slopes, controls) -> np.ndarray:

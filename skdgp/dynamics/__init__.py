@@ -5,7 +5,7 @@ The seam to the learning half is a table: flights in, the six coefficients out, 
 """
 
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._checks import standard_density
+from skdgp.dynamics._atmosphere import Atmosphere, standard_atmosphere, standard_density
 from skdgp.dynamics._frames import (
     air_data,
     air_velocity,
@@ -29,6 +29,7 @@ from skdgp.dynamics._thrust_line import ThrustLine
 __all__ = [
     "STATE_NAMES",
     "Aircraft",
+    "Atmosphere",
     "Propeller",
     "ThrustLine",
     "aerodynamic_coefficients",
@@ -51,5 +52,6 @@ __all__ = [
     "rigid_body_derivative",
     "rk4",
     "rk4_step",
+    "standard_atmosphere",
     "standard_density",
 ]

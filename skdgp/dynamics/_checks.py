@@ -10,22 +10,9 @@ import pandas as pd
 
 from skdgp._signal import flight_segments
 from skdgp._validation import LARGEST_ANGLE, check_columns, check_radians, check_table
+from skdgp.dynamics._atmosphere import HIGHEST, LOWEST, standard_density
 
-__all__ = ["check_flight", "standard_density"]
-
-
-def standard_density(altitude) -> np.ndarray:
-    """Return the density [kg/m^3] of the International Standard Atmosphere, altitude in the troposphere [m].
-
-    rho = 1.225 (1 - 2.25577e-5 h)^4.25588 (ICAO Doc 7488).
-
-    Examples
-    --------
-    >>> from skdgp.dynamics import standard_density
-    >>> standard_density([0.0, 1000.0]).round(3)
-    array([1.225, 1.112])
-    """
-    return 1.225 * (1.0 - 2.25577e-5 * np.asarray(altitude, dtype=float)) ** 4.25588
+__all__ = ["check_flight"]
 
 
 def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
@@ -88,7 +75,7 @@ def _density(flight: pd.DataFrame) -> None:
             "at sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
         )
     altitude = _values(flight, "altitude")
-    if _seen(altitude) and abs(np.nanmedian(altitude)) < 11e3:
+    if _seen(altitude) and LOWEST <= np.nanmedian(altitude) <= HIGHEST:
         standard = float(standard_density(np.nanmedian(altitude)))
         if not 0.8 < middle / standard < 1.25:
             _warn(

@@ -1,0 +1,109 @@
+"""The standard atmosphere: what air is like at an altitude where nobody measured it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import inv_boxcox
+
+__all__ = ["Atmosphere", "standard_atmosphere", "standard_density"]
+
+GAS_CONSTANT = 287.05287
+"""Of dry air [J/(kg K)]."""
+HEAT_RATIO = 1.4
+GRAVITY = 9.80665
+LOWEST, HIGHEST = -5000.0, 32000.0
+BASE = np.array([0.0, 11000.0, 20000.0])
+"""Where the layers begin [m]; the first one reaches down to `LOWEST`."""
+LAPSE = np.array([-0.0065, 0.0, 0.001])
+"""Of the temperature in each layer [K/m]."""
+
+
+class Atmosphere(NamedTuple):
+    """State of still air, arrays of one shape."""
+
+    density: np.ndarray
+    """[kg/m^3]."""
+    pressure: np.ndarray
+    """[Pa]."""
+    temperature: np.ndarray
+    """[K]."""
+    speed_of_sound: np.ndarray
+    """[m/s]."""
+
+
+def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
+    """Return density, pressure, temperature and speed of sound of the International Standard Atmosphere.
+
+    In each layer T = T_b + L (h - h_b), and from dp = -rho g dh with p = rho R T
+
+        p = p_b (T / T_b)^(-g / (R L))   (p_b exp(-g (h - h_b) / (R T_b)) where L = 0),   a = sqrt(1.4 R T)
+
+    (U.S. Standard Atmosphere 1976, section 1.3; ISO 2533:1975).
+
+    Parameters
+    ----------
+    altitude : array-like
+        Geopotential altitude h [m], -5000 to 32000; NaN gives NaN. Geometric altitude z above the ellipsoid is
+        more by z^2 / 6356766 m: 1.6 m at 3.2 km.
+
+    Returns
+    -------
+    Atmosphere
+        ``density`` [kg/m^3], ``pressure`` [Pa], ``temperature`` [K], ``speed_of_sound`` [m/s].
+
+    Raises
+    ------
+    ValueError
+        If an altitude lies outside -5000 to 32000 m.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import standard_atmosphere
+    >>> air = standard_atmosphere([0.0, 11000.0, 25000.0])
+    >>> air.density.round(4), air.temperature.round(2)
+    (array([1.225 , 0.3639, 0.0395]), array([288.15, 216.65, 221.65]))
+    """
+    pressure, temperature = _pressure_and_temperature(altitude)
+    density = pressure / (GAS_CONSTANT * temperature)
+    return Atmosphere(density, pressure, temperature, np.sqrt(HEAT_RATIO * GAS_CONSTANT * temperature))
+
+
+def standard_density(altitude: ArrayLike) -> np.ndarray:
+    """Return the density [kg/m^3] of the standard atmosphere at geopotential altitude [m].
+
+    rho = p / (R T), see `standard_atmosphere`.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import standard_density
+    >>> standard_density([0.0, 1000.0]).round(3)
+    array([1.225, 1.112])
+    """
+    pressure, temperature = _pressure_and_temperature(altitude)
+    return pressure / (GAS_CONSTANT * temperature)
+
+
+def _pressure_and_temperature(altitude: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    altitude = np.asarray(altitude, dtype=float)
+    if (outside := (altitude < LOWEST) | (altitude > HIGHEST)).any():
+        raise ValueError(
+            f"Got altitude {altitude[outside].flat[0]:g} m, but expected {LOWEST:g} to {HIGHEST:g} m, where the "
+            "standard atmosphere is given: use metres above the sea, upward, or density from elsewhere."
+        )
+    layer = np.searchsorted(BASE[1:], altitude)
+    temperature = _TEMPERATURE[layer] + LAPSE[layer] * (altitude - BASE[layer])
+    pressure = _PRESSURE[layer] * _pressure_ratio(altitude, layer)
+    return pressure, temperature
+
+
+def _pressure_ratio(altitude: ArrayLike, layer) -> np.ndarray:
+    """Return p / p_b. The Box-Cox power (1 + k x)^(1/k), k = -R L / g, is exp(x) where L = 0."""
+    scale_height = GAS_CONSTANT * _TEMPERATURE[layer] / GRAVITY
+    return inv_boxcox((BASE[layer] - altitude) / scale_height, -GAS_CONSTANT / GRAVITY * LAPSE[layer])
+
+
+_TEMPERATURE = 288.15 + np.append(0.0, np.cumsum(LAPSE[:-1] * np.diff(BASE)))
+_PRESSURE = 101325.0 * np.append(1.0, np.cumprod(_pressure_ratio(BASE[1:], np.arange(2))))

@@ -40,18 +40,30 @@ def check_table(table, *, what: str = "flight") -> pd.DataFrame:
 
 def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "flight") -> None:
     """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
-    have = [str(column) for column in table.columns]
-    missing = [name for name in dict.fromkeys(needed) if name not in have]
-    if not missing:
-        return
+    lacking = _lacking(needed, [str(column) for column in table.columns])
+    if lacking:
+        raise ValueError(
+            f"The {_named(table, what)} lacks the columns {lacking}. "
+            "Rename or compute them; docs/notation.md lists every name with its unit."
+        )
+
+
+def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
+    """Raise a ValueError that tells which of the ``needed`` names are not among those there are, and the nearest."""
+    have = [str(name) for name in have]
+    lacking = _lacking(needed, have)
+    if lacking:
+        raise ValueError(f"The {what} lack {lacking}: got {have}. docs/notation.md lists every name with its unit.")
+
+
+def _lacking(needed, have) -> str:
+    """Return what is missing, each with the nearest name that there is; empty if nothing is."""
     hints = []
-    for name in missing:
-        near = get_close_matches(name, have, n=1, cutoff=0.75)
-        hints.append(f"{name!r} (nearest: {near[0]!r})" if near else f"{name!r}")
-    raise ValueError(
-        f"The {_named(table, what)} lacks the columns {', '.join(hints)}. "
-        "Rename or compute them; docs/notation.md lists every name with its unit."
-    )
+    for name in dict.fromkeys(needed):
+        if name not in have:
+            near = get_close_matches(name, have, n=1, cutoff=0.75)
+            hints.append(f"{name!r} (nearest: {near[0]!r})" if near else f"{name!r}")
+    return ", ".join(hints)
 
 
 def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:

@@ -60,6 +60,7 @@ CHANNELS = {
     "rudder": Channel("rad", "rudder, > 0 yaws left"),
     "elevon_left": Channel("rad", "left elevon, > 0 trailing edge down"),
     "elevon_right": Channel("rad", "right elevon, > 0 trailing edge down"),
+    "thrust": Channel("N", "propulsive force along the thrust line"),
     "thrust_x": Channel("N", "propulsive force, forward"),
     "thrust_y": Channel("N", "propulsive force, right"),
     "thrust_z": Channel("N", "propulsive force, down"),

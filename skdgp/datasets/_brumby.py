@@ -30,6 +30,7 @@ BRUMBY = Aircraft(
         "thrust_coefficients": (0.10, -0.045, -0.065),
         "torque_coefficients": (0.0070, 0.0010, -0.0060),
         "rotation": -1,
+        "speed_range": (280.0, 800.0),
     },
 )
 

@@ -26,8 +26,6 @@ TRIM = (-0.04, -0.007, 0.0, 0.63)
 """Elevator, aileron, rudder [rad], throttle."""
 TIME_CONSTANTS = np.array([0.04, 0.04, 0.04, 0.25])
 ELEVON_LIMIT, RUDDER_LIMIT = 0.42, 0.35
-IDLE, FULL = 280.0, 800.0
-"""Propeller speeds at throttle 0 and 1 [rad/s]."""
 
 
 class FlightRecord(NamedTuple):
@@ -103,7 +101,7 @@ def _actuator_targets(command):
     target[:, 1] = np.clip(elevator - aileron, -ELEVON_LIMIT, ELEVON_LIMIT)
     target[:, 2] = np.clip(rudder, -RUDDER_LIMIT, RUDDER_LIMIT)
     throttle = np.clip(throttle, 0.0, 1.0)
-    target[:, 3] = IDLE + (FULL - IDLE) * throttle
+    target[:, 3] = BRUMBY.propeller.speed_at(throttle)
     return target, throttle
 
 

@@ -4,6 +4,7 @@ Body axes x forward, y right, z down; moments about the centre of gravity; SI un
 The seam to the learning half is a table: flights in, the six coefficients out, and back.
 """
 
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._atmosphere import Atmosphere, standard_atmosphere, standard_density
 from skdgp.dynamics._frames import (
@@ -28,6 +29,7 @@ from skdgp.dynamics._thrust_line import ThrustLine
 
 __all__ = [
     "STATE_NAMES",
+    "Aerodynamics",
     "Aircraft",
     "Atmosphere",
     "Propeller",
@@ -36,6 +38,7 @@ __all__ = [
     "aerodynamic_loads",
     "air_data",
     "air_velocity",
+    "as_aerodynamics",
     "body_to_ned",
     "euler_to_matrix",
     "euler_to_quaternion",

@@ -39,6 +39,8 @@ class Propeller:
         1 turns clockwise seen from behind, and its torque rolls the aircraft left; -1 the other way.
     max_advance_ratio : float, optional
         Largest advance ratio that was measured; flights beyond it get a warning.
+    speed_range : pair of float, optional
+        Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle is a control.
 
     Examples
     --------
@@ -53,6 +55,7 @@ class Propeller:
     torque_coefficients: Sequence[float] = ()
     rotation: int = 1
     max_advance_ratio: float | None = None
+    speed_range: Sequence[float] | None = None
 
     def __post_init__(self):
         if not (np.isfinite(self.diameter) and self.diameter > 0):
@@ -67,6 +70,18 @@ class Propeller:
                     "C(J) = c_0 + c_1 J + c_2 J^2."
                 )
             object.__setattr__(self, name, values)
+        if self.speed_range is not None:
+            speeds = tuple(float(speed) for speed in self.speed_range)
+            if not (len(speeds) == 2 and 0 <= speeds[0] < speeds[1] < np.inf):
+                raise ValueError(f"Got speed_range={speeds}, but expected 0 <= idle < full [rad/s].")
+            object.__setattr__(self, "speed_range", speeds)
+
+    def speed_at(self, throttle: ArrayLike) -> np.ndarray:
+        """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
+        if self.speed_range is None:
+            raise ValueError("Got a propeller without speed_range: give (idle, full) [rad/s], or propeller_speed.")
+        idle, full = self.speed_range
+        return idle + (full - idle) * np.asarray(throttle, dtype=float)
 
     def thrust(
         self, propeller_speed: ArrayLike, airspeed: ArrayLike, density: ArrayLike = SEA_LEVEL_DENSITY

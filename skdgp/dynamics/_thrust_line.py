@@ -41,6 +41,7 @@ class ThrustLine:
         if length == 0:
             raise ValueError("Got a thrust direction of length zero, but expected one such as (1, 0, 0).")
         object.__setattr__(self, "direction", self.direction / length)
+        object.__setattr__(self, "_arm", np.cross(self.position, self.direction))
 
     def loads(self, thrust: ArrayLike, torque: ArrayLike = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return force (..., 3) [N] and moment (..., 3) [N m] about the centre of gravity.
@@ -48,9 +49,8 @@ class ThrustLine:
         F_T = T d and M_T = r_T x F_T + Q d, with ``thrust`` T [N] and ``torque`` Q [N m] on the aircraft
         about the line's direction d (a propeller turning clockwise seen from behind gives Q < 0).
         """
-        force = np.asarray(thrust, dtype=float)[..., None] * self.direction
-        moment = np.cross(self.position, force) + np.asarray(torque, dtype=float)[..., None] * self.direction
-        return force, moment
+        thrust, torque = (np.asarray(load, dtype=float)[..., None] for load in (thrust, torque))
+        return thrust * self.direction, thrust * self._arm + torque * self.direction
 
 
 def _vector(value: ArrayLike, name: str) -> np.ndarray:

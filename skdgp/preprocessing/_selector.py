@@ -71,6 +71,8 @@ class RegressorSelector(TableTransformer):
         The columns chosen, in order; ``transform`` needs exactly these.
     absent_ : list of str
         Controls of the named set that the table does not have.
+    data_min_, data_max_ : ndarray (d,)
+        Of each regressor, over the rows of ``fit`` that have a target: what was flown.
     n_features_in_, feature_names_in_
         Columns seen in ``fit``.
 
@@ -118,8 +120,16 @@ class RegressorSelector(TableTransformer):
         self
         """
         super().fit(X, y)
-        if y is not None and not self._passes and len(y) == len(X):
-            _warn_of_untold(numeric(X, self.regressors_), np.asarray(y, dtype=float), self.regressors_)
+        if self._passes:
+            return self
+        values = numeric(X, self.regressors_)
+        if y is not None and len(y) == len(X):
+            targets = np.asarray(y, dtype=float).reshape(len(X), -1)
+            _warn_of_untold(values, targets, self.regressors_)
+            values = values[np.isfinite(targets).any(axis=1)]
+        values = values[np.isfinite(values).all(axis=1)]
+        ends = (values.min(axis=0), values.max(axis=0)) if len(values) else (None, None)
+        self.data_min_, self.data_max_ = ends
         return self
 
     def _recognises(self, X):

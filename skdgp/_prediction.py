@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Integral
+
 import numpy as np
 from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
@@ -108,6 +110,47 @@ class PredictionMixin:
         draws = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * white)
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
         return self._shaped((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
+
+    def sample_paths(self, n_paths=1, random_state=0):
+        """Draw samples of the posterior that are functions.
+
+        Where ``sample_y`` draws values at points known beforehand, a path can be evaluated wherever a simulation comes
+        to, again and again, and differentiated: samples of the prior are sums of random waves, which what was learned
+        corrects (Matheron's rule: Wilson et al. 2020, "Efficiently sampling functions from Gaussian process
+        posteriors"). Mean and covariance over many paths are those of ``predict``.
+
+        Parameters
+        ----------
+        n_paths : int
+        random_state : int, RandomState or None
+            The same seed, the same functions.
+
+        Returns
+        -------
+        Paths
+            A sequence of functions: ``paths[k](X)`` is (n, P) for X (n, d), or (n,) where y was. ``paths(X)``, all of
+            them at the same points, (n_paths, n, P); ``paths.each(X)``, each at its own, X (n_paths, n, d);
+            ``paths.gradient(X)``, slopes at either, (n_paths, n, P, d). Without measurement noise; X as arrays.
+
+        Raises
+        ------
+        ValueError
+            When ``n_paths`` is no positive number.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from skdgp import DependentGPRegressor
+        >>> x = np.linspace(0.0, 6.0, 40)[:, None]
+        >>> model = DependentGPRegressor(n_latent=1, random_state=0).fit(x, np.sin(x[:, 0]))
+        >>> paths = model.sample_paths(50)
+        >>> paths(x).shape, paths[0](x).shape, paths.gradient(x).shape
+        ((50, 40), (40,), (50, 40, 1))
+        """
+        check_is_fitted(self)
+        if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
+            raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
+        return self.posterior_.paths(n_paths, random_state).in_units(self._center, self._scale, self._single)
 
     def score(self, X, y, sample_weight=None):
         """Return R^2, averaged over the outputs, of the targets that were observed.

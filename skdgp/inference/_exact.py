@@ -10,6 +10,7 @@ from skdgp._linalg import jittered_cholesky, triangular_solve
 from skdgp._threads import n_threads, thread_map, threads_for
 from skdgp.inference._factor import Factor
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, tiles_of
+from skdgp.inference._paths import Paths, exact_paths
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
 ROWS = 256  # samples whose means are summed at a time, tile by tile
@@ -61,6 +62,14 @@ class ExactPosterior:
         with threads_for(len(alpha)):
             alpha[self._rows] = self.factor.other_half(self._white)
         return alpha
+
+    def solve(self, B) -> np.ndarray:
+        """Return K^-1 B for rows of the stacked values, (N, m)."""
+        solved = np.empty(B.shape)
+        with threads_for(len(B)):
+            half = self.factor.half(np.array(B[self._rows], order="F"))
+            solved[self._rows] = self.factor.other_half(half)
+        return solved
 
     @property
     def L(self) -> np.ndarray:
@@ -195,3 +204,7 @@ class ExactPosterior:
                     explained = np.einsum("ab,ab->b", half, half).reshape(d, -1).T
                     variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, x) - explained, 0.0)
         return (mean, variance) if return_variance else mean
+
+    def paths(self, n_paths, random_state) -> Paths:
+        """Return samples of the posterior that are functions of the regressors."""
+        return exact_paths(self, n_paths, random_state)

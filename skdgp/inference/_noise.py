@@ -59,6 +59,18 @@ def add_noise(K, noise, data) -> None:
             K[rows, columns] += np.einsum("nr,nr->n", first * scale, second)
 
 
+def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
+    """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) is the outputs' own."""
+    own = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
+    drawn = own * random_state.standard_normal((n_draws, len(own)))
+    if data.scatter is not None:
+        n_samples = 1 + max(s.max() for s in data.scatter.sample if len(s))
+        off = random_state.standard_normal((n_draws, n_samples, data.scatter.reach[0].shape[1]))
+        carried = [np.einsum("snr,nr->sn", off[:, s], G) for s, G in zip(*data.scatter, strict=True)]
+        drawn += np.hstack(carried)
+    return drawn
+
+
 def noise_gradient(W, noise, data) -> np.ndarray:
     """Return 1/2 sum(W * dK / d log noise), (P,) or (P + r,), of a W whose upper triangle is read."""
     P = len(data.y)

@@ -23,6 +23,7 @@ from skdgp._linalg import (
 from skdgp._threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
 from skdgp.inference._likelihood import Data
+from skdgp.inference._paths import Paths, sparse_paths
 from skdgp.inference._readout import Readout, learned_from
 from skdgp.inference._samples import data_of, shares_of, sums_of
 from skdgp.inference._shares import ROWS, row_slices, summed
@@ -183,6 +184,10 @@ class SparsePosterior:
             A[self.features.columns(i), i * n : (i + 1) * n] = self.features.Kfu(i, Xs).T
         V = triangular_solve(self.Lu, A)
         return self.kernel(Xs) - V.T @ (V - self.B_inverse @ V)
+
+    def paths(self, n_paths, random_state) -> Paths:
+        """Return samples of the posterior that are functions of the regressors."""
+        return sparse_paths(self, n_paths, random_state)
 
     def gradient(self, Xs, return_variance=False):
         """Return d mean / d x at Xs, (n, P, d), and on request the variance of the slopes."""

@@ -13,6 +13,7 @@ from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
 from skdgp.kernels._features import Features, SumFeatures
+from skdgp.kernels._paths import PriorPaths, SumPaths
 
 
 class Free(NamedTuple):
@@ -88,6 +89,10 @@ class MultiOutputKernel(Kernel):
 
         ``scale`` (P,) says how exactly each output is to be kept. Every term of a sum spends n.
         """
+
+    @abstractmethod
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> PriorPaths:
+        """Return samples of the outputs that are functions, of ``n_frequencies`` waves for each latent process."""
 
     @abstractmethod
     def peaks(self, i: int, j: int, d: int) -> np.ndarray:
@@ -366,6 +371,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def feature_ranking(self, X, scale, random_state):
         best = [k.feature_ranking(X, scale, random_state) for k in (self.k1, self.k2)]
         return lambda n: SumFeatures(*(best_of(n) for best_of in best))
+
+    def prior_paths(self, *args):
+        return SumPaths(self.k1.prior_paths(*args), self.k2.prior_paths(*args))
 
     def peaks(self, i, j, d):
         return np.concatenate([self.k1.peaks(i, j, d), self.k2.peaks(i, j, d)])

@@ -12,6 +12,7 @@ from skdgp.kernels._features import ConvolvedFeatures
 from skdgp.kernels._latents import TIED_AXIS, check_ties, who_feeds
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._parts import rank_parts
+from skdgp.kernels._paths import convolved_paths
 from skdgp.kernels._prior import log_normal, prior_of
 from skdgp.kernels._start import starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
@@ -250,6 +251,9 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def feature_ranking(self, X, scale, random_state):
         return rank_parts(self, X, scale, random_state)
+
+    def prior_paths(self, n_paths, n_frequencies, random_state):
+        return convolved_paths(self, n_paths, n_frequencies, random_state)
 
     def peaks(self, i, j, d):
         # Terms of either sign may cancel at their centres and peak beside them: a width or two along each axis.

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from skdgp.kernels._paths import PriorPaths, SumPaths, TrendPaths, joint_paths
 from skdgp.kernels._rows import ExponentialRows, SumRows, TrendRows
 
 JITTER = 1e-6
@@ -48,6 +49,10 @@ class Features(ABC):
     @abstractmethod
     def gradient_uu(self, W) -> np.ndarray:
         """Return sum(W * dKuu) by [kernel theta, features theta]; W is symmetric."""
+
+    @abstractmethod
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PriorPaths, np.ndarray]:
+        """Return samples of the outputs that are functions, and u (n_paths, K), drawn with them."""
 
     @property
     @abstractmethod
@@ -134,6 +139,9 @@ class ConvolvedFeatures(Features):
             entries = part if entries is None else {name: entries[name] + part[name] for name in entries}
         return self._collect(entries, dZ)
 
+    def prior_paths(self, n_paths, n_frequencies, random_state):
+        return joint_paths(self.joint, self.Z, JITTER, n_paths, n_frequencies, random_state)
+
     def _collect(self, entries, dZ):
         """Return the gradient by [kernel theta, log width, Z] from derivatives by the joint kernel's entries."""
         P = self.kernel.n_outputs
@@ -197,6 +205,10 @@ class TrendFeatures(Features):
     def gradient_uu(self, W):
         return np.zeros(self.kernel.n_dims)
 
+    def prior_paths(self, n_paths, n_frequencies, random_state):
+        u = random_state.standard_normal((n_paths, self.size))
+        return TrendPaths(self.kernel, u.reshape(n_paths, -1, self.n_weights)), u
+
     @property
     def theta(self):
         return np.empty(0)
@@ -241,6 +253,10 @@ class SumFeatures(Features):
     def gradient_uu(self, W):
         n = self.first.size
         return self._order(self.first.gradient_uu(W[:n, :n]), self.second.gradient_uu(W[n:, n:]))
+
+    def prior_paths(self, *args):
+        (first, u), (second, v) = self.first.prior_paths(*args), self.second.prior_paths(*args)
+        return SumPaths(first, second), np.hstack([u, v])
 
     def _order(self, a, b):
         """Kernel thetas first, then the features'."""

@@ -11,6 +11,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._linalg import pivoted_cholesky
 from skdgp.kernels._features import JITTER, Features
+from skdgp.kernels._paths import joint_paths
 from skdgp.kernels._rows import ExponentialRows
 
 CANDIDATES = 2400  # of each latent
@@ -90,6 +91,9 @@ class PartFeatures(Features):
             dZ[self._of(g)] += 2 * slope
             _add(total, entries)
         return self._collect(total, dZ)
+
+    def prior_paths(self, n_paths, n_frequencies, random_state):
+        return joint_paths(self.joint, self.Z, JITTER, n_paths, n_frequencies, random_state)
 
     def _zeros(self):
         names = ("amplitude", "length_scale", "shift", "shear")

@@ -101,6 +101,9 @@ class Trend(MultiOutputKernel):
     def feature_ranking(self, X, scale, random_state):
         return lambda n: TrendFeatures(self)
 
+    def prior_paths(self, n_paths, n_frequencies, random_state):
+        return TrendFeatures(self).prior_paths(n_paths, n_frequencies, random_state)[0]
+
     def _by_entry(self, i, by_intercept, by_slope):
         intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_weights - 1))
         intercept[i], slope[i] = by_intercept, by_slope

@@ -1,0 +1,82 @@
+"""Samples of the posterior that are functions, as the estimator gives them."""
+
+import pickle
+
+import numpy as np
+import pytest
+from sklearn.exceptions import NotFittedError
+
+from skdgp import DependentGPRegressor
+from skdgp.kernels import ConvolvedGaussian
+
+
+def table(n=30, seed=0):
+    """Two outputs of two regressors, in units far from one; the second is not observed everywhere."""
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-2, 2, (n, 2))
+    Y = np.column_stack([30 + 10 * np.sin(X[:, 0]), 0.02 * np.cos(X.sum(axis=1))])
+    Y += rng.normal(0, [0.5, 1e-3], Y.shape)
+    Y[: n // 3, 1] = np.nan
+    return X, Y
+
+
+def fitted(inference="exact", y=slice(None), **options):
+    options = {"n_latent": 1, "n_inducing": 12, "max_iter": 10, "optimizer": None, "random_state": 0} | options
+    X, Y = table()
+    return DependentGPRegressor(inference=inference, **options).fit(X, Y[:, y])
+
+
+@pytest.fixture(scope="module", params=["exact", "sparse", "compact"])
+def model(request):
+    if request.param == "compact":
+        return fitted().compact(40, max_iter=0)
+    return fitted(request.param)
+
+
+def test_shapes_and_the_ways_to_ask_agree(model):
+    paths = model.sample_paths(7, random_state=1)
+    X = np.random.default_rng(2).normal(size=(7, 5, 2))
+    every = paths.each(X)
+    assert every.shape == (7, 5, 2)
+    assert len(paths) == len(list(paths)) == 7
+    for k, path in enumerate(paths):
+        np.testing.assert_allclose(path(X[k]), every[k], rtol=1e-9)
+        np.testing.assert_allclose(path.gradient(X[k]), paths.gradient(X)[k], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(paths(X[0])[3], paths[3](X[0]), rtol=1e-9)
+    np.testing.assert_allclose(paths[2:4](X[0]), paths(X[0])[2:4], rtol=1e-9)
+    assert paths.gradient(X[0]).shape == (7, 5, 2, 2)
+
+
+def test_one_output_has_no_axis_of_outputs():
+    model = fitted(y=0)
+    paths, X = model.sample_paths(3), table()[0]
+    assert paths(X).shape == (3, 30)
+    assert paths[0](X).shape == (30,)
+    assert paths.gradient(X).shape == (3, 30, 2)
+    assert paths[0].gradient(X).shape == (30, 2)
+
+
+def test_the_same_seed_gives_the_same_functions_in_any_process(model):
+    X = table()[0]
+    paths = model.sample_paths(4, random_state=5)
+    np.testing.assert_array_equal(model.sample_paths(4, random_state=5)(X), paths(X))
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(paths))(X), paths(X))
+    assert not np.allclose(model.sample_paths(4, random_state=6)(X), paths(X))
+
+
+def test_bad_input_is_refused(model):
+    for wrong in (0, -1, 1.5, True, "3"):
+        with pytest.raises(ValueError, match=r"n_paths=.*expected a number of paths from 1 on"):
+            model.sample_paths(wrong)
+    paths = model.sample_paths(3)
+    with pytest.raises(ValueError, match=r"X of shape \(4, 5\), but expected \(n, 2\)"):
+        paths(np.zeros((4, 5)))
+    with pytest.raises(ValueError, match=r"X of shape \(2, 4, 2\), but expected \(3, n, 2\)"):
+        paths.each(np.zeros((2, 4, 2)))
+    with pytest.raises(ValueError, match=r"X of shape \(2,\), but expected \(n, 2\)"):
+        paths[0](np.zeros(2))
+
+
+def test_not_fitted_is_refused():
+    with pytest.raises(NotFittedError):
+        DependentGPRegressor(kernel=ConvolvedGaussian(1)).sample_paths()

@@ -25,7 +25,9 @@ from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propeller_l
 from skdgp.dynamics._propeller import Propeller
 from skdgp.dynamics._replay import replay, replay_errors
 from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative
+from skdgp.dynamics._simulate import simulate
 from skdgp.dynamics._thrust_line import ThrustLine
+from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
 
 __all__ = [
     "STATE_NAMES",
@@ -33,6 +35,7 @@ __all__ = [
     "Aircraft",
     "Atmosphere",
     "Propeller",
+    "SimulationWarning",
     "ThrustLine",
     "aerodynamic_coefficients",
     "aerodynamic_loads",
@@ -55,6 +58,8 @@ __all__ = [
     "rigid_body_derivative",
     "rk4",
     "rk4_step",
+    "simulate",
     "standard_atmosphere",
     "standard_density",
+    "trajectory_bands",
 ]

@@ -21,6 +21,7 @@ SCRIPTS = (
     "comparison",
     "ablation",
     "structure",
+    "referee",
 )
 
 
@@ -170,3 +171,32 @@ class TestComparison:
         assert lcm.predict(asked) == pytest.approx(mean + expected.reshape(5, 2), abs=1e-5)
         assert function**2 == pytest.approx(variance.reshape(5, 2), abs=1e-5)
         assert measurement**2 == pytest.approx(function**2 + noise)
+
+
+class TestReferee:
+    """The referee sees what is right and what is wrong."""
+
+    def test_newton_and_euler_lie_within_the_rounding(self, script):
+        referee = script("referee")
+        rows = referee.logged("toy", *referee.toy())
+        assert [row["channel"] for row in rows] == list(referee.CHANNELS)
+        assert all(row["beyond the bound %"] == 0 for row in rows)
+        assert all(0.8 < row["rms error"] / row["rms of rounding"] < 1.25 for row in rows)
+
+    def test_a_product_of_inertia_of_the_wrong_sign_is_seen(self, script):
+        referee = script("referee")
+        flight, aircraft = referee.toy()
+        wrong = referee.Aircraft.from_dict(
+            aircraft.to_dict() | {"inertia": aircraft.inertia * [[1, 1, -1], [1, 1, 1], [-1, 1, 1]]}
+        )
+        beyond = {row["channel"]: row["beyond the bound %"] for row in referee.logged("toy", flight, wrong)}
+        assert beyond["p_dot"] > 90
+        assert beyond["ax"] == 0
+
+    def test_jsbsim_agrees_when_its_earth_is_accounted_for(self, script):
+        pytest.importorskip("jsbsim", reason="flies JSBSim, which is not installed")
+        live = script("_referee_live")
+        flight, aircraft = live.fly("c172p", 2.5, 1200, "4th order")
+        assert all(row["turning: largest error"] < 1e-9 for row in live.accelerations(flight, aircraft))
+        errors = live.trajectory(flight, aircraft, 2.0, "turning")
+        assert max(errors.values()) < 1e-5

@@ -13,7 +13,7 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-VERSIONS = ("skdgp", "numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpy", "mogptk")
+VERSIONS = ("skdgp", "numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpy", "mogptk", "jsbsim")
 
 
 def parser_of(description):

@@ -28,6 +28,7 @@ from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative
 from skdgp.dynamics._simulate import simulate
 from skdgp.dynamics._thrust_line import ThrustLine
 from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
+from skdgp.dynamics._trim import Trim, trim
 
 __all__ = [
     "STATE_NAMES",
@@ -37,6 +38,7 @@ __all__ = [
     "Propeller",
     "SimulationWarning",
     "ThrustLine",
+    "Trim",
     "aerodynamic_coefficients",
     "aerodynamic_loads",
     "air_data",
@@ -62,4 +64,5 @@ __all__ = [
     "standard_atmosphere",
     "standard_density",
     "trajectory_bands",
+    "trim",
 ]

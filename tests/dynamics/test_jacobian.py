@@ -123,6 +123,7 @@ def test_many_states_at_once_are_each_alone(aircraft):
 
 def test_paths_are_asked_each_at_its_own(aircraft):
     models = [curved(QUASI_STEADY, seed) for seed in range(3)]
+
     def by_path(of):
         return lambda X: np.stack([of(model)(x) for model, x in zip(models, X, strict=True)])
 

@@ -1,0 +1,359 @@
+"""Trim: the attitude and the controls with which an aircraft flies steadily, straight or turning, level or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from skdgp._validation import check_names
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._frames import air_velocity, euler_to_quaternion, gravity_in_body_axes
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._propulsion import thrust_control
+from skdgp.dynamics._rigid_body import RATES, STANDARD_GRAVITY, VELOCITY
+
+__all__ = ["Trim", "trim"]
+
+ENGINE = ("thrust", "throttle", "propeller_speed")
+ATTITUDE = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
+OTHERS = {"climb": (-1.4, 1.4), "turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
+DEFLECTION = np.pi / 4
+"""Largest one of a control of a model that does not say what it was learned from."""
+ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
+TOLERANCE = 1e-6
+"""Largest acceleration of a trim [m/s^2, rad/s^2]."""
+DEMAND = 100.0
+"""Weight of the flight path's slope: where there is no trim, accelerations are left, and the path is as asked."""
+STARTS = (0.5, 0.25, 0.75, 0.05)
+"""Where between its limits alpha starts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trim:
+    """A steady flight, and how near to steady it is.
+
+    Parameters
+    ----------
+    state : ndarray of shape (13,)
+        See `STATE_NAMES`; above the origin, heading north.
+    controls : dict of str to float
+        All that the model and the engine need.
+    airspeed, altitude, climb, turn_rate : float
+        [m/s, m, rad, rad/s]; ``climb`` is the angle of the flight path.
+    alpha, beta, phi, theta : float
+        [rad].
+    rates : ndarray of shape (3,)
+        p, q, r [rad/s].
+    coefficients : ndarray of shape (6,)
+        CX CY CZ Cl Cm Cn.
+    solved : tuple of str
+        What was solved for; the rest was given.
+    residual : float
+        The largest acceleration that is left [m/s^2 or rad/s^2].
+    beyond : dict
+        Regressors outside what the model was learned from: name to (value, smallest, largest).
+    """
+
+    state: np.ndarray
+    controls: dict
+    airspeed: float
+    altitude: float
+    climb: float
+    turn_rate: float
+    alpha: float
+    beta: float
+    phi: float
+    theta: float
+    rates: np.ndarray
+    coefficients: np.ndarray
+    solved: tuple[str, ...]
+    residual: float
+    beyond: dict
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the trim as a table of one row; ``beyond`` lists names."""
+        named = {name: getattr(self, name) for name in ("airspeed", "altitude", "climb", "turn_rate")}
+        named |= {name: getattr(self, name) for name in ("alpha", "beta", "phi", "theta")}
+        named |= dict(zip("pqr", self.rates, strict=True)) | self.controls
+        named |= dict(zip(COEFFICIENTS, self.coefficients, strict=True))
+        return pd.DataFrame([named | {"residual": self.residual, "beyond": ", ".join(self.beyond)}])
+
+
+def trim(
+    model,
+    aircraft: Aircraft,
+    airspeed: ArrayLike,
+    *,
+    altitude: float = 0.0,
+    climb: float | None = 0.0,
+    turn_rate: float | None = None,
+    bank: float | None = None,
+    beta: float | None = None,
+    controls: Sequence[str] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+    thrust="auto",
+    gravity: float = STANDARD_GRAVITY,
+    density=None,
+) -> Trim | list[Trim]:
+    r"""Find the steady flight of an aircraft at an airspeed.
+
+    Six accelerations vanish and the flight path has its angle (Stevens, Lewis & Johnson 2016, section 3.6),
+
+    .. math:: \dot u = \dot v = \dot w = \dot p = \dot q = \dot r = 0, \quad
+        \dot h = V \sin\gamma, \quad (p, q, r) = \dot\psi\,(-\sin\theta, \sin\phi\cos\theta, \cos\phi\cos\theta),
+
+    solved for alpha, theta, phi and four controls: of the model, and the one that sets the thrust. With ``bank`` the
+    turn rate is solved for instead of phi. With fewer controls, as without a rudder, sideslip is solved for instead of
+    being zero, and so it is if both ``bank`` and ``turn_rate`` are given (a steady sideslip).
+
+    Parameters
+    ----------
+    model : Aerodynamics, Pipeline or estimator
+        As for :func:`skdgp.dynamics.as_aerodynamics`.
+    aircraft : Aircraft
+    airspeed : float or array-like of shape (n,)
+        [m/s]; several give a list of trims.
+    altitude : float
+        [m], for the density of the air; a climb is steady at that altitude.
+    climb : float or None
+        Angle of the flight path [rad]; None: what the thrust that is ``fixed`` gives, or none in a glider.
+    turn_rate, bank : float, optional
+        Rate of change of heading [rad/s], or phi [rad]; neither: straight flight.
+    beta : float, optional
+        Sideslip [rad]; by default 0 where four controls can hold it.
+    controls : sequence of str, optional
+        Which controls to solve for; by default all that are not ``fixed``. At most four.
+    fixed : mapping of str to float, optional
+        Values of other controls. A ``throttle`` that the model knows but that does not set the thrust (an aircraft
+        without a propeller) is otherwise in the middle of what was flown.
+    limits : mapping of str to pair of float, optional
+        Of controls, alpha, beta, phi, theta. By default controls and alpha may leave what the model was learned from
+        by the width of it on either side: a model knows nothing of stops, and beyond knows nothing at all. Where a
+        model does not say what it was learned from, surfaces reach 45 degrees. ``throttle`` is 0 to 1, ``thrust`` > 0.
+    thrust, gravity, density
+        As for :func:`skdgp.dynamics.simulate`.
+
+    Returns
+    -------
+    Trim or list of Trim
+
+    Raises
+    ------
+    ValueError
+        If there is no such flight: which accelerations are left, and what is at its limit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, trim
+    >>> def linear(X):
+    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
+    ...     lift = 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
+    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
+    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
+    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    >>> level, turning = (trim(Aerodynamics(linear, names), aircraft, 20.0, bank=phi) for phi in (0.0, 0.5))
+    >>> round(level.alpha, 4), round(level.controls["elevator"], 4), round(level.controls["thrust"], 2)
+    (0.0154, 0.0107, 12.16)
+    >>> round(turning.turn_rate, 3), round(float(9.80665 * np.tan(0.5) / 20.0), 3)
+    (0.264, 0.268)
+    """
+    motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
+    airspeeds = np.asarray(airspeed, dtype=float)
+    if airspeeds.ndim > 1 or not np.all(np.isfinite(airspeeds) & (airspeeds > 0)):
+        raise ValueError(f"Got airspeed={airspeed!r}, but expected one or more numbers > 0 [m/s].")
+    given = {"altitude": altitude, "climb": climb, "turn_rate": turn_rate, "phi": bank, "beta": beta}
+    if bank is None and turn_rate is None:
+        given["turn_rate"] = 0.0
+    problem = _Problem(motion, given, controls, dict(fixed or {}), dict(limits or {}))
+    found, near = [], None
+    for one in np.atleast_1d(airspeeds).tolist():
+        near, steady = problem.solve(one, near)
+        found.append(steady)
+    return found if airspeeds.ndim else found[0]
+
+
+class _Problem:
+    """The equations of a steady flight in the unknowns of one aircraft."""
+
+    def __init__(self, motion: Motion, given: dict, controls, fixed: dict, limits: dict):
+        self.motion, self.fixed = motion, fixed
+        self.flown = _flown(motion)
+        self.controls = self._controls(controls)
+        self.given = {name: value for name, value in given.items() if value is not None}
+        if "beta" not in self.given and len(self.controls) >= 4 - ("climb" not in self.given):
+            self.given |= {} if {"phi", "turn_rate"} <= set(self.given) else {"beta": 0.0}
+        flight = [name for name in ("alpha", "beta", "theta", "phi", "turn_rate", "climb") if name not in self.given]
+        self.unknowns = (*flight, *self.controls)
+        if len(self.unknowns) > 7:
+            raise ValueError(
+                f"Got {len(self.unknowns)} unknowns, {', '.join(self.unknowns)}, but a steady flight has 7 equations: "
+                f"give the value of {len(self.unknowns) - 7} more, controls as fixed={{name: value}}."
+            )
+        self.limits = {name: self._limits(name) for name in self.unknowns}
+        check_names(limits, (*self.unknowns, *fixed), "unknowns of this trim, and the limits given with them,")
+        self.limits |= {name: tuple(map(float, pair)) for name, pair in limits.items() if name in self.unknowns}
+        for name, (low, high) in self.limits.items():
+            if not low < high:
+                raise ValueError(f"Got limits of {name} from {low:g} to {high:g}, but expected smallest < largest.")
+
+    def _controls(self, controls) -> tuple[str, ...]:
+        """Return the controls to solve for; those that remain are fixed."""
+        motion, engine = self.motion, thrust_control(self.motion.aircraft, self.motion.thrust)
+        if engine is not None and motion.aircraft.propeller is not None and "propeller_speed" in motion.controls:
+            engine = "propeller_speed"
+        needed = dict.fromkeys([*motion.controls, *([] if engine is None else [engine])])
+        if controls is not None:
+            check_names(controls, needed, "controls of the model and the engine")
+        for name in needed:
+            if name in ENGINE and name != engine and name not in self.fixed and name in self.flown:
+                self.fixed[name] = float(np.mean(self.flown[name]))
+        free = [name for name in needed if name not in self.fixed]
+        lacking = [name for name in free if controls is not None and name not in controls]
+        lacking += [name for name in free if name in ENGINE and name != engine]
+        if lacking:
+            raise ValueError(f"The trim lacks values of {lacking}: give fixed={{{lacking[0]!r}: value}}.")
+        return tuple(free)
+
+    def _limits(self, name: str) -> tuple[float, float]:
+        if name in OTHERS:
+            return OTHERS[name]
+        if name == "propeller_speed":
+            propeller = self.motion.aircraft.propeller
+            return propeller.speed_range or (0.0, np.inf)
+        if name in ("theta", "phi", "beta") or name not in self.flown:
+            return ATTITUDE.get(name, (-DEFLECTION, DEFLECTION))
+        low, high = self.flown[name]
+        return 2 * low - high, 2 * high - low
+
+    def solve(self, airspeed: float, near=None) -> tuple[np.ndarray, Trim]:
+        """Return the unknowns and the trim they make, starting ``near`` those of another one, and elsewhere."""
+        low, high = np.array([self.limits[name] for name in self.unknowns]).T
+        best = None
+        for start in ([] if near is None else [near]) + [self._start(airspeed, part) for part in STARTS]:
+            margin = 1e-6 * np.minimum(high - low, 1.0)
+            solution = least_squares(
+                lambda x: self._residual(x, airspeed), np.clip(start, low + margin, high - margin), bounds=(low, high),
+                jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200,
+            )  # fmt: skip
+            if best is None or solution.cost < best.cost:
+                best = solution
+            if np.abs(best.fun).max() < TOLERANCE:
+                break
+        if not np.abs(best.fun).max() < TOLERANCE:
+            raise ValueError(self._why(best, airspeed))
+        return best.x, self._trim(best.x, airspeed)
+
+    def _start(self, airspeed: float, part: float) -> np.ndarray:
+        start = {name: min(max(0.0, low), high) for name, (low, high) in self.limits.items()}
+        given = {"climb": 0.0, "turn_rate": 0.0, "phi": 0.0} | self.given
+        if "alpha" in start:
+            low, high = self.flown.get("alpha", (-0.1, 0.3))
+            start["alpha"] = low + part * (high - low)
+            start["theta"] = start["alpha"] + given["climb"]
+        if "phi" in start:
+            start["phi"] = np.arctan(airspeed * given["turn_rate"] / self.motion.gravity)
+        if "turn_rate" in start:
+            start["turn_rate"] = self.motion.gravity * np.tan(given["phi"]) / airspeed
+        if "thrust" in start:
+            start["thrust"] = 0.15 * self.motion.aircraft.mass * self.motion.gravity
+        if "throttle" in start:
+            start["throttle"] = 0.5
+        if "propeller_speed" in start:  # at half the turns of an advance ratio of 1
+            start["propeller_speed"] = 4.0 * np.pi * airspeed / self.motion.aircraft.propeller.diameter
+        return np.array([start[name] for name in self.unknowns])
+
+    def _flight(self, x, airspeed: float) -> tuple[dict, np.ndarray, dict]:
+        """Return what flies by name, its state, its controls."""
+        known = self.given | dict(zip(self.unknowns, np.asarray(x).tolist(), strict=True))
+        phi, theta = known["phi"], known["theta"]
+        state = np.zeros(13)
+        state[2] = -known["altitude"]
+        state[VELOCITY] = air_velocity(airspeed, known["alpha"], known["beta"])
+        state[6:10] = euler_to_quaternion(phi, theta, 0.0)
+        state[RATES] = known["turn_rate"] * gravity_in_body_axes(phi, theta, 1.0)
+        return known, state, self.fixed | {name: known[name] for name in self.controls}
+
+    def _instant(self, known, state, controls) -> Instant:
+        steady = np.zeros(8)
+        specific = np.cross(state[RATES], state[VELOCITY])
+        steady[5:] = specific - gravity_in_body_axes(known["phi"], known["theta"], self.motion.gravity)
+        return self.motion.at(state, controls, implicit=steady)
+
+    def _residual(self, x, airspeed: float) -> np.ndarray:
+        known, state, controls = self._flight(x, airspeed)
+        derivative = self._instant(known, state, controls).derivative
+        if not np.isfinite(derivative).all():
+            raise ValueError(
+                f"Got {derivative[3:].tolist()} as the rates of change of {', '.join(ACCELERATIONS)} at airspeed "
+                f"{airspeed:g} m/s, alpha {known['alpha']:g} rad, controls {controls}, but expected finite numbers: "
+                "the model or the thrust is not defined there."
+            )
+        path = DEMAND * (-derivative[2] / airspeed - np.sin(known["climb"]))
+        return np.concatenate([derivative[VELOCITY], derivative[RATES], [path]])
+
+    def _trim(self, x, airspeed: float) -> Trim:
+        known, state, controls = self._flight(x, airspeed)
+        now = self._instant(known, state, controls)
+        if not np.all(now.settled):
+            raise ValueError(
+                f"The model depends so strongly on what follows from its coefficients ({self.motion.aerodynamics!r}) "
+                "that its motion is not determined: learn one without accelerations, as RegressorSelector() does."
+            )
+        limits = self.motion.aerodynamics.limits
+        bounds = (
+            [] if limits is None else zip(self.motion.aerodynamics.regressors, now.regressors, *limits, strict=True)
+        )
+        beyond = {n: (float(v), float(a), float(b)) for n, v, a, b in bounds if not a <= v <= b}
+        named = {k: float(known[k]) for k in ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")}
+        return Trim(
+            state=state, controls={name: float(value) for name, value in controls.items()}, airspeed=airspeed, **named,
+            rates=state[RATES].copy(), coefficients=now.coefficients, solved=self.unknowns,
+            residual=float(np.abs(self._residual(x, airspeed)[:6]).max()), beyond=beyond,
+        )  # fmt: skip
+
+    def _why(self, best, airspeed: float) -> str:
+        """Say what is left where the search ended, and what stands at a limit."""
+        left = [
+            f"{name} = {value:.3g} {'m' if name[0] in 'uvw' else 'rad'}/s^2"
+            for name, value in zip(ACCELERATIONS, best.fun[:6], strict=True)
+            if abs(value) > 0.01 * np.abs(best.fun).max()
+        ]
+        at = []
+        for name, value in zip(self.unknowns, best.x, strict=True):
+            low, high = self.limits[name]
+            reach = 1e-3 * (high - low if np.isfinite(high - low) else 1.0)
+            at += [f"{name} at its limit {limit:.4g}" for limit in (low, high) if abs(value - limit) < reach]
+        todo = "Ask for another airspeed, climb or turn, or widen limits={name: (lowest, highest)} if these are not it"
+        if not at:
+            todo = (
+                f"Nothing is at a limit: {', '.join(self.unknowns)} cannot balance it. Ask for another airspeed (too "
+                "slow, it stalls), free a control, or let the path follow (climb=None: no thrust holds it)"
+            )
+        return (
+            f"There is no trim of {self.motion.aircraft.name} at {self._asked(airspeed)}: nearest to it are left "
+            f"{', '.join(left)}{', with ' + ', '.join(at) if at else ''}. {todo}."
+        )
+
+    def _asked(self, airspeed: float) -> str:
+        units = {"altitude": "m", "turn_rate": "rad/s"}
+        asked = [f"{name} {value:g} {units.get(name, 'rad')}" for name, value in self.given.items()]
+        return ", ".join([f"airspeed {airspeed:g} m/s", *asked, *(f"{n} {v:g}" for n, v in self.fixed.items())])
+
+
+def _flown(motion: Motion) -> dict[str, tuple[float, float]]:
+    """Return what the model was learned from, by name, of the regressors that are no scaled rates."""
+    aerodynamics = motion.aerodynamics
+    if aerodynamics.limits is None:
+        return {}
+    pairs = zip(aerodynamics.regressors, motion.regressors, *aerodynamics.limits.tolist(), strict=True)
+    return {name: (low, high) for full, name, low, high in pairs if "_hat" not in full}

@@ -1,0 +1,225 @@
+"""Trims: known answers, steadiness when flown, and clear words where there is none."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.dynamics import Aerodynamics, Aircraft, Propeller, body_to_ned, quaternion_to_euler, rk4, trim
+from skdgp.dynamics._motion import Motion
+
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
+DENSITY, GRAVITY = 1.1, 9.79
+CL0, CL_ALPHA, CD0, K = 0.3, 4.5, 0.03, 0.06
+CM0, CM_ALPHA, CM_Q, CM_ELEVATOR = 0.02, -0.6, -9.0, -1.0
+
+
+def linear(X):
+    """Lift linear in alpha, drag polar, no coupling: its level trims have formulas."""
+    alpha, beta, p, q, r, elevator, aileron, rudder = X.T
+    CL = CL0 + CL_ALPHA * alpha
+    CD = CD0 + K * CL**2
+    return np.stack(
+        [
+            CL * np.sin(alpha) - CD * np.cos(alpha),
+            -0.5 * beta,
+            -CL * np.cos(alpha) - CD * np.sin(alpha),
+            -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron,
+            CM0 + CM_ALPHA * alpha + CM_Q * q + CM_ELEVATOR * elevator,
+            0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder,
+        ],
+        axis=-1,
+    )
+
+
+TEXTBOOK = Aerodynamics(linear, NAMES)
+BRUMBYS = Aerodynamics(brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS])
+AIR = {"density": DENSITY, "gravity": GRAVITY}
+
+
+@pytest.fixture(scope="module")
+def glider():
+    return Aircraft(mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+
+
+def flown(found, model, aircraft, seconds, **air):
+    motion = Motion(model, aircraft, **air)
+    times = np.arange(0, seconds, 0.02)
+    return times, rk4(lambda t, x: motion.at(x, found.controls).derivative, found.state, times)
+
+
+class TestKnownAnswers:
+    def test_level_flight_balances_lift_drag_and_pitch(self, glider):
+        """L + T sin alpha = m g, T cos alpha = D, Cm = 0, for thrust along the body's x axis."""
+        found = trim(TEXTBOOK, glider, 20.0, **AIR)
+        qS = 0.5 * DENSITY * 20.0**2 * glider.wing_area
+        CL = CL0 + CL_ALPHA * found.alpha
+        drag, thrust = qS * (CD0 + K * CL**2), found.controls["thrust"]
+        assert thrust * np.cos(found.alpha) == pytest.approx(drag)
+        assert qS * CL + thrust * np.sin(found.alpha) == pytest.approx(glider.mass * GRAVITY)
+        assert found.controls["elevator"] == pytest.approx((CM0 + CM_ALPHA * found.alpha) / -CM_ELEVATOR)
+        assert found.theta == pytest.approx(found.alpha)
+        assert [found.phi, found.beta, *found.rates] == pytest.approx([0.0] * 5, abs=1e-12)
+
+    def test_a_glide_has_the_slope_of_drag_over_lift(self, glider):
+        found = trim(TEXTBOOK, glider, 18.0, thrust=None, climb=None, **AIR)
+        CL = CL0 + CL_ALPHA * found.alpha
+        assert np.tan(-found.climb) == pytest.approx((CD0 + K * CL**2) / CL)
+        assert found.theta == pytest.approx(found.alpha + found.climb)
+
+    def test_a_climb_takes_thrust_for_weight(self, glider):
+        level, climbing = (trim(TEXTBOOK, glider, 20.0, climb=gamma, **AIR) for gamma in (0.0, 0.2))
+        more = climbing.controls["thrust"] - level.controls["thrust"]
+        assert more == pytest.approx(glider.mass * GRAVITY * np.sin(0.2), rel=0.03)
+        state = flown(climbing, TEXTBOOK, glider, 2.0, **AIR)[1]
+        assert -state[-1, 2] == pytest.approx(20.0 * np.sin(0.2) * 1.98, rel=1e-9)
+
+    def test_bank_and_turn_rate_are_two_ways_to_ask_for_a_turn(self, glider):
+        by_bank = trim(TEXTBOOK, glider, 20.0, bank=-0.5, **AIR)
+        by_rate = trim(TEXTBOOK, glider, 20.0, turn_rate=by_bank.turn_rate, **AIR)
+        assert by_bank.turn_rate < 0
+        assert by_rate.phi == pytest.approx(-0.5)
+        assert by_rate.state == pytest.approx(by_bank.state)
+
+
+class TestSteady:
+    @pytest.mark.parametrize(
+        "asked",
+        [
+            {},
+            {"climb": 0.08},
+            {"climb": -0.1, "bank": 0.4},
+            {"turn_rate": -0.2},
+            {"bank": 0.1, "turn_rate": 0.0},
+            {"beta": 0.05},
+            {"fixed": {"rudder": 0.0}, "bank": 0.3},
+            {"fixed": {"throttle": 0.8}, "climb": None},
+        ],
+        ids=str,
+    )
+    def test_no_acceleration_is_left(self, asked):
+        """Full inertia, propeller torque, coefficients that depend on alpha_dot and beta_dot."""
+        found = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0, **asked)
+        now = Motion(BRUMBYS, BRUMBY).at(found.state, found.controls)
+        assert np.abs(now.derivative[[3, 4, 5, 10, 11, 12]]).max() < 1e-8
+        assert found.residual < 1e-8
+        assert float(now.airspeed) == pytest.approx(36.0)
+        assert -now.derivative[2] == pytest.approx(36.0 * np.sin(found.climb), abs=1e-9)
+        for name in set(asked) - {"fixed"}:
+            value = {"bank": found.phi}.get(name, getattr(found, name, None))
+            assert asked[name] is None or value == pytest.approx(asked[name])
+
+    def test_flown_it_stays(self):
+        found = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0)
+        _, states = flown(found, BRUMBYS, BRUMBY, 5.0)
+        assert states[:, 2] == pytest.approx(-200.0, abs=1e-8)
+        assert states[:, 3:6] == pytest.approx(np.tile(found.state[3:6], (len(states), 1)), abs=1e-8)
+
+    def test_a_turn_is_a_circle_of_its_radius(self):
+        found = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0, bank=0.6)
+        times, states = flown(found, BRUMBYS, BRUMBY, 6.0)
+        radius = 36.0 / found.turn_rate
+        north, east = body_to_ned(found.state[6:10], found.state[3:6])[:2] / 36.0
+        assert np.hypot(*(states[:, :2] - radius * np.array([-east, north])).T) == pytest.approx(radius, rel=1e-7)
+        assert radius == pytest.approx(36.0**2 / (9.80665 * np.tan(0.6)), rel=0.03)
+        heading = np.unwrap(quaternion_to_euler(states[:, 6:10])[:, 2])
+        assert heading == pytest.approx(found.turn_rate * times, abs=1e-8)
+
+
+class TestShape:
+    def test_several_airspeeds_are_several_trims(self, glider):
+        found = trim(TEXTBOOK, glider, [16.0, 20.0, 24.0], **AIR)
+        assert [one.airspeed for one in found] == [16.0, 20.0, 24.0]
+        assert found[1].alpha == pytest.approx(trim(TEXTBOOK, glider, 20.0, **AIR).alpha)
+        table = pd.concat([one.to_frame() for one in found])
+        assert (np.diff(table["alpha"]) < 0).all()
+        assert {"phi", "q", "thrust", "elevator", "CZ", "residual"} <= set(table)
+
+    def test_what_was_not_flown_is_said(self, glider):
+        limits = np.array([[-0.2] * 8, [0.2] * 8])
+        limits[:, 5] = 0.05, 0.2
+        found = trim(Aerodynamics(linear, NAMES, limits=limits), glider, 20.0, **AIR)
+        assert list(found.beyond) == ["elevator"]
+        assert found.beyond["elevator"] == pytest.approx((found.controls["elevator"], 0.05, 0.2))
+        assert found.to_frame().loc[0, "beyond"] == "elevator"
+
+    def test_without_rudder_sideslip_balances(self, glider):
+        names = NAMES[:-1]
+        model = Aerodynamics(lambda X: linear(np.column_stack([X, 0 * X[:, 0]])), names)
+        found = trim(model, glider, 20.0, bank=0.4, **AIR)
+        assert "beta" in found.solved
+        assert abs(found.beta) > 1e-3
+
+    def test_without_lateral_controls_a_symmetric_aircraft_flies_straight(self, glider):
+        model = Aerodynamics(lambda X: linear(np.column_stack([X, 0 * X[:, 0], 0 * X[:, 0]])), NAMES[:-2])
+        assert trim(model, glider, 20.0, **AIR).beta == pytest.approx(0.0, abs=1e-9)
+        with pytest.raises(ValueError, match=r"no trim of .*phi 0\.4"):
+            trim(model, glider, 20.0, bank=0.4, **AIR)
+
+    def test_a_throttle_that_sets_no_thrust_stays_in_the_middle_of_what_was_flown(self, glider):
+        limits = np.vstack([np.full(9, -0.4), np.full(9, 0.4)])
+        limits[:, 8] = 0.3, 0.9
+        model = Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "throttle"], limits=limits)
+        assert trim(model, glider, 20.0, **AIR).controls["throttle"] == pytest.approx(0.6)
+        assert trim(model, glider, 20.0, fixed={"throttle": 0.5}, **AIR).controls["throttle"] == 0.5
+        with pytest.raises(ValueError, match=r"lacks values of \['throttle'\]: give fixed="):
+            trim(Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "throttle"]), glider, 20.0, **AIR)
+
+    def test_a_propeller_without_range_trims_by_its_speed(self, glider):
+        propelled = Aircraft.from_dict(
+            glider.to_dict() | {"propeller": {"diameter": 0.5, "thrust_coefficients": [0.1, -0.05, -0.08]}}
+        )
+        found = trim(TEXTBOOK, propelled, 20.0, **AIR)
+        thrust = propelled.propeller.thrust(found.controls["propeller_speed"], 20.0, DENSITY)
+        assert float(thrust) == pytest.approx(trim(TEXTBOOK, glider, 20.0, **AIR).controls["thrust"])
+        assert isinstance(propelled.propeller, Propeller)
+
+    def test_accelerations_as_regressors_are_those_of_the_steady_flight(self, glider):
+        model = Aerodynamics(lambda X: linear(X[:, :8]) + 1e-3 * (X[:, 8:9] + 10), [*NAMES, "az"])
+        found = trim(model, glider, 20.0, **AIR)
+        now = Motion(model, glider, **AIR).at(found.state, found.controls)
+        assert now.regressors[8] == pytest.approx(-GRAVITY * np.cos(found.theta))
+
+
+class TestNoSuchFlight:
+    def test_too_slow(self):
+        with pytest.raises(
+            ValueError, match=r"no trim of brumby at airspeed 12 m/s.*w_dot = .*m/s\^2.*another airspeed"
+        ):
+            trim(BRUMBYS, BRUMBY, 12.0)
+
+    def test_too_fast_for_the_engine(self):
+        with pytest.raises(ValueError, match=r"u_dot = -[\d.]+ m/s\^2, with throttle at its limit 1.*limits="):
+            trim(BRUMBYS, BRUMBY, 80.0)
+
+    def test_a_surface_at_its_stop(self):
+        with pytest.raises(ValueError, match="elevator at its limit 0"):
+            trim(BRUMBYS, BRUMBY, 36.0, limits={"elevator": (0.0, 0.1)})
+
+    def test_a_glider_that_shall_fly_level(self, glider):
+        with pytest.raises(ValueError, match=r"u_dot.*climb=None"):
+            trim(TEXTBOOK, glider, 20.0, thrust=None)
+
+    @pytest.mark.parametrize("airspeed", [0.0, -5.0, np.nan, [20.0, 0.0]])
+    def test_no_airspeed(self, glider, airspeed):
+        with pytest.raises(ValueError, match="expected one or more numbers > 0"):
+            trim(TEXTBOOK, glider, airspeed)
+
+    def test_a_model_that_is_not_defined_there(self, glider):
+        with pytest.raises(ValueError, match="not defined there"):
+            trim(Aerodynamics(lambda X: linear(X) * np.nan, NAMES), glider, 20.0)
+
+    def test_more_controls_than_equations(self, glider):
+        model = Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "flap"])
+        with pytest.raises(ValueError, match=r"8 unknowns.*flap.*7 equations.*fixed="):
+            trim(model, glider, 20.0)
+        assert trim(model, glider, 20.0, fixed={"flap": 0.1}, **AIR).controls["flap"] == 0.1
+
+    def test_names_that_nobody_knows(self, glider):
+        with pytest.raises(ValueError, match="'elevatr'"):
+            trim(TEXTBOOK, glider, 20.0, controls=["elevatr"])
+        with pytest.raises(ValueError, match="'gear'"):
+            trim(TEXTBOOK, glider, 20.0, limits={"gear": (0, 1)})
+        with pytest.raises(ValueError, match="smallest < largest"):
+            trim(TEXTBOOK, glider, 20.0, limits={"elevator": (0.1, 0.1)})

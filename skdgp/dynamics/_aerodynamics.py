@@ -47,6 +47,8 @@ class Aerodynamics:
     sampler : callable, optional
         (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients (n_paths, n, 6) and to
         slopes (n_paths, n, 6, d): functions drawn from what is believed. Without it the model has no uncertainty.
+    covariance : callable, optional
+        Regressors (n, d) to the joint covariance (6 n, 6 n) of what is believed, all n of the first coefficient first.
     limits : array-like of shape (2, d), optional
         Smallest and largest value of each regressor that the model was learned from.
     span, chord : float, optional
@@ -78,6 +80,7 @@ class Aerodynamics:
         *,
         gradient: Callable | None = None,
         sampler: Callable | None = None,
+        covariance: Callable | None = None,
         limits=None,
         span: float | None = None,
         chord: float | None = None,
@@ -91,7 +94,7 @@ class Aerodynamics:
             raise ValueError(f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)}).")
         self.span, self.chord, self.mixing = span, chord, mixing
         self.n_paths: int | None = None
-        self._gradient, self._sampler = gradient, sampler
+        self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
 
     def __repr__(self):
         paths = "" if self.n_paths is None else f", {self.n_paths} paths"
@@ -140,6 +143,21 @@ class Aerodynamics:
         drawn = copy.copy(self)
         drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = values, slopes, None, n_paths
         return drawn
+
+    def covariance(self, X) -> np.ndarray:
+        """Return the joint covariance of the coefficients at regressors (n, d), (6 n, 6 n), coefficient by coefficient.
+
+        Raises
+        ------
+        ValueError
+            If the model has no uncertainty.
+        """
+        if self._covariance is None:
+            raise ValueError(
+                f"Got a model without a posterior covariance ({self!r}), but expected a pipeline that ends in "
+                "DependentGPRegressor, or Aerodynamics(..., covariance=...)."
+            )
+        return self._covariance(np.asarray(X, dtype=float))
 
     def _each(self, function, X, shape):
         """Return what each path says at its own regressors, (n_paths, ..., *shape)."""
@@ -221,6 +239,7 @@ def as_aerodynamics(model) -> Aerodynamics:
         names,
         gradient=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
+        covariance=chain.covariance if chain.can_sample else None,
         limits=None if any(limit is None for limit in limits) else limits,
         span=getattr(lengths, "span", None),
         chord=getattr(lengths, "chord", None),
@@ -252,6 +271,12 @@ class _Chain:
     def slopes(self, X):
         """Return their slopes (n, 6, d)."""
         return self.regressor.predict_gradient((X - self.shift) / self.scale)[:, self.order] / self.scale
+
+    def covariance(self, X):
+        """Return the joint posterior covariance (6 n, 6 n)."""
+        covariance = self.regressor.predict((X - self.shift) / self.scale, return_cov=True)[1]
+        blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
+        return blocks[self.order][:, :, self.order].reshape(6 * len(X), 6 * len(X))
 
     def sample(self, n_paths, random_state):
         """Return values and slopes of functions drawn from the posterior."""

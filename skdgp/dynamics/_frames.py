@@ -14,6 +14,7 @@ __all__ = [
     "air_data",
     "air_velocity",
     "body_to_ned",
+    "euler_per_rotation",
     "euler_to_matrix",
     "euler_to_quaternion",
     "gravity_in_body_axes",
@@ -87,6 +88,18 @@ def ned_to_body(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
     """Return NED vectors (..., 3) in body axes, at the attitude of ``quaternion`` (..., 4)."""
     q0, q1, q2, q3 = _components(quaternion)
     return _turn((q0, -q1, -q2, -q3), vector)
+
+
+def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
+    """Return d (phi, theta, psi) / d (small body rotation), (..., 3, 3): of body rates it makes Euler angles' rates."""
+    phi, theta = np.broadcast_arrays(np.asarray(phi, dtype=float), np.asarray(theta, dtype=float))
+    sine, cosine = np.sin(phi), np.cos(phi)
+    matrix = np.zeros((*phi.shape, 3, 3))
+    matrix[..., 0, 0] = 1.0
+    matrix[..., 0, 1], matrix[..., 0, 2] = sine * np.tan(theta), cosine * np.tan(theta)
+    matrix[..., 1, 1], matrix[..., 1, 2] = cosine, -sine
+    matrix[..., 2, 1], matrix[..., 2, 2] = sine / np.cos(theta), cosine / np.cos(theta)
+    return matrix
 
 
 def quaternion_rate(quaternion: ArrayLike, rates: ArrayLike) -> np.ndarray:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from skdgp._vocabulary import COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._frames import euler_to_matrix
+from skdgp.dynamics._frames import euler_per_rotation, euler_to_matrix
 
 __all__ = ["REPLAYED", "covariance_factor", "replayed_std"]
 
@@ -125,27 +125,16 @@ def _initial_covariance(states, initial_std: Mapping[str, float]) -> np.ndarray:
     if unknown:
         raise ValueError(f"Got initial_std of {unknown}, but expected names of {list(REPLAYED)}.")
     to_error = np.zeros((len(states), 12, 12)) + np.eye(12)
-    to_error[:, T, T] = np.linalg.inv(_euler_per_rotation(states))
+    to_error[:, T, T] = np.linalg.inv(euler_per_rotation(states[:, 6], states[:, 7]))
     scaled = to_error * np.array([float(initial_std.get(name, 0.0)) for name in REPLAYED])
     return scaled @ scaled.swapaxes(1, 2)
 
 
 def _state_std(covariance, states) -> np.ndarray:
     variance = np.einsum("nii->ni", covariance)[:, :12].copy()
-    to_euler = _euler_per_rotation(states)
+    to_euler = euler_per_rotation(states[:, 6], states[:, 7])
     variance[:, T] = np.einsum("nij,njk,nik->ni", to_euler, covariance[:, T, T], to_euler)
     return np.sqrt(np.maximum(variance, 0.0))  # rounding may carry a variance of nothing below zero
-
-
-def _euler_per_rotation(states) -> np.ndarray:
-    """Return d (phi, theta, psi) / d (small body rotation), (n, 3, 3)."""
-    phi, theta = states[:, 6], states[:, 7]
-    matrix = np.zeros((len(states), 3, 3))
-    matrix[:, 0, 0] = 1.0
-    matrix[:, 0, 1], matrix[:, 0, 2] = np.sin(phi) * np.tan(theta), np.cos(phi) * np.tan(theta)
-    matrix[:, 1, 1], matrix[:, 1, 2] = np.cos(phi), -np.sin(phi)
-    matrix[:, 2, 1], matrix[:, 2, 2] = np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)
-    return matrix
 
 
 def _cross_matrix(vector: np.ndarray) -> np.ndarray:

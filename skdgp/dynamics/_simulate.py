@@ -12,6 +12,7 @@ from skdgp.dynamics._fly import fly
 from skdgp.dynamics._motion import STATES, Motion
 from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._schedules import PROPULSION, Clock, control_schedule, tables_of, wind_schedule
+from skdgp.dynamics._spread import linear_std
 from skdgp.dynamics._starts import as_starts, initial_states, perturbed
 from skdgp.dynamics._trajectory import trajectory_table, warn_of
 
@@ -29,6 +30,7 @@ def simulate(
     wind=None,
     n_paths: int | None = None,
     random_state=0,
+    return_std: bool = False,
     initial_std: Mapping[str, float] | None = None,
     thrust: str | Callable | None = "auto",
     density: float | Callable | None = None,
@@ -67,8 +69,12 @@ def simulate(
         whole flight, as the aircraft has. Their spread is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
+    return_std : bool, default=False
+        Whether to add columns ``airspeed_std``, ``phi_std``, ... of the mean's trajectory: standard deviations by the
+        joint posterior of the coefficients along it, to first order. Cheap, and right while errors are small: some
+        seconds; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
-        Standard deviations of the start, of the paths: by name ("u", "v", "w", "phi", "theta", "psi", "p", ...).
+        Standard deviations of the start, for paths or ``return_std``: by name ("u", "v", "w", "phi", "theta", ...).
     thrust : "auto", callable or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line, or the propeller at
         propeller_speed [rad/s] or throttle. A function (controls, airspeed, density) to newtons along the thrust
@@ -124,13 +130,16 @@ def simulate(
     if n_paths is not None:
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         states = perturbed(states, initial_std, n_paths, random_state)
-    elif initial_std is not None:
-        raise ValueError("Got initial_std without n_paths, but only an ensemble of paths starts from several states.")
+        if return_std:
+            raise ValueError("Got n_paths and return_std=True, but expected one of them: paths spread by themselves.")
+    elif initial_std is not None and not return_std:
+        raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
     elif len(states) == 1:
         states = states[0]
     record = fly(motion, commands, air, clock, states)
     warn_of(record, motion)
-    return trajectory_table(record, motion, _first_times(controls, len(starts)))
+    std = linear_std(record, motion, initial_std) if return_std else {}
+    return trajectory_table(record, motion, _first_times(controls, len(starts)), std)
 
 
 def _is_control(motion: Motion) -> Callable[[str], bool]:

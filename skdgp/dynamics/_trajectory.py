@@ -49,7 +49,7 @@ def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
     return found | {"altitude": -states[..., 2]}
 
 
-def trajectory_table(record, motion, first_times) -> pd.DataFrame:
+def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     """Return what was flown as one flight table: path by path, start by start, row by row.
 
     Parameters
@@ -59,6 +59,8 @@ def trajectory_table(record, motion, first_times) -> pd.DataFrame:
     motion : Motion
     first_times : ndarray (n_starts,)
         What the clock shows at each start.
+    further : dict of str to ndarray (n_times, ...)
+        More columns.
     """
     shape = record.ended.shape
     n_times = len(record.time)
@@ -78,7 +80,7 @@ def trajectory_table(record, motion, first_times) -> pd.DataFrame:
     clock = np.add.outer(record.time, first_times)
     table = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
     table |= _identity(shape, n_times)
-    table |= {name: column(values) for name, values in (seen | record.controls).items()}
+    table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
     table["beyond"] = pd.Categorical.from_codes(column(_beyond(record, motion)), ["", *motion.regressors])
     table["ended"] = pd.Categorical(column(np.where(over, record.ended, "")))
     return pd.DataFrame(table)
@@ -117,8 +119,8 @@ def warn_of(record, motion) -> None:
         why = ", ".join(f"{REASONS[reason]}: {ended.count(reason)}" for reason in REASONS if reason in ended)
         warnings.warn(
             f"{len(ended)} of {n} trajectories ended early, the first {record.end.min() * dt:.2f} s after its start "
-            f"({why}). Their rows are NaN from there on, and the column ended says why. Look at start, controls, wind and "
-            "thrust; try a smaller dt.",
+            f"({why}). Their rows are NaN from there on, and the column ended says why. Look at start, controls, wind "
+            "and thrust; try a smaller dt.",
             SimulationWarning,
             stacklevel=3,
         )

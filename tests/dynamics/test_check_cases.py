@@ -1,0 +1,351 @@
+"""Check cases of the equations of motion: flights whose course is known without this package.
+
+The ideas and the bodies are those of Jackson et al., Check-cases for verification of 6-degree-of-freedom flight vehicle
+simulations (NASA/TM-2015-218675), brought to a flat Earth where the answer is a formula, or an independent integrator's
+at tight tolerances. Each class says what it verifies.
+"""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from skdgp.dynamics import (
+    Aircraft,
+    aerodynamic_loads,
+    air_data,
+    body_to_ned,
+    euler_to_quaternion,
+    ned_to_body,
+    quaternion_to_euler,
+    quaternion_to_matrix,
+    rigid_body_derivative,
+    rk4,
+    standard_density,
+)
+
+G = 9.80665
+NOTHING = np.zeros(3)
+BRICK = np.diag([2.568, 8.421, 9.754]) * 1e-3  # kg m^2, of NASA's cases 2 and 3, a standard brick
+SKEW = [[2.6e-3, -3e-4, 5e-4], [-3e-4, 8.4e-3, 4e-4], [5e-4, 4e-4, 9.7e-3]]
+
+
+def body(inertia=BRICK, mass=2.267, wing_area=0.0206, span=0.1016, chord=0.2032):
+    return Aircraft(name="body", mass=mass, inertia=inertia, wing_area=wing_area, span=span, chord=chord)
+
+
+def state_of(position=NOTHING, velocity=NOTHING, angles=NOTHING, rates=NOTHING):
+    """A state from a velocity in NED axes [m/s] and Euler angles [rad]."""
+    quaternion = euler_to_quaternion(*angles)
+    return np.concatenate([position, ned_to_body(quaternion, velocity), quaternion, rates])
+
+
+def flown(start, aircraft, times, loads=lambda t, state: (NOTHING, NOTHING), gravity=G):
+    return rk4(lambda t, state: rigid_body_derivative(state, *loads(t, state), aircraft, gravity), start, times)
+
+
+def angular_momentum(states, aircraft):
+    """In NED axes, where it is constant without a moment."""
+    return body_to_ned(states[:, 6:10], states[:, 10:] @ aircraft.inertia)
+
+
+def spin_energy(states, aircraft):
+    return 0.5 * np.einsum("ni,ij,nj->n", states[:, 10:], aircraft.inertia, states[:, 10:])
+
+
+HALF_A_MINUTE = np.linspace(0, 30, 6001)
+
+
+@pytest.fixture(scope="module", params=["principal axes", "full tensor"])
+def tumbling(request):
+    aircraft = body({"principal axes": BRICK, "full tensor": SKEW}[request.param])
+    start = state_of(angles=(0.4, -0.3, 2.0), rates=np.deg2rad([10.0, 20.0, 30.0]))
+    return flown(start, aircraft, HALF_A_MINUTE, gravity=0.0), aircraft
+
+
+class TestTumblingBrickWithoutDamping:
+    """NASA's case 2. Verifies: Euler's equations and the attitude equation together, rotation without translation's
+    help; conservation laws; the closed solution of a spinning top; the instability of the intermediate axis."""
+
+    def test_energy_and_angular_momentum_are_kept(self, tumbling):
+        states, aircraft = tumbling
+        assert np.ptp(states[:, 10:], axis=0).min() > 0.1, "the body must tumble for this to prove anything"
+        energy, momentum = spin_energy(states, aircraft), angular_momentum(states, aircraft)
+        np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+        assert np.linalg.norm(momentum - momentum[0], axis=1).max() < 1e-9 * np.linalg.norm(momentum[0])
+
+    def test_attitude_is_that_which_the_rates_integrate_to(self, tumbling):
+        """R_dot = R [omega x], integrated as nine numbers by an independent method."""
+        states, aircraft = tumbling
+        inverse = np.linalg.inv(aircraft.inertia)
+
+        def rate(t, y):
+            rotation, omega = y[:9].reshape(3, 3), y[9:]
+            turning = np.cross(rotation, omega[None, :])  # a row times [omega x] is row x omega
+            return np.append(turning, inverse @ -np.cross(omega, aircraft.inertia @ omega))
+
+        start = np.append(quaternion_to_matrix(states[0, 6:10]), states[0, 10:])
+        found = solve_ivp(rate, (0, 30), start, method="DOP853", rtol=1e-12, atol=1e-12, t_eval=[7.0, 30.0]).y.T
+        at = [1400, -1]
+        np.testing.assert_allclose(quaternion_to_matrix(states[at, 6:10]), found[:, :9].reshape(-1, 3, 3), atol=1e-8)
+        np.testing.assert_allclose(states[at, 10:], found[:, 9:], atol=1e-8)
+
+    def test_length_of_the_quaternion_and_nothing_else_moves(self, tumbling):
+        states, _ = tumbling
+        np.testing.assert_allclose(np.linalg.norm(states[:, 6:10], axis=1), 1.0, atol=1e-9)
+        assert not states[:, :6].any()
+
+    def test_a_symmetric_top_precesses_at_its_closed_rate(self):
+        """p + i q turns at (Izz - Ixx) / Ixx r while r stays (Goldstein, Poole & Safko 2002, section 5.6)."""
+        top, rates, times = body(np.diag([0.5, 0.5, 0.8])), np.array([0.6, -0.2, 1.5]), HALF_A_MINUTE[:2001]
+        states = flown(state_of(rates=rates), top, times, gravity=0.0)
+        expected = (rates[0] + 1j * rates[1]) * np.exp(1j * (0.8 - 0.5) / 0.5 * rates[2] * times)
+        np.testing.assert_allclose(states[:, 10] + 1j * states[:, 11], expected, atol=1e-9)
+        np.testing.assert_allclose(states[:, 12], rates[2], rtol=1e-12)
+
+    def test_only_the_intermediate_axis_is_unstable(self):
+        """Three bricks, each spun about one of its axes and a little disturbed, side by side."""
+        start = np.stack([state_of(rates=1e-4 + 2.0 * axis) for axis in np.eye(3)])
+        rates = flown(start, body(), HALF_A_MINUTE, gravity=0.0)[:, :, 10:]
+        about = np.diagonal(rates, axis1=1, axis2=2)
+        np.testing.assert_allclose(about[:, [0, 2]], 2.0001, atol=1e-6)
+        assert about[:, 1].min() < -1.99, "it turns over"
+        assert about[-1000:, 1].max() > -2.0
+
+    def test_the_instability_grows_at_its_rate(self):
+        """As exp(k t), k^2 = (I2 - I1) (I3 - I2) / (I1 I3) omega^2, from the growing eigenvector."""
+        omega, times, (I1, I2, I3) = 2.0, HALF_A_MINUTE[:1001], np.diag(BRICK)
+        k = omega * np.sqrt((I2 - I1) * (I3 - I2) / (I1 * I3))
+        small = 1e-7 * np.array([1.0, -np.sqrt(I1 * (I2 - I1) / (I3 * (I3 - I2)))])
+        states = flown(state_of(rates=[small[0], omega, small[1]]), body(), times, gravity=0.0)
+        expected = small * np.exp(k * times)[:, None]
+        np.testing.assert_allclose(states[:, [10, 12]], expected, rtol=1e-6)
+
+
+class TestTumblingBrickWithDamping:
+    """NASA's case 3. Verifies: aerodynamic moments of the rates, and their lengths, against an independent integrator;
+    that damping takes energy away."""
+
+    DENSITY, SPEED = 1.2, 15.0
+    DAMPING = np.array([-0.9, -1.1, -0.7])
+
+    def loads(self, aircraft):
+        def loads(t, state):
+            airspeed, *_ = air_data(state[..., 3:6])
+            reduced = state[..., 10:] * aircraft.moment_lengths / (2.0 * airspeed[..., None])
+            coefficients = np.concatenate([np.zeros_like(reduced), self.DAMPING * reduced], axis=-1)
+            return aerodynamic_loads(coefficients, airspeed, self.DENSITY, aircraft)
+
+        return loads
+
+    def test_rates_decay_as_an_independent_integrator_says(self):
+        """Without gravity the speed stays, so Euler's equations with constant damping are a problem of their own."""
+        aircraft, rates = body(SKEW), np.deg2rad([100.0, 200.0, 300.0])
+        times = np.linspace(0, 20, 4001)
+        start = state_of(velocity=[self.SPEED, 0.0, 0.0], angles=(0.2, 0.1, -0.5), rates=rates)
+        states = flown(start, aircraft, times, self.loads(aircraft), gravity=0.0)
+        scale = 0.5 * self.DENSITY * self.SPEED * aircraft.wing_area * aircraft.moment_lengths**2 / 2.0
+
+        def rate(t, omega):
+            moment = scale * self.DAMPING * omega
+            return np.linalg.solve(aircraft.inertia, moment - np.cross(omega, aircraft.inertia @ omega))
+
+        found = solve_ivp(rate, (0, 20), rates, method="DOP853", rtol=1e-12, atol=1e-13, t_eval=times[::400])
+        np.testing.assert_allclose(states[::400, 10:], found.y.T, atol=1e-7)
+        assert (np.diff(spin_energy(states, aircraft)) < 0).all()
+        assert spin_energy(states, aircraft)[-1] < 0.2 * spin_energy(states, aircraft)[0]
+        np.testing.assert_allclose(np.linalg.norm(states[:, 3:6], axis=1), self.SPEED, rtol=1e-8)
+
+    def test_about_one_axis_the_decay_is_exponential(self):
+        """q = q0 exp(-t / tau), tau = 4 Iyy / (rho V S c^2 |Cm_q|)."""
+        aircraft, times = body(), np.linspace(0, 5, 1001)
+        states = flown(
+            state_of(velocity=[self.SPEED, 0.0, 0.0], rates=[0.0, 3.0, 0.0]), aircraft, times, self.loads(aircraft), 0.0
+        )
+        tau = 4 * BRICK[1, 1] / (self.DENSITY * self.SPEED * aircraft.wing_area * aircraft.chord**2 * 1.1)
+        np.testing.assert_allclose(states[:, 11], 3.0 * np.exp(-times / tau), rtol=1e-9)
+
+
+def drag_of(aircraft, density, wind=NOTHING, coefficient=0.1):
+    """Loads of a sphere: drag against the air-relative velocity."""
+
+    def loads(t, state):
+        air = state[..., 3:6] - ned_to_body(state[..., 6:10], wind)
+        airspeed, *_ = air_data(air)
+        along = -coefficient * air / np.maximum(airspeed, 1e-12)[..., None]
+        coefficients = np.concatenate([along, np.zeros_like(along)], axis=-1)
+        return aerodynamic_loads(coefficients, airspeed, density(-state[..., 2]), aircraft)
+
+    return loads
+
+
+def steady_air(altitude):
+    return np.full(np.shape(altitude), 1.1)
+
+
+class TestFallingSphere:
+    """NASA's cases 1, 6 and 7. Verifies: gravity; drag and dynamic pressure; density that changes on the way; wind, and
+    that only the motion relative to the air has drag, only that relative to the ground inertia."""
+
+    SPHERE = Aircraft(name="sphere", mass=14.6, inertia=4.9 * np.eye(3), wing_area=0.0182, span=0.152, chord=0.152)
+    ANGLES, SPIN = (0.3, -0.2, 1.0), np.array([0.5, -0.4, 0.3])
+
+    def test_without_air_it_flies_a_parabola_exactly(self):
+        """RK4 is exact for a parabola; a sphere that does not turn shows it to the last digits."""
+        velocity, times = np.array([30.0, -5.0, -40.0]), np.linspace(0, 8, 33)
+        start = state_of(position=[1.0, 2.0, -9000.0], velocity=velocity, angles=self.ANGLES)
+        states = flown(start, self.SPHERE, times)
+        expected = start[:3] + np.outer(times, velocity) + np.outer(0.5 * G * times**2, [0, 0, 1])
+        np.testing.assert_allclose(states[:, :3], expected, atol=1e-9)
+        ground = body_to_ned(states[:, 6:10], states[:, 3:6])
+        np.testing.assert_allclose(ground, velocity + np.outer(G * times, [0, 0, 1]), atol=1e-11)
+
+    def test_it_reaches_its_terminal_velocity_as_the_hyperbolic_tangent(self):
+        """v = v_t tanh(g t / v_t), v_t^2 = 2 m g / (rho S CD); the turning of the sphere changes nothing."""
+        times, density = np.linspace(0, 60, 3001), 1.1
+        start = state_of(position=[0.0, 0.0, -9000.0], angles=self.ANGLES, rates=self.SPIN)
+        states = flown(start, self.SPHERE, times, drag_of(self.SPHERE, steady_air))
+        terminal = np.sqrt(2 * self.SPHERE.mass * G / (density * self.SPHERE.wing_area * 0.1))
+        falling = body_to_ned(states[:, 6:10], states[:, 3:6])
+        np.testing.assert_allclose(falling[:, 2], terminal * np.tanh(G * times / terminal), rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(falling[:, :2], 0.0, atol=1e-5)
+        fallen = terminal**2 / G * np.log(np.cosh(G * times / terminal))
+        np.testing.assert_allclose(states[:, 2], fallen - 9000.0, atol=1e-5)
+
+    def test_in_the_standard_atmosphere_as_an_independent_integrator_says(self):
+        """From 30 km, through both edges of the atmosphere's layers."""
+        times = np.linspace(0, 75, 3751)
+        start = state_of(position=[0.0, 0.0, -30000.0], angles=self.ANGLES, rates=self.SPIN)
+        states = flown(start, self.SPHERE, times, drag_of(self.SPHERE, standard_density))
+        factor = 0.5 * self.SPHERE.wing_area * 0.1 / self.SPHERE.mass
+
+        def rate(t, y):
+            return [y[1], G - factor * standard_density(-y[0]) * y[1] ** 2]
+
+        found = solve_ivp(rate, (0, 75), [-30000.0, 0.0], method="DOP853", rtol=1e-11, atol=1e-8, t_eval=times[::250])
+        assert -10000.0 < found.y[0, -1] < 0.0
+        np.testing.assert_allclose(states[::250, 2], found.y[0], atol=1e-3)
+        np.testing.assert_allclose(body_to_ned(states[::250, 6:10], states[::250, 3:6])[:, 2], found.y[1], rtol=1e-6)
+
+    def test_a_steady_wind_is_a_moving_frame(self):
+        """Galileo: in wind W it flies as without wind from a velocity less W, and drifts with W t besides."""
+        wind, velocity, times = np.array([12.0, -7.0, 1.5]), np.array([40.0, 10.0, -30.0]), np.linspace(0, 30, 1501)
+        at = {"position": [0.0, 0.0, -9000.0], "angles": self.ANGLES, "rates": self.SPIN}
+        windy = flown(state_of(velocity=velocity, **at), self.SPHERE, times, drag_of(self.SPHERE, steady_air, wind))
+        calm = flown(state_of(velocity=velocity - wind, **at), self.SPHERE, times, drag_of(self.SPHERE, steady_air))
+        np.testing.assert_allclose(windy[:, :3], calm[:, :3] + np.outer(times, wind), atol=1e-6)
+        difference = body_to_ned(windy[:, 6:10], windy[:, 3:6]) - body_to_ned(calm[:, 6:10], calm[:, 3:6])
+        np.testing.assert_allclose(difference, np.broadcast_to(wind, difference.shape), atol=1e-7)
+
+    def test_it_drifts_to_the_speed_of_the_wind(self):
+        """Without gravity the air-relative speed dies as 1 / (1/v0 + t / L), L = 2 m / (rho S CD)."""
+        wind, times = np.array([9.0, 0.0, 0.0]), np.linspace(0, 400, 4001)
+        heavy_drag = drag_of(self.SPHERE, steady_air, wind, coefficient=50.0)
+        states = flown(state_of(angles=self.ANGLES), self.SPHERE, times, heavy_drag, gravity=0.0)
+        length = 2 * self.SPHERE.mass / (1.1 * self.SPHERE.wing_area * 50.0)
+        drift = body_to_ned(states[:, 6:10], states[:, 3:6])
+        np.testing.assert_allclose(drift[:, 0], 9.0 - 1.0 / (1.0 / 9.0 + times / length), atol=1e-6)
+        assert 9.0 - drift[-1, 0] < 0.01 * 9.0
+
+
+class TestSteadyTurn:
+    """Verifies: attitude, gravity and omega x v in balance; the load factor of a turn; the heading's way round."""
+
+    def test_a_coordinated_turn_is_a_circle(self):
+        """psi_dot = g tan(phi) / V, load factor 1 / cos(phi), radius V^2 / (g tan(phi))."""
+        V, phi = 30.0, np.deg2rad(40.0)
+        turning = G * np.tan(phi) / V
+        aircraft = body(SKEW)
+        rates = turning * np.array([0.0, np.sin(phi), np.cos(phi)])
+        lift = np.array([0.0, 0.0, -aircraft.mass * G / np.cos(phi)])
+        holding = np.cross(rates, aircraft.inertia @ rates)
+        start = state_of(position=[0.0, 0.0, -500.0], velocity=[V, 0.0, 0.0], angles=(phi, 0.0, 0.0), rates=rates)
+        times = np.linspace(0, 2 * np.pi / turning, 2001)
+        states = flown(start, aircraft, times, lambda t, state: (lift, holding))
+        np.testing.assert_allclose(states[-1, :3], start[:3], atol=1e-6)
+        radius = V**2 / (G * np.tan(phi))
+        centre = np.array([0.0, radius, -500.0])
+        np.testing.assert_allclose(np.linalg.norm(states[:, :3] - centre, axis=1), radius, rtol=1e-8)
+        np.testing.assert_allclose(states[:, 3:6], np.broadcast_to([V, 0.0, 0.0], (len(times), 3)), atol=1e-7)
+        angles = quaternion_to_euler(states[:, 6:10])
+        np.testing.assert_allclose(angles[:, :2], np.broadcast_to([phi, 0.0], (len(times), 2)), atol=1e-9)
+        np.testing.assert_allclose(np.unwrap(angles[:, 2]), turning * times, atol=1e-8)
+        specific = np.linalg.norm(lift) / (aircraft.mass * G)
+        assert specific == pytest.approx(1.0 / np.cos(phi))
+
+
+class TestLoop:
+    """Verifies: nothing happens at theta = 90 degrees, where Euler angles end."""
+
+    def test_a_loop_comes_back_to_its_start(self):
+        """A centripetal force m V q on a body that pitches at constant q: a circle in the vertical plane."""
+        V, q, aircraft = 30.0, 0.8, body()
+        times = np.linspace(0, 2 * np.pi / q, 1001)
+        loads = (np.array([0.0, 0.0, -aircraft.mass * V * q]), NOTHING)
+        start = state_of(velocity=[V * np.cos(0.7), V * np.sin(0.7), 0.0], angles=(0.0, 0.0, 0.7), rates=[0.0, q, 0.0])
+        states = flown(start, aircraft, times, lambda t, state: loads, gravity=0.0)
+        np.testing.assert_allclose(states[-1, :6], start[:6], atol=1e-7)
+        np.testing.assert_allclose(-states[-1, 6:10], start[6:10], atol=1e-9)  # a full turn is minus the quaternion
+        rotation = quaternion_to_matrix(states[:, 6:10])
+        np.testing.assert_allclose(
+            rotation @ rotation.swapaxes(1, 2), np.broadcast_to(np.eye(3), rotation.shape), atol=1e-14
+        )
+        np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
+        np.testing.assert_allclose(states[:, 2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
+        assert np.abs(quaternion_to_euler(states[:, 6:10])[:, 1]).max() == pytest.approx(np.pi / 2, abs=4e-3)
+
+
+GLIDER = body([[1.1, -0.12, 0.21], [-0.12, 2.3, 0.09], [0.21, 0.09, 2.9]], 11.0, wing_area=1.3, span=2.6, chord=0.55)
+
+
+class TestWholeProblem:
+    """Verifies: all thirteen states coupled by a full inertia tensor, aerodynamics, wind and gravity: the order of the
+    integration, and that north is a matter of words."""
+
+    WIND = np.array([3.0, -2.0, 0.7])
+
+    def flight(self, start, times, wind):
+        aircraft = GLIDER
+
+        def loads(t, state):
+            airspeed, alpha, beta = air_data(state[..., 3:6] - ned_to_body(state[..., 6:10], wind))
+            reduced = state[..., 10:] * aircraft.moment_lengths / (2 * airspeed[..., None])
+            p, q, r = np.moveaxis(reduced, -1, 0)
+            elevator, aileron = 0.05 * np.sin(3.0 * t), 0.06 * np.cos(2.0 * t)
+            coefficients = [
+                -0.03 + 0.3 * alpha**2, -0.5 * beta + 0.1 * p, -0.1 - 4.0 * alpha - 0.2 * elevator,
+                -0.03 * beta - 0.4 * p + 0.08 * r + 0.1 * aileron, 0.03 - 0.5 * alpha - 8.0 * q - 0.6 * elevator,
+                0.06 * beta - 0.03 * p - 0.15 * r,
+            ]  # fmt: skip
+            return aerodynamic_loads(
+                np.stack(coefficients, axis=-1), airspeed, standard_density(-state[..., 2]), aircraft
+            )
+
+        return flown(start, aircraft, times, loads)
+
+    def start(self, heading):
+        velocity = 24.0 * np.array([np.cos(heading), np.sin(heading), 0.05])
+        return state_of([5.0, -7.0, -400.0], velocity, (0.3, 0.1, heading), [0.4, 0.1, -0.2])
+
+    def test_rk4_is_of_fourth_order_on_all_thirteen_states(self):
+        steps = 40 * 2 ** np.arange(4)
+        *ends, exact = (
+            self.flight(self.start(2.0), np.linspace(0, 2, n + 1), self.WIND)[-1] for n in (*steps, 8 * steps[-1])
+        )
+        errors = np.abs(ends - exact)
+        assert (errors[-1] > 1e-12).all(), "every state must err for this to prove anything"
+        slope = -np.polyfit(np.log(steps), np.log(np.linalg.norm(errors, axis=1)), 1)[0]
+        assert 3.7 < slope < 4.3
+
+    def test_turning_all_that_has_a_heading_turns_the_flight(self):
+        turn, times = 1.3, np.linspace(0, 6, 601)
+        about_down = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+        here = self.flight(self.start(2.0), times, self.WIND)
+        start = self.start(2.0 + turn)
+        start[:3] = about_down @ here[0, :3]
+        there = self.flight(start, times, about_down @ self.WIND)
+        np.testing.assert_allclose(there[:, :3], here[:, :3] @ about_down.T, atol=1e-9)
+        np.testing.assert_allclose(there[:, 3:6], here[:, 3:6], atol=1e-10)
+        np.testing.assert_allclose(there[:, 10:], here[:, 10:], atol=1e-10)
+        np.testing.assert_allclose(
+            quaternion_to_matrix(there[:, 6:10]), about_down @ quaternion_to_matrix(here[:, 6:10]), atol=1e-10
+        )

@@ -48,7 +48,8 @@ FLOORS = [
 FLOOR = {part: number for number, parts in enumerate(FLOORS) for part in parts}
 LEARNING = {"kernels", "inference", "_regressor"}
 AIRCRAFT = {"io", "preprocessing", "dynamics", "datasets", "_vocabulary"}
-EXTRAS = {"matplotlib", "pyarrow", "polars", "dask", "distributed"}  # imported inside the functions that use them
+# Imported inside the functions that use them, or not at all.
+EXTRAS = {"matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"}
 
 
 class Import(NamedTuple):

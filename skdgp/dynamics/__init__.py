@@ -21,6 +21,7 @@ from skdgp.dynamics._frames import (
 )
 from skdgp.dynamics._integrate import rk4, rk4_step
 from skdgp.dynamics._inverse import aerodynamic_coefficients
+from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
 from skdgp.dynamics._propeller import Propeller
 from skdgp.dynamics._replay import replay, replay_errors
@@ -35,6 +36,7 @@ __all__ = [
     "Aerodynamics",
     "Aircraft",
     "Atmosphere",
+    "LinearModel",
     "Propeller",
     "SimulationWarning",
     "ThrustLine",
@@ -49,6 +51,7 @@ __all__ = [
     "euler_to_quaternion",
     "external_loads",
     "gravity_in_body_axes",
+    "linearize",
     "ned_to_body",
     "propeller_loads",
     "propulsive_loads",

@@ -1,0 +1,269 @@
+"""The linear aircraft: a textbook's dimensional derivatives, differences of the motion, responses of second order."""
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    euler_to_quaternion,
+    linearize,
+    quaternion_rate,
+    quaternion_to_euler,
+    rk4_step,
+    trim,
+)
+from skdgp.dynamics._linearize import ALL_STATES
+from skdgp.dynamics._motion import Motion
+
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+ALPHA, BETA, P, Q, R, ELEVATOR, AILERON, RUDDER = range(8)
+X, Y, Z, L, M, N = range(6)
+LEVEL = np.array([-0.04, 0.0, -0.25, 0.0, 0.02, 0.0])
+SLOPES = np.zeros((6, 8))
+SLOPES[X, [ALPHA, ELEVATOR]] = 0.4, 0.02
+SLOPES[Y, [BETA, P, R, AILERON, RUDDER]] = -0.5, 0.05, 0.2, 0.03, 0.1
+SLOPES[Z, [ALPHA, Q, ELEVATOR]] = -4.5, -3.0, -0.4
+SLOPES[L, [BETA, P, R, AILERON, RUDDER]] = -0.05, -0.4, 0.1, 0.1, 0.01
+SLOPES[M, [ALPHA, Q, ELEVATOR]] = -0.6, -9.0, -1.0
+SLOPES[N, [BETA, P, R, AILERON, RUDDER]] = 0.08, -0.03, -0.1, -0.005, -0.06
+AIR = {"density": 1.1, "gravity": 9.79}
+HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
+BRUMBYS = Aerodynamics(brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS])
+
+
+def sampler(n_paths, random_state):
+    """Slopes that err by a tenth of themselves, each by itself."""
+    draws = SLOPES * (1 + 0.1 * np.random.default_rng(random_state).normal(size=(n_paths, *SLOPES.shape)))
+    return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(draws[:, None], X.shape[1], axis=1)
+
+
+MODEL = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler)
+
+
+@pytest.fixture(scope="module")
+def glider():
+    return Aircraft(
+        mass=12.0, inertia=[[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]], wing_area=1.3, span=2.6, chord=0.55
+    )
+
+
+@pytest.fixture(scope="module")
+def level(glider):
+    return trim(MODEL, glider, 20.0, **AIR)
+
+
+@pytest.fixture(scope="module")
+def linear(glider, level):
+    return linearize(MODEL, glider, level, **AIR)
+
+
+def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider):
+    """Stevens, Lewis & Johnson 2016, section 4.2; Etkin & Reid 1996, section 4.9: in body axes, wings level."""
+    V, u, w, theta = 20.0, level.state[3], level.state[5], level.theta
+    mass, S, b, c = glider.mass, glider.wing_area, glider.span, glider.chord
+    qS = 0.5 * AIR["density"] * V**2 * S
+    CX, _, CZ, *_ = level.coefficients
+    (Ix, _, nIxz), (_, Iy, _), (_, _, Iz) = glider.inertia
+    A, B = linear.A, linear.B
+    alpha_u, alpha_w, pressure_u, pressure_w = -w / V**2, u / V**2, 2 * u / V**2, 2 * w / V**2
+    expected = {
+        ("u", "u"): qS / mass * (SLOPES[X, ALPHA] * alpha_u + CX * pressure_u),
+        ("u", "w"): qS / mass * (SLOPES[X, ALPHA] * alpha_w + CX * pressure_w),
+        ("u", "q"): -w,
+        ("u", "theta"): -AIR["gravity"] * np.cos(theta),
+        ("w", "u"): qS / mass * (SLOPES[Z, ALPHA] * alpha_u + CZ * pressure_u),
+        ("w", "w"): qS / mass * (SLOPES[Z, ALPHA] * alpha_w + CZ * pressure_w),
+        ("w", "q"): u + qS / mass * SLOPES[Z, Q] * c / (2 * V),
+        ("w", "theta"): -AIR["gravity"] * np.sin(theta),
+        ("q", "w"): qS * c / Iy * SLOPES[M, ALPHA] * alpha_w,
+        ("q", "q"): qS * c / Iy * SLOPES[M, Q] * c / (2 * V),
+        ("theta", "q"): 1.0,
+        ("v", "v"): qS / mass * SLOPES[Y, BETA] / V,
+        ("v", "p"): w + qS / mass * SLOPES[Y, P] * b / (2 * V),
+        ("v", "r"): -u + qS / mass * SLOPES[Y, R] * b / (2 * V),
+        ("v", "phi"): AIR["gravity"] * np.cos(theta),
+        ("phi", "r"): np.tan(theta),
+    }
+    Ixz, both = -nIxz, Ix * Iz - nIxz**2
+    for name, k, scale in (("v", BETA, 1 / V), ("p", P, b / (2 * V)), ("r", R, b / (2 * V))):
+        rolling, yawing = (qS * b * SLOPES[row, k] * scale for row in (L, N))
+        expected["p", name] = (Iz * rolling + Ixz * yawing) / both
+        expected["r", name] = (Ixz * rolling + Ix * yawing) / both
+    for entry, value in expected.items():
+        assert A.loc[entry] == pytest.approx(value, rel=1e-8, abs=1e-9), entry
+    assert B.loc["q", "elevator"] == pytest.approx(qS * c / Iy * SLOPES[M, ELEVATOR])
+    assert B.loc["u", "thrust"] == pytest.approx(1 / mass)
+    assert np.abs(A.loc[["u", "w", "q", "theta"], ["v", "p", "r", "phi"]]).max(axis=None) < 1e-9
+
+
+def test_outputs(linear, level):
+    V, alpha = 20.0, level.alpha
+    assert linear.outputs == [*linear.states, "airspeed", "alpha", "beta", "ax", "ay", "az"]
+    assert linear.C.loc["airspeed", ["u", "w"]].tolist() == pytest.approx([np.cos(alpha), np.sin(alpha)])
+    assert linear.C.loc["alpha", ["u", "w"]].tolist() == pytest.approx([-np.sin(alpha) / V, np.cos(alpha) / V])
+    assert linear.C.loc["beta", "v"] == pytest.approx(1 / V)
+    assert linear.C.loc["az", "w"] == pytest.approx(linear.A.loc["w", "w"])
+    assert linear.D.loc["ax", "thrust"] == pytest.approx(linear.B.loc["u", "thrust"])
+
+
+def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft):
+    """Euler angles, full inertia, implicit regressors, by differences."""
+    state = np.concatenate(
+        [[10.0, 20.0, -300.0], [33.0, 1.5, 3.0], euler_to_quaternion(0.6, 0.2, 1.1), [0.2, 0.1, 0.25]]
+    )
+    controls = {"elevator": -0.03, "aileron": 0.01, "rudder": 0.02, "thrust": 60.0}
+    found = linearize(BRUMBYS, aircraft, state, controls, states=ALL_STATES)
+    motion = Motion(BRUMBYS, aircraft)
+
+    def full(x):
+        return np.concatenate([x[:6], euler_to_quaternion(*x[6:9]), x[9:]])
+
+    def rate(x, controls=controls):
+        now = motion.at(full(x), controls)
+        nearby = full(x)[6:10] + 1e-6 * quaternion_rate(full(x)[6:10], x[9:])
+        before = full(x)[6:10] - 1e-6 * quaternion_rate(full(x)[6:10], x[9:])
+        angles = (quaternion_to_euler(nearby) - quaternion_to_euler(before)) / 2e-6
+        seen = [now.airspeed, now.alpha, now.beta, *now.force / aircraft.mass]
+        return np.concatenate([now.derivative[:6], angles, now.derivative[10:], seen])
+
+    x = np.concatenate([state[:6], [0.6, 0.2, 1.1], state[10:]])
+    steps = 1e-4 * np.eye(12)
+    expected = np.stack([(rate(x + h) - rate(x - h)) / 2e-4 for h in steps], axis=-1)
+    assert found.A.to_numpy() == pytest.approx(expected[:12], rel=1e-5, abs=1e-5)
+    assert found.C.to_numpy()[12:] == pytest.approx(expected[12:], rel=1e-5, abs=1e-5)
+    assert found.C.to_numpy()[:12] == pytest.approx(np.eye(12))
+    for name in controls:
+        more, less = (rate(x, controls | {name: controls[name] + h}) for h in (1e-4, -1e-4))
+        assert found.B[name].to_numpy() == pytest.approx((more - less)[:12] / 2e-4, rel=1e-5, abs=1e-6)
+
+
+def test_small_doublets_are_flown_alike_to_second_order():
+    """Half the doublet leaves a quarter of the difference between the linear and the whole aircraft."""
+    at = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0)
+    linear = linearize(BRUMBYS, BRUMBY, at, inputs=["elevator", "aileron"])
+    density = float(Motion(BRUMBYS, BRUMBY).at(at.state, at.controls).density)
+    system, motion = linear.to_scipy(), Motion(BRUMBYS, BRUMBY, density=density)
+    shape = np.repeat([1.0, -1.0, 0.0], 50)
+
+    def whole(size):
+        """The aircraft itself, inputs held over each step."""
+        states = [at.state]
+        for sign in shape:
+            moves = {"elevator": sign * size, "aileron": 0.5 * sign * size}
+            controls = at.controls | {name: at.controls[name] + move for name, move in moves.items()}
+            states.append(rk4_step(lambda t, x, u=controls: motion.at(x, u).derivative, 0.0, states[-1], 0.01))
+        states = np.array(states)
+        angles = quaternion_to_euler(states[:, 6:10])
+        seen = dict(zip("uvwpqr", [*states[:, 3:6].T, *states[:, 10:].T], strict=True))
+        seen |= {"phi": angles[:, 0], "theta": angles[:, 1]}
+        return np.stack([seen[name] - seen[name][0] for name in linear.states], axis=-1)
+
+    def held(size):
+        """The linear aircraft under the same inputs."""
+        discrete, x = system.to_discrete(0.01), [np.zeros(8)]
+        for sign in shape:
+            x.append(discrete.A @ x[-1] + discrete.B @ [sign * size, 0.5 * sign * size])
+        return np.array(x)
+
+    errors = [np.abs(whole(size) - held(size)).max(axis=0) for size in (0.01, 0.005)]
+    assert errors[0] / errors[1] == pytest.approx(np.full(8, 4.0), rel=0.15)
+    assert (errors[0] < 0.1 * np.abs(whole(0.01)).max(axis=0)).all()
+
+
+class TestSpread:
+    def test_is_that_of_the_slopes(self, linear, level, glider):
+        many = linearize(MODEL, glider, level, n_paths=2000, random_state=1, **AIR)
+        assert many.A.to_numpy() == pytest.approx(linear.A.to_numpy())
+        for entry in (("q", "q"), ("q", "w"), ("v", "v")):
+            assert many.std.A.loc[entry] == pytest.approx(0.1 * abs(linear.A.loc[entry]), rel=0.1)
+        assert many.std.B.loc["q", "elevator"] == pytest.approx(0.1 * abs(linear.B.loc["q", "elevator"]), rel=0.1)
+        assert many.std.A.loc["u", "theta"] == pytest.approx(0.0, abs=1e-9)
+
+    def test_each_path_is_the_linear_aircraft_of_its_own_function(self, level, glider):
+        many = linearize(MODEL, glider, level, n_paths=3, random_state=2, **AIR)
+        values, _ = sampler(3, 2)
+        for k in range(3):
+            alone = Aerodynamics(lambda X, k=k: values(np.broadcast_to(X, (3, *X.shape)))[k], NAMES)
+            one = linearize(alone, glider, level, **AIR)
+            for path, table in zip(many.paths, (one.A, one.B, one.C, one.D), strict=True):
+                assert path[k] == pytest.approx(table.to_numpy(), rel=1e-6, abs=1e-6)
+
+    def test_a_part_keeps_the_paths_of_its_own(self, level, glider):
+        many = linearize(MODEL, glider, level, n_paths=4, **AIR)
+        part = many.lateral()
+        assert part.std.A.loc["p", "v"] == pytest.approx(many.std.A.loc["p", "v"])
+        assert part.std.B.shape == (4, 2)
+
+    def test_is_not_made_up(self, linear, glider, level):
+        with pytest.raises(ValueError, match=r"without paths: linearize\(\.\.\., n_paths"):
+            _ = linear.std
+        sure = Aerodynamics(MODEL.function, NAMES)
+        with pytest.raises(ValueError, match="without posterior samples"):
+            linearize(sure, glider, level, n_paths=5, **AIR)
+
+
+class TestParts:
+    def test_split(self, linear):
+        along, across = linear.longitudinal(), linear.lateral()
+        assert (along.states, along.inputs) == (["u", "w", "q", "theta"], ["elevator", "thrust"])
+        assert (across.states, across.inputs) == (["v", "p", "r", "phi"], ["aileron", "rudder"])
+        assert {"airspeed", "alpha", "ax", "az"} <= set(along.outputs)
+        assert set(across.outputs) == {"v", "p", "r", "phi", "beta", "ay"}
+        both = np.concatenate([np.linalg.eigvals(part.A) for part in (along, across)])
+        assert np.sort_complex(both) == pytest.approx(np.sort_complex(np.linalg.eigvals(linear.A)), rel=1e-6)
+
+    def test_scipy_has_the_same_matrices(self, linear):
+        system = linear.to_scipy()
+        for name in "ABCD":
+            assert getattr(system, name) == pytest.approx(getattr(linear, name).to_numpy())
+        times = np.linspace(0, 1, 11)
+        _, y, _ = lsim(linear.longitudinal().to_scipy(), np.ones((11, 2)) * [0.01, 0.0], times)
+        assert np.isfinite(y).all()
+
+    def test_control_keeps_the_names(self, linear):
+        pytest.importorskip("control", reason="python-control is not installed", exc_type=ImportError)
+        system = linear.longitudinal().to_control()
+        assert system.state_labels == ["u", "w", "q", "theta"]
+        assert system.input_labels == ["elevator", "thrust"]
+        assert np.sort_complex(system.poles()) == pytest.approx(
+            np.sort_complex(np.linalg.eigvals(linear.longitudinal().A))
+        )
+
+    def test_height_changes_the_density(self, glider, level):
+        high = linearize(MODEL, glider, level, states=["u", "w", "q", "theta", "down"], gravity=9.79)
+        assert high.A.loc["w", "down"] < 0
+        assert high.A.loc["down", "theta"] == pytest.approx(-20.0)
+
+
+class TestBadInput:
+    def test_names(self, glider, level):
+        with pytest.raises(ValueError, match="states lack 'tetha'"):
+            linearize(MODEL, glider, level, states=["u", "tetha"], **AIR)
+        with pytest.raises(ValueError, match="'flap'"):
+            linearize(MODEL, glider, level, inputs=["flap"], **AIR)
+        with pytest.raises(ValueError, match="'mach'"):
+            linearize(MODEL, glider, level, outputs=["mach"], **AIR)
+
+    def test_points(self, glider, level):
+        with pytest.raises(ValueError, match="expected a Trim or a state of 13"):
+            linearize(MODEL, glider, level.state[:12], level.controls, **AIR)
+        with pytest.raises(ValueError, match="state without controls"):
+            linearize(MODEL, glider, level.state, **AIR)
+        with pytest.raises(ValueError, match="at rest"):
+            linearize(MODEL, glider, np.where(np.arange(13) == 6, 1.0, 0.0), level.controls, **AIR)
+        with pytest.raises(ValueError, match="'aileron'"):
+            linearize(MODEL, glider, level.state, {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}, **AIR)
+
+    def test_a_model_that_is_not_defined_there(self, glider, level):
+        nowhere = Aerodynamics(lambda X: MODEL(X) * np.nan, NAMES)
+        with pytest.raises(ValueError, match="not finite"):
+            linearize(nowhere, glider, level, **AIR)
+
+    def test_a_motion_that_is_not_determined(self, glider, level):
+        """CZ follows from az more steeply than az from CZ."""
+        loop = Aerodynamics(lambda X: MODEL(X[:, :8]) - 0.5 * X[:, 8:] * np.eye(6)[2], [*NAMES, "az"])
+        with pytest.raises(ValueError, match="not determined"):
+            linearize(loop, glider, level, **AIR)

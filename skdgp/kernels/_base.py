@@ -13,7 +13,7 @@ from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
 from skdgp.kernels._features import Features, SumFeatures
-from skdgp.kernels._paths import PriorPaths, SumPaths
+from skdgp.kernels._paths import KernelPaths, PathBundle
 
 
 class Free(NamedTuple):
@@ -91,7 +91,7 @@ class MultiOutputKernel(Kernel):
         """
 
     @abstractmethod
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> PriorPaths:
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> PathBundle:
         """Return samples of the outputs that are functions, of ``n_frequencies`` waves for each latent process."""
 
     @abstractmethod
@@ -140,6 +140,10 @@ class MultiOutputKernel(Kernel):
         return Y
 
     # -- what follows from the blocks ------------------------------------------------------------------
+
+    def paths(self, X, coefficients) -> PathBundle:
+        """Return the functions sum_j cov(y, y_j(X_j)) c_j, with X_j (n_j, d) and c_j (S, n_j) of each output."""
+        return KernelPaths(self, X, coefficients)
 
     def split(self, X) -> list[np.ndarray]:
         """Return X as one array per output."""
@@ -373,7 +377,7 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return lambda n: SumFeatures(*(best_of(n) for best_of in best))
 
     def prior_paths(self, *args):
-        return SumPaths(self.k1.prior_paths(*args), self.k2.prior_paths(*args))
+        return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
 
     def peaks(self, i, j, d):
         return np.concatenate([self.k1.peaks(i, j, d), self.k2.peaks(i, j, d)])

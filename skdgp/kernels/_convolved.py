@@ -12,10 +12,10 @@ from skdgp.kernels._features import ConvolvedFeatures
 from skdgp.kernels._latents import TIED_AXIS, check_ties, who_feeds
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._parts import rank_parts
-from skdgp.kernels._paths import convolved_paths
 from skdgp.kernels._prior import log_normal, prior_of
 from skdgp.kernels._start import starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
+from skdgp.kernels._waves import convolved_paths
 
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 LOST = 0.1  # an amplitude below this fraction of the starting one means that the output was taken for noise

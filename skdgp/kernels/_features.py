@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skdgp.kernels._paths import PriorPaths, SumPaths, TrendPaths, joint_paths
+from skdgp.kernels._paths import FeaturePaths, PathBundle, TrendPaths
 from skdgp.kernels._rows import ExponentialRows, SumRows, TrendRows
+from skdgp.kernels._waves import joint_paths
 
 JITTER = 1e-6
 """White noise of the inducing variables, part of their definition: the bound stays a bound."""
@@ -51,8 +52,12 @@ class Features(ABC):
         """Return sum(W * dKuu) by [kernel theta, features theta]; W is symmetric."""
 
     @abstractmethod
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PriorPaths, np.ndarray]:
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PathBundle, np.ndarray]:
         """Return samples of the outputs that are functions, and u (n_paths, K), drawn with them."""
+
+    @abstractmethod
+    def paths(self, coefficients) -> PathBundle:
+        """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
 
     @property
     @abstractmethod
@@ -142,6 +147,9 @@ class ConvolvedFeatures(Features):
     def prior_paths(self, n_paths, n_frequencies, random_state):
         return joint_paths(self.joint, self.Z, JITTER, n_paths, n_frequencies, random_state)
 
+    def paths(self, coefficients):
+        return FeaturePaths(self, self.kernel.n_outputs, coefficients)
+
     def _collect(self, entries, dZ):
         """Return the gradient by [kernel theta, log width, Z] from derivatives by the joint kernel's entries."""
         P = self.kernel.n_outputs
@@ -207,7 +215,10 @@ class TrendFeatures(Features):
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
         u = random_state.standard_normal((n_paths, self.size))
-        return TrendPaths(self.kernel, u.reshape(n_paths, -1, self.n_weights)), u
+        return self.paths(u), u
+
+    def paths(self, coefficients):
+        return TrendPaths(self.kernel, coefficients.reshape(len(coefficients), -1, self.n_weights))
 
     @property
     def theta(self):
@@ -256,7 +267,11 @@ class SumFeatures(Features):
 
     def prior_paths(self, *args):
         (first, u), (second, v) = self.first.prior_paths(*args), self.second.prior_paths(*args)
-        return SumPaths(first, second), np.hstack([u, v])
+        return first + second, np.hstack([u, v])
+
+    def paths(self, coefficients):
+        n = self.first.size
+        return self.first.paths(coefficients[:, :n]) + self.second.paths(coefficients[:, n:])
 
     def _order(self, a, b):
         """Kernel thetas first, then the features'."""

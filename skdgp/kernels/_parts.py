@@ -11,8 +11,9 @@ from sklearn.utils import check_random_state
 
 from skdgp._linalg import pivoted_cholesky
 from skdgp.kernels._features import JITTER, Features
-from skdgp.kernels._paths import joint_paths
+from skdgp.kernels._paths import FeaturePaths
 from skdgp.kernels._rows import ExponentialRows
+from skdgp.kernels._waves import joint_paths
 
 CANDIDATES = 2400  # of each latent
 CLUSTERED = 5000  # samples that k-means looks at
@@ -94,6 +95,9 @@ class PartFeatures(Features):
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
         return joint_paths(self.joint, self.Z, JITTER, n_paths, n_frequencies, random_state)
+
+    def paths(self, coefficients):
+        return FeaturePaths(self, self.kernel.n_outputs, coefficients)
 
     def _zeros(self):
         names = ("amplitude", "length_scale", "shift", "shear")

@@ -1,22 +1,21 @@
-"""Samples of the prior that are functions: sums of random waves, and trends of random weights."""
+"""Functions of the regressors with random coefficients: what samples of prior and posterior are made of."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from itertools import pairwise, product
 
 import numpy as np
-from scipy.special import logsumexp
+
+CHUNK_BYTES = 2**25  # working memory of an evaluation
+TILE = 512  # values whose covariances with points are made at a time
 
 
-class PriorPaths(ABC):
-    """S independent samples of a vector-valued process, each of which can be evaluated anywhere.
+class PathBundle(ABC):
+    """S functions of the regressors with P values, evaluated together.
 
-    Inputs are (S, n, d), each path's own points, or (1, n, d), the same for all. ``width`` tells how many doubles a
-    path keeps for a point meanwhile.
+    Inputs are (S, n, d), the points of each, or (1, n, d), the same points for all.
     """
-
-    width: int
 
     @abstractmethod
     def each(self, X) -> np.ndarray:
@@ -27,145 +26,55 @@ class PriorPaths(ABC):
         """Return their slopes, (S, n, P, d)."""
 
     @abstractmethod
-    def take(self, some: slice) -> PriorPaths:
-        """Return some of the paths."""
+    def take(self, some: slice) -> PathBundle:
+        """Return some of the functions."""
+
+    @abstractmethod
+    def doubles(self, alike: bool) -> int:
+        """Return how many doubles values at one point take meanwhile, or at one of each, unless they are ``alike``."""
+
+    def __add__(self, other) -> SumPaths:
+        return SumPaths(self, other)
+
+    def values(self, X) -> np.ndarray:
+        """Return ``each`` of many points, some at a time."""
+        return _in_chunks(self.each, X, self.doubles(len(X) == 1))
+
+    def slopes(self, X) -> np.ndarray:
+        """Return ``gradient`` of many points, some at a time."""
+        return _in_chunks(self.gradient, X, X.shape[-1] * self.doubles(len(X) == 1))
 
 
-class Spectrum(NamedTuple):
-    """Waves gain * cos(omega . (s - shift) + phase) of M latents, F each, that S paths of P outputs consist of.
-
-    ``omega`` (S, M, F, d), ``phase`` (S, M, F), ``gain`` (S, M, F, P), ``shift`` (M, P, d), and ``feeds`` (M, P) of
-    bool, which latent is felt by which output.
-    """
-
-    omega: np.ndarray
-    phase: np.ndarray
-    gain: np.ndarray
-    shift: np.ndarray
-    feeds: np.ndarray
+def _in_chunks(function, X, doubles):
+    """Return a function of X (S, n, d) along its second axis, of which each n takes so many doubles meanwhile."""
+    step = max(1, CHUNK_BYTES // (8 * doubles))
+    if X.shape[1] <= step:
+        return function(X)
+    return np.concatenate([function(X[:, a : a + step]) for a in range(0, X.shape[1], step)], axis=1)
 
 
-def draw_spectrum(roots, amplitude, shift, feeds, n_paths, n_frequencies, random_state) -> Spectrum:
-    r"""Draw the waves of convolved Gaussians, f_i = sum_m h_mi * x_m with A_mi = 2 R_mi R_mi^T.
+class SumPaths(PathBundle):
+    """Sums of the paths of independent processes."""
 
-    The spectral density of h_mi is the Gaussian N_mi = N(0, R_mi R_mi^T), and what a latent contributes is
-
-    .. math:: w_{mi} \sum_k \sqrt{\frac{N_{mi}(\omega_k)}{F q_m(\omega_k)}}
-              \big(g_k \cos \omega_k^T (s - \mu_{mi}) + g'_k \sin \omega_k^T (s - \mu_{mi})\big),
-              \quad g_k, g'_k \sim N(0, 1).
-
-    q_m is the mixture of the N_mi of all outputs that feel the latent, which gives every output waves of its own and
-    keeps weights bounded (the balance heuristic of Veach & Guibas 1995); frequencies are stratified over its
-    components, and drawn anew for every path, so that moments over paths are those of the prior whatever F is (the
-    waves of Rahimi & Recht 2007, with several spectra at once).
-
-    Parameters
-    ----------
-    roots : ndarray (M, P, d, d)
-        R.
-    amplitude : ndarray (M, P)
-        w.
-    shift : ndarray (M, P, d)
-        mu.
-    feeds : ndarray (M, P) of bool
-    n_paths, n_frequencies : int
-        S, and F: raised to the number of outputs, where a latent has more.
-    random_state : RandomState
-    """
-    M, P, d = shift.shape
-    F = max(n_frequencies, int(feeds.sum(axis=1).max()))
-    omega, gain = np.empty((n_paths, M, F, d)), np.zeros((n_paths, M, F, P))
-    for m, felt in enumerate(map(np.flatnonzero, feeds)):
-        component = np.arange(F) % len(felt)
-        white = random_state.standard_normal((n_paths, F, d, 1))
-        omega[:, m] = (roots[m, felt[component]] @ white)[..., 0]
-        log_density = _log_density(omega[:, m], roots[m, felt])
-        share = np.bincount(component) / F
-        log_mixture = logsumexp(log_density, axis=-1, b=share, keepdims=True)
-        gain[:, m][..., felt] = amplitude[m, felt] * np.exp(0.5 * (log_density - log_mixture))
-    gain *= random_state.rayleigh(size=(n_paths, M, F, 1)) / np.sqrt(F)  # of g and g', with a uniform phase
-    return Spectrum(omega, random_state.uniform(0.0, 2 * np.pi, (n_paths, M, F)), gain, shift, feeds)
-
-
-def _log_density(omega, roots):
-    """Return log N(omega; 0, R R^T) but for a constant, (S, F, c), for omega (S, F, d) and roots (c, d, d)."""
-    white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
-    return -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
-
-
-class Waves(PriorPaths):
-    """Sums of waves: one cosine of each serves all outputs that feel its latent.
-
-    Waves of latents that several outputs feel come first, in one product with their weights; latents that one output
-    feels alone (private ones) are summed apart, so that no zeros are multiplied.
-
-    Parameters
-    ----------
-    omega : ndarray (S, d, C)
-    phase : ndarray (S, 1, C)
-    shared : ndarray (S, c, P)
-        Weights of the first c waves.
-    own : ndarray (S, 1, m, F)
-        Weights of the other m F.
-    fed : ndarray (m, P)
-        One where the output is the one that feels the latent.
-    """
-
-    def __init__(self, omega, phase, shared, own, fed):
-        self.omega, self.phase, self.shared, self.own, self.fed = omega, phase, shared, own, fed
-        self.width = omega.shape[2]
-
-    @classmethod
-    def of(cls, spectrum: Spectrum, outputs) -> Waves:
-        """Return the paths of some of the outputs."""
-        omega, phase, gain, shift, feeds = spectrum
-        gain, shift, feeds = gain[..., outputs], shift[:, outputs], feeds[:, outputs]
-        origin = shift[np.arange(len(feeds)), feeds.argmax(axis=1)]  # of the first output that feels the latent
-        phase = phase - np.einsum("smfk,mk->smf", omega, origin)
-        turn = np.einsum("smfk,mpk->smfp", omega, (shift - origin[:, None]) * feeds[..., None])
-        many, one = feeds.sum(axis=1) > 1, feeds.sum(axis=1) == 1
-        parts = [(omega[:, many], phase[:, many])]
-        shared = [(gain * np.cos(turn))[:, many]]
-        if turn[:, many].any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
-            parts.append((omega[:, many], phase[:, many] - 0.5 * np.pi))
-            shared.append((gain * np.sin(turn))[:, many])
-        parts.append((omega[:, one], phase[:, one]))
-        S, d, P = len(omega), omega.shape[-1], len(outputs)
-        return cls(
-            np.concatenate([w.reshape(S, -1, d) for w, _ in parts], axis=1).swapaxes(1, 2).copy(),
-            np.concatenate([p.reshape(S, 1, -1) for _, p in parts], axis=2),
-            np.concatenate([g.reshape(S, -1, P) for g in shared], axis=1),
-            gain[:, one].sum(axis=-1)[:, None],
-            feeds[one].astype(float),
-        )
+    def __init__(self, first: PathBundle, second: PathBundle):
+        self.first, self.second = first, second
 
     def take(self, some):
-        return Waves(self.omega[some], self.phase[some], self.shared[some], self.own[some], self.fed)
+        return SumPaths(self.first.take(some), self.second.take(some))
+
+    def doubles(self, alike):
+        return max(self.first.doubles(alike), self.second.doubles(alike))
 
     def each(self, X):
-        angle = X @ self.omega
-        angle += self.phase
-        wave = np.cos(angle, out=angle)
-        c = self.shared.shape[1]
-        values = wave[..., :c] @ self.shared
-        values += np.einsum("snmf,slmf->snm", self._own(wave), self.own) @ self.fed
+        values = self.first.each(X)
+        values += self.second.each(X)
         return values
 
     def gradient(self, X):
-        wave = -np.sin(X @ self.omega + self.phase)
-        c, (S, d, _) = self.shared.shape[1], self.omega.shape
-        shared = wave[:, :, None, :c] * self.shared.swapaxes(1, 2)[:, None]
-        slopes = shared @ self.omega[:, None, :, :c].swapaxes(2, 3)
-        alone = (self._own(wave) * self.own)[..., None, :]
-        omega = self.omega[:, :, c:].reshape(S, 1, d, *self.own.shape[2:]).transpose(0, 1, 3, 4, 2)
-        slopes += np.einsum("snmk,mp->snpk", (alone @ omega)[..., 0, :], self.fed)
-        return slopes
-
-    def _own(self, wave):
-        return wave[..., self.shared.shape[1] :].reshape(*wave.shape[:2], *self.own.shape[2:])
+        return self.first.gradient(X) + self.second.gradient(X)
 
 
-class TrendPaths(PriorPaths):
+class TrendPaths(PathBundle):
     """Trends with weights: tau_i0 u_i0 + sum_k tau_ik u_ik (phi_k(s) - c_k).
 
     Parameters
@@ -177,13 +86,15 @@ class TrendPaths(PriorPaths):
 
     def __init__(self, kernel, weights):
         self.kernel, self.weights = kernel, weights
-        self.width = weights.shape[2]
         self._center = kernel._value("center")
         self._intercept = weights[:, None, :, 0] * kernel._value("intercept_scale")
         self._slope = (weights[:, :, 1:] * kernel._value("slope_scale")).swapaxes(1, 2).copy()
 
     def take(self, some):
         return TrendPaths(self.kernel, self.weights[some])
+
+    def doubles(self, alike):
+        return self.weights[:1].size if alike else self.weights.size
 
     def each(self, X):
         columns = self.kernel.columns(X.reshape(-1, X.shape[-1])) - self._center
@@ -197,47 +108,67 @@ class TrendPaths(PriorPaths):
         return np.moveaxis(slopes.reshape(-1, *X.shape[:2], slopes.shape[2]) @ self._slope, 0, -1)
 
 
-class SumPaths(PriorPaths):
-    """Sums of the paths of independent processes."""
+class FeaturePaths(PathBundle):
+    """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
 
-    def __init__(self, first: PriorPaths, second: PriorPaths):
-        self.first, self.second = first, second
-        self.width = first.width + second.width
+    def __init__(self, features, n_outputs, coefficients):
+        self.features, self.coefficients = features, coefficients
+        self._rows, columns = features.rows(), [features.columns(i) for i in range(n_outputs)]
+        self._own = [slice(a, b) for a, b in pairwise(np.cumsum([0, *map(len, columns)]))]
+        self._weights = [np.ascontiguousarray(coefficients[:, c]) for c in columns]
 
     def take(self, some):
-        return SumPaths(self.first.take(some), self.second.take(some))
+        return FeaturePaths(self.features, len(self._own), self.coefficients[some])
+
+    def doubles(self, alike):
+        return (1 if alike else len(self.coefficients)) * self._own[-1].stop
 
     def each(self, X):
-        values = self.first.each(X)
-        values += self.second.each(X)
-        return values
+        A = self._rows(X.reshape(-1, X.shape[-1])).reshape(*X.shape[:2], -1)
+        values = [contract(A[..., own], c) for own, c in zip(self._own, self._weights, strict=True)]
+        return np.stack(values, axis=-1)
 
     def gradient(self, X):
-        return self.first.gradient(X) + self.second.gradient(X)
+        slopes = []
+        for i, c in enumerate(self._weights):
+            D = self.features.Kfu_derivative(i, X.reshape(-1, X.shape[-1]))
+            slopes.append(np.moveaxis(contract(D.reshape(len(D), *X.shape[:2], -1), c), 0, -1))
+        return np.stack(slopes, axis=2)
 
 
-def convolved_spectrum(kernel, n_paths, n_frequencies, random_state) -> Spectrum:
-    """Return the waves of all outputs of a ConvolvedGaussian."""
-    names = ("amplitude", "shift", "feeds", "length_scale")
-    amplitude, shift, feeds, lengths = (kernel._value(name) for name in names)
-    roots = kernel._roots() if kernel.covariance_type == "full" else np.eye(shift.shape[2]) / lengths[..., None]
-    return draw_spectrum(roots, amplitude, shift, feeds.astype(bool), n_paths, n_frequencies, random_state)
+class KernelPaths(PathBundle):
+    """Covariances with values of the outputs, times coefficients: sum_j cov(y, y_j(X_j)) c_j.
 
-
-def convolved_paths(kernel, n_paths, n_frequencies, random_state) -> Waves:
-    """Return paths of all outputs of a ConvolvedGaussian."""
-    spectrum = convolved_spectrum(kernel, n_paths, n_frequencies, random_state)
-    return Waves.of(spectrum, list(range(kernel.n_outputs)))
-
-
-def joint_paths(joint, Z, jitter, n_paths, n_frequencies, random_state) -> tuple[Waves, np.ndarray]:
-    """Return paths of a ConvolvedGaussian's first outputs, and values (S, K) of its last ones at Z, a list of (k, d).
-
-    ``jitter`` is the variance of white noise in these.
+    ``X`` is a list of one (n_j, d) array for each output, ``coefficients`` of (S, n_j).
     """
-    spectrum = convolved_spectrum(joint, n_paths, n_frequencies, random_state)
-    P = joint.n_outputs - len(Z)
-    last = [Waves.of(spectrum, [P + f]).each(np.asarray(z)[None])[..., 0] for f, z in enumerate(Z)]
-    u = np.concatenate(last, axis=1)
-    u += np.sqrt(jitter) * random_state.standard_normal(u.shape)
-    return Waves.of(spectrum, list(range(P))), u
+
+    def __init__(self, kernel, X, coefficients):
+        self.kernel, self.X, self.coefficients = kernel, X, coefficients
+
+    def take(self, some):
+        return KernelPaths(self.kernel, self.X, [c[some] for c in self.coefficients])
+
+    def doubles(self, alike):
+        return (1 if alike else len(self.coefficients[0])) * TILE
+
+    def each(self, X):
+        return self._summed(self.kernel.block, X, ())
+
+    def gradient(self, X):
+        return self._summed(self.kernel.block_derivative, X, X.shape[-1:])
+
+    def _summed(self, block, X, slopes):
+        P, points = self.kernel.n_outputs, X.reshape(-1, X.shape[-1])
+        values = np.zeros((*slopes, P, len(self.coefficients[0]), X.shape[1]))
+        for i, j in product(range(P), repeat=2):
+            if self.kernel.couples(i, j):
+                for a in range(0, len(self.X[j]), TILE):
+                    some = slice(a, a + TILE)
+                    A = block(i, j, points, self.X[j][some]).reshape(*slopes, *X.shape[:2], -1)
+                    values[..., i, :, :] += contract(A, self.coefficients[j][:, some])
+        return values.T.swapaxes(0, 1)
+
+
+def contract(A, c):
+    """Return the sums over the last axis of A (..., S, n, C), or (..., 1, n, C), times c (S, C): (..., S, n)."""
+    return c @ A[..., 0, :, :].swapaxes(-2, -1) if A.shape[-3] == 1 else (A @ c[..., None])[..., 0]

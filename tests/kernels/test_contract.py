@@ -217,6 +217,21 @@ class TestContract:
             found = central_difference(lambda z, i=i, Xi=Xi: kernel.block_derivative(i, i, Xi, Xi + z), origin)
             equal(kernel.derivative_diag(i, Xi), np.einsum("kaak->ak", found), rtol=1e-8, atol=1e-9)
 
+    def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
+        X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
+        paths = kernel.prior_paths(8000, 4, np.random.RandomState(12)).values(X[None])
+        stacked = paths.swapaxes(1, 2).reshape(len(paths), -1)
+        K = kernel(X)
+        variance = np.multiply.outer(np.diag(K), np.diag(K))
+        assert (np.abs(stacked.mean(axis=0)) < 4.5 * np.sqrt(np.diag(K) / len(paths))).all()
+        assert (np.abs(stacked.T @ stacked / len(paths) - K) < 5 * np.sqrt((variance + K**2) / len(paths))).all()
+
+    def test_slopes_of_paths_are_their_derivatives(self, kernel):
+        X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
+        paths = kernel.prior_paths(3, 8, np.random.RandomState(14))
+        found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
+        equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
+
     def test_theta_goes_round(self, kernel):
         theta = kernel.theta + np.random.default_rng(7).uniform(-0.1, 0.1, kernel.n_dims)
         other = kernel.clone_with_theta(theta)

@@ -27,6 +27,7 @@ from skdgp.dynamics._propeller import Propeller
 from skdgp.dynamics._replay import replay, replay_errors
 from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative
 from skdgp.dynamics._simulate import simulate
+from skdgp.dynamics._simulator import Simulator
 from skdgp.dynamics._thrust_line import ThrustLine
 from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
@@ -39,6 +40,7 @@ __all__ = [
     "LinearModel",
     "Propeller",
     "SimulationWarning",
+    "Simulator",
     "ThrustLine",
     "Trim",
     "aerodynamic_coefficients",

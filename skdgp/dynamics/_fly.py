@@ -13,7 +13,7 @@ from skdgp.dynamics._rigid_body import RATES, VELOCITY
 from skdgp.dynamics._schedules import Clock
 from skdgp.dynamics._trajectory import channels
 
-__all__ = ["FLYING", "Record", "fly"]
+__all__ = ["FLYING", "Record", "fly", "lost"]
 
 SLOWEST = 1.0
 """Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
@@ -60,9 +60,9 @@ class Record(NamedTuple):
                 self.controls[name] = np.full(self.density.shape, np.nan)
             self.controls[name][k] = value
 
-    def finish(self, k: int, lost: dict[str, np.ndarray]) -> None:
+    def finish(self, k: int, reasons: dict[str, np.ndarray]) -> None:
         """Write down which trajectories end at step ``k``, and why."""
-        for reason, where in lost.items():
+        for reason, where in reasons.items():
             now = np.broadcast_to(where, self.ended.shape) & self.flying
             self.ended[now], self.end[now] = reason, k
 
@@ -107,9 +107,9 @@ def fly(motion: Motion, commands: Callable, air: Callable | None, clock: Clock, 
     with np.errstate(all="ignore"):  # what diverges is found, and said
         for k in range(clock.n_steps + 1):
             now, controls, wind = instant(k, 0, state, now)
-            lost = _lost(state, now)
-            if lost:
-                record.finish(k, lost)
+            over = lost(state, now)
+            if over:
+                record.finish(k, over)
                 if not record.flying.any():
                     break
                 state = np.where(record.flying[..., None], state, start)  # flown on from there, never shown
@@ -131,7 +131,7 @@ def _step(instant, k, state, now: Instant, dt) -> np.ndarray:
     return rk4_step(derivative, 0.0, state, dt)
 
 
-def _lost(state, now: Instant) -> dict[str, np.ndarray]:
+def lost(state, now: Instant) -> dict[str, np.ndarray]:
     """Return which trajectories cannot go on, by the reason."""
     fine = np.isfinite(now.derivative).all(axis=-1)
     fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)

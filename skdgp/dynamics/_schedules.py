@@ -102,31 +102,36 @@ class _Law:
         return self.held[1]
 
 
-def wind_schedule(wind, clock: Clock, n_starts: int) -> Callable | None:
-    """Return a function (stage, state) to the velocity of the air and its rate of change, (..., 3) each, or None."""
+def air_of(wind, n_starts: int = 1) -> Callable | None:
+    """Return a function (t, state) to the velocity of the air and its rate of change, of a constant or a function."""
     if wind is None:
         return None
     if callable(wind):
-        times = clock.stages
 
-        def field(stage, state):
+        def field(t, state):
             position, velocity = state[..., POSITION], body_to_ned(state[..., ATTITUDE], state[..., VELOCITY])
-            ahead, behind = (
-                np.asarray(wind(times[stage] + s, position + s * velocity), dtype=float) for s in (MOMENT, -MOMENT)
-            )
+            ahead, behind = (np.asarray(wind(t + s, position + s * velocity), dtype=float) for s in (MOMENT, -MOMENT))
             return 0.5 * (ahead + behind), (ahead - behind) / (2 * MOMENT)
 
         return field
     if isinstance(wind, Mapping):
         wind = [wind.get(name, 0.0) for name in WIND]
+    constant = np.asarray(wind, dtype=float)
+    if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
+        raise ValueError(
+            f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the finite velocity of the "
+            "air, north, east, down [m/s]; or a function of time and position; or, to simulate, a table with time."
+        )
+    return lambda t, state: (constant, None)
+
+
+def wind_schedule(wind, clock: Clock, n_starts: int) -> Callable | None:
+    """Return a function (stage, state) to the velocity of the air and its rate of change, (..., 3) each, or None."""
+    if wind is None:
+        return None
     if not tables_of(wind):
-        constant = np.asarray(wind, dtype=float)
-        if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
-            raise ValueError(
-                f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the finite velocity of the "
-                "air, north, east, down [m/s]; a table with time, wind_north, wind_east, wind_down; or a function."
-            )
-        return lambda stage, state: (constant, None)
+        times, air = clock.stages, air_of(wind, n_starts)
+        return lambda stage, state: air(times[stage], state)
     tables = _tables(wind, "wind", n_starts)
     for table in tables:
         check_columns(table, WIND, what="wind")

@@ -273,8 +273,8 @@ class TestBadInput:
         refused("Got nowhere.csv, but there is no such file", "--test", "nowhere.csv")
 
     def test_an_unknown_suffix(self, refused, folder):
-        (folder / "flight.mat").write_bytes(b"MATLAB")
-        refused("suffix '.mat', but expected one of", train=["flight.mat"])
+        (folder / "flight.xlsx").write_bytes(b"MATLAB")
+        refused("suffix '.xlsx', but expected one of", train=["flight.xlsx"])
 
     def test_missing_columns(self, refused, folder, tmp_path):
         pd.read_csv(folder / "latlon.csv").drop(columns=["ax", "q"]).to_csv(tmp_path / "few.csv", index=False)

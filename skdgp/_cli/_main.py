@@ -6,9 +6,11 @@ import os
 import shlex
 import sys
 import traceback
+from contextlib import nullcontext
 
 from skdgp._cli._console import Console
 from skdgp._cli._folder import OutputFolder
+from skdgp._cli._inspect import inspect
 from skdgp._cli._job import run
 from skdgp._cli._parser import build_parser
 from skdgp._cli._source import example_source, file_source
@@ -26,14 +28,19 @@ def main(argv=None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
     options = build_parser().parse_args(argv)
-    console, folder = Console(), OutputFolder(options.output)
+    console = Console()
+    folder = OutputFolder(options.output) if "output" in options else nullcontext()
     try:
         with console, folder:
+            if options.command == "inspect":
+                console.stage("reading")
+                inspect(options)
+                return DONE
             console.stage("flying the example flights" if options.command == "demo" else "reading")
             source = example_source() if options.command == "demo" else file_source(options)
             run(source, options, folder, console, command=shlex.join(["python", "-m", "skdgp", *argv]))
     except KeyboardInterrupt:
-        print("stopped" if folder.written else "stopped: no output was written", file=sys.stderr)
+        print("stopped" if getattr(folder, "written", True) else "stopped: no output was written", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output is gone; our files are written
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

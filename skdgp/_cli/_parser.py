@@ -13,6 +13,7 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
 
   python -m skdgp demo                                       simulated example flights, nothing else needed
   python -m skdgp identify a.csv b.csv --aircraft uav.json   your own
+  python -m skdgp inspect log.ulg                            what a log holds, and lacks for which step
 """
 
 IDENTIFY = """\
@@ -33,11 +34,12 @@ Writes into DIR, all or none:
 
 TABLES = """\
 flight tables:
-  CSV or Parquet, one row per sample, SI units and radians (or units in the header, as in "alpha [deg]"):
+  CSV, Parquet or MATLAB (v7), one row per sample, SI units and radians (or units in the header, as in "alpha [deg]"):
   time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force, what accelerometers read),
   elevator, aileron, rudder (or elevon_left, elevon_right), throttle, and thrust_x, thrust_y, thrust_z
   (or propeller_speed, with a propeller in the aircraft's file). For the replay also phi, theta, psi,
   v_north, v_east, v_down. A column "flight" tells several flights in one file apart.
+  Logs of autopilots, PX4 (.ulg) and ArduPilot (.bin), are read too; --servos tells the angles of their surfaces.
 
 aircraft file:
   {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
@@ -50,6 +52,13 @@ examples:
   python -m skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
 
 Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing is written.
+"""
+
+INSPECT = """\
+Say what a log holds: vehicle, firmware, topics with rates and gaps, the columns that a flight table gets and where
+they are from, stretches of flight, and what is missing for coefficients, reconstruction, regressors, replay.
+
+LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
 """
 
 DEMO = """\
@@ -97,6 +106,8 @@ def build_parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="DIR", default="skdgp-demo", help="folder for the outputs (default: %(default)s)"
     )
     demo.set_defaults(thrust="auto", external_forces=[])
+    inspect = _parser(commands.add_parser, "inspect", help="what a log holds and what it lacks", description=INSPECT)
+    _add_log(inspect)
     return parser
 
 
@@ -116,6 +127,11 @@ def _add_flights(parser):
         "is held out)",
     )
     parser.add_argument(
+        "--servos",
+        metavar="FILE",
+        help="TOML for logs of autopilots: which channel moves which surface, and by how much; inspect begins one",
+    )
+    parser.add_argument(
         "--thrust",
         choices=["auto", "columns", "propeller", "none"],
         default="auto",
@@ -129,6 +145,16 @@ def _add_flights(parser):
         metavar="NAME",
         help="further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
     )
+
+
+def _add_log(parser):
+    parser.add_argument("log", metavar="LOG", help="the log")
+    parser.add_argument("--servos", metavar="FILE", help="TOML: which channel moves which surface, and by how much")
+    parser.add_argument(
+        "--servo-template", metavar="FILE", help="write such a file for this log, to be filled in with the angles"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    parser.add_argument("--traceback", action="store_true", help="on an error also show where it arose")
 
 
 def _add_model(parser, *, samples, said):

@@ -10,7 +10,7 @@ import pandas as pd
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
-from skdgp.io import FlightReadError, read_flight
+from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 
 HELD_OUT = 0.25
 """Share of a single flight that is held out, at its end."""
@@ -36,7 +36,7 @@ def file_source(options) -> Source:
         What the readers raise; or if two files hold a flight of the same name.
     """
     aircraft = read_aircraft(options.aircraft)
-    train, test = read_named(options.train), read_named(options.test)
+    train, test = (read_named(paths, options.servos) for paths in (options.train, options.test))
     held_out = None
     if not test:
         train, test, held_out = hold_out(train)
@@ -66,11 +66,12 @@ def read_aircraft(path) -> Aircraft:
     return readers[path.suffix.lower()](path)
 
 
-def read_named(paths) -> dict[str, pd.DataFrame]:
-    """Read files into one table for each flight."""
+def read_named(paths, servos=None) -> dict[str, pd.DataFrame]:
+    """Read files into one table for each flight; ``servos`` is for those that are logs of autopilots."""
     flights, owner = {}, {}
     for path in paths:
-        for name, table in _by_flight(read_flight(path)).items():
+        of_autopilot = Path(path).suffix.lower() in AUTOPILOTS
+        for name, table in _by_flight(read_flight(path, servos=servos if of_autopilot else None)).items():
             if name in flights:
                 raise FlightReadError(
                     f"Got flight {name!r} in {owner[name]} and in {path}, but expected each once: "

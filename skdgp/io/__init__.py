@@ -1,9 +1,22 @@
 """Flight logs into one table in the words of the vocabulary: SI, radians, one clock.
 
->>> from skdgp.io import read_flight, read_flights, FlightReadError
+>>> from skdgp.io import read_flight, inspect_log, servo_template
 """
 
+from skdgp.io._autopilot import READERS
 from skdgp.io._errors import FlightReadError
+from skdgp.io._inspect import LogSummary, inspect_log, servo_template
 from skdgp.io._read import read_flight, read_flights
 
-__all__ = ["FlightReadError", "read_flight", "read_flights"]
+AUTOPILOTS = tuple(READERS)
+"""Suffixes of logs of autopilots."""
+
+__all__ = [
+    "AUTOPILOTS",
+    "FlightReadError",
+    "LogSummary",
+    "inspect_log",
+    "read_flight",
+    "read_flights",
+    "servo_template",
+]

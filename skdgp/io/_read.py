@@ -13,26 +13,47 @@ import pandas as pd
 from skdgp._clock import part_restarts
 from skdgp._faults import FlightDataWarning
 from skdgp._vocabulary import CHANNELS
+from skdgp.io._autopilot import READERS as AUTOPILOTS
+from skdgp.io._autopilot import flight_table, fly_again
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
+from skdgp.io._mat import read_mat
 from skdgp.io._units import base_name, check_magnitudes
 
 UNKNOWN = "unknown_columns"
 
 
-def read_flight(path, *, flight=None) -> pd.DataFrame:
+def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu_position=None) -> pd.DataFrame:
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
-    A CSV header may state units, ``alpha [deg]``, or have a line of units under it: these are converted. Columns that
-    the vocabulary does not know are kept as they are and listed in ``table.attrs["unknown_columns"]``; one that looks
-    like a misspelt word is warned of.
+    Tables are read as they are. A CSV header may state units, ``alpha [deg]``, or have a line of units under it: these
+    are converted. Columns that the vocabulary does not know are kept as they are and listed in
+    ``table.attrs["unknown_columns"]``; one that looks like a misspelt word is warned of.
+
+    Logs of autopilots, PX4 ULog and ArduPilot DataFlash, hold messages of many rates: these are brought to one clock
+    (low-passed where faster, interpolated where slower, NaN in gaps), the stretches in the air are found, and
+    ``table.attrs["sources"]`` says which message each column is from. :func:`inspect_log` shows what is missing.
 
     Parameters
     ----------
-    path : str or path
-        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``).
+    path : str or path, or several
+        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``), ``.mat`` (MATLAB up to v7: vectors
+        named as in the vocabulary, loose or in one struct), ``.ulg`` (PX4), ``.bin`` (ArduPilot). Several: as
+        :func:`read_flights`.
     flight : str, optional
-        Flight identifier. By default the file's column ``flight``, or without one the name of the file.
+        Flight identifier. By default the file's column ``flight``, or without one the name of the file; further flights
+        in a log of an autopilot are ``name#2``, ``name#3``.
+    rate : float, optional
+        Rate of the clock [Hz]; autopilots only. By default that of the gyros, at most 50 Hz.
+    servos : path or mapping, optional
+        Calibration of servos, channel to surface and angle, in TOML: see the page on logs of autopilots. Without it the
+        table has no surfaces; autopilots only.
+    airborne : bool or float, default=True
+        Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8 m/s if none is), or
+        above this number [m/s], and not landed by the autopilot's own account. False keeps all; autopilots only.
+    imu_position : sequence of 3 floats, optional
+        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the centre of gravity;
+        autopilots only.
 
     Returns
     -------
@@ -42,12 +63,18 @@ def read_flight(path, *, flight=None) -> pd.DataFrame:
     Raises
     ------
     FlightReadError
-        If the file is empty, damaged, not a table, of unknown suffix; has no ``time``; has text among numbers; time
-        does not increase within a flight; or the numbers give away other units than SI and radians.
+        If the file is empty, damaged, not a table or log, of unknown suffix; has no ``time``; has text among numbers;
+        time does not increase within a flight; the numbers give away other units than SI and radians; a log holds no
+        flight; or an option makes no sense.
     FileNotFoundError
         If there is no such file.
     ImportError
         If the extra for the file's format is not installed.
+
+    Warns
+    -----
+    FlightDataWarning
+        If a log of an autopilot is damaged, has gaps, or its clock jumped.
 
     Examples
     --------
@@ -59,24 +86,37 @@ def read_flight(path, *, flight=None) -> pd.DataFrame:
     0  0.00  sortie_7  1.571  0.1
     1  0.02  sortie_7  0.785  0.2
     """
+    options = {"rate": rate, "servos": servos, "airborne": airborne, "imu_position": imu_position}
+    if not isinstance(path, (str, Path)) and isinstance(path, Iterable):
+        if flight is not None:
+            raise TypeError("Got several paths and one flight, but expected a mapping of flight identifier to path.")
+        return read_flights(path, **options)
     path = Path(path)
     reader = _reader(path)
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    table = reader(path)
     try:
+        if path.suffix.lower() in AUTOPILOTS:
+            return _from_autopilot(path, flight, options)
+        given = [name for name, value in options.items() if value is not DEFAULTS[name]]
+        if given:
+            raise FlightReadError(f"Got {given} for a table, but expected these only with logs of autopilots.")
+        table = reader(path)
         return _as_flight(table, path.stem if flight is None else flight, overrides=flight is not None)
     except FlightReadError as error:
-        raise FlightReadError(f"{path}: {error}") from None
+        said = str(error)
+        raise FlightReadError(said if str(path) in said else f"{path}: {said}") from None
 
 
-def read_flights(paths) -> pd.DataFrame:
+def read_flights(paths, **options) -> pd.DataFrame:
     r"""Read several logs into one table, flight after flight.
 
     Parameters
     ----------
     paths : iterable of paths, or mapping of flight identifier to path
         A mapping names the flights itself.
+    **options
+        As of :func:`read_flight`, for all of them.
 
     Returns
     -------
@@ -102,7 +142,7 @@ def read_flights(paths) -> pd.DataFrame:
     named = list(paths.items()) if isinstance(paths, Mapping) else [(None, path) for path in paths]
     if not named:
         raise FlightReadError("Got no path, but expected at least one.")
-    tables = [read_flight(path, flight=flight) for flight, path in named]
+    tables = [read_flight(path, flight=flight, **options) for flight, path in named]
     _check_distinct(named, tables)
     _warn_of_uneven_columns(named, tables)
     unknown = list(dict.fromkeys(name for table in tables for name in table.attrs[UNKNOWN]))
@@ -129,7 +169,18 @@ def _read_parquet(path):
         ) from error
 
 
-READERS = {".csv": read_csv, ".parquet": _read_parquet, ".pq": _read_parquet}
+READERS = {".csv": read_csv, ".parquet": _read_parquet, ".pq": _read_parquet, ".mat": read_mat, **AUTOPILOTS}
+DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None}
+
+
+def _from_autopilot(path, flight, options):
+    flown = fly_again(path, **options)
+    name = path.stem if flight is None else flight
+    table = _as_flight(flight_table(flown, name, airborne=options["airborne"]), name, overrides=False)
+    table.attrs["sources"] = {column: origin.words for column, origin in flown.origin.items() if column in table}
+    if flown.remarks:
+        warnings.warn(f"{path.name}: {'; '.join(flown.remarks)}.", FlightDataWarning, stacklevel=3)
+    return table
 
 
 def _reader(path):

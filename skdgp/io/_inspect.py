@@ -1,0 +1,301 @@
+"""What a log holds, and what it lacks for which step."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from pathlib import Path
+from textwrap import fill
+
+import numpy as np
+
+from skdgp._faults import SENSORS
+from skdgp.io._autopilot import READERS, fly_again, read_log
+from skdgp.io._columns import gaps
+from skdgp.io._errors import FlightReadError
+from skdgp.io._read import read_flight
+from skdgp.io._resample import sampling_rate
+from skdgp.io._segments import no_flight_because
+from skdgp.io._servo_template import template
+from skdgp.io._topics import Topic
+
+SPECIFIC_FORCE, RATES, ATTITUDE = ("ax", "ay", "az"), ("p", "q", "r"), ("phi", "theta", "psi")
+VELOCITY = ("v_north", "v_east", "v_down")
+NEEDS = {
+    "coefficients": ("airspeed", "density", *SPECIFIC_FORCE, *RATES, "thrust_x or propeller_speed"),
+    "reconstruction": (*RATES, *SPECIFIC_FORCE, *ATTITUDE, *VELOCITY, "airspeed"),
+    "regressors": (
+        *("airspeed", *RATES, "alpha or reconstruction", "beta or reconstruction", "throttle"),
+        *("elevator or elevon_left", "aileron or elevon_right", "rudder"),
+    ),
+    "replay": (*ATTITUDE, "v_north or u", "v_east or v", "v_down or w"),
+}
+"""Columns that each step reads; any of those joined by "or" will do, or a step that gives them."""
+ADVICE = {
+    "servos": "angles of the surfaces: a servo file gives them (--servo-template FILE writes one to fill in)",
+    "thrust_x or propeller_speed": "propeller_speed: log RPM or ESC telemetry, add thrust columns, or take no thrust",
+    "airspeed": "airspeed: a pitot tube, calibrated and enabled",
+    "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
+}
+STEADY = 0.5
+"""A topic with fewer messages than this share of rate times duration has no rate."""
+SHORT = 1.0
+"""Nor has one that was sent for less than this [s]."""
+WIDTH = 110
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """One topic: messages, rate [Hz] (NaN of messages that come when something happens), gaps, the longest [s]."""
+
+    name: str
+    messages: int
+    rate: float
+    gaps: int
+    longest_gap: float
+
+
+@dataclass(frozen=True)
+class ColumnSummary:
+    """One column that the table will have: where it is from, the rate of that [Hz], whether it ever changes."""
+
+    name: str
+    source: str
+    rate: float
+    constant: bool
+
+
+@dataclass(frozen=True)
+class FlightSummary:
+    """One flight: begin and end [s], mean airspeed [m/s]."""
+
+    begin: float
+    end: float
+    airspeed: float
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """What was found in a log, and what is missing for which step.
+
+    Attributes
+    ----------
+    path, format, firmware, vehicle : str
+        The file; ``vehicle`` is None where the log does not tell.
+    duration : float
+        From the first to the last row of the table [s].
+    topics : tuple of TopicSummary
+        Every message type with a time.
+    columns : tuple of ColumnSummary
+        Columns of the flight table.
+    missing : dict of str to tuple of str
+        By step (coefficients, reconstruction, regressors, replay): columns that are not there.
+    flights : tuple of FlightSummary
+        Stretches in the air.
+    no_flight : str
+        Why there are none; empty if there are some.
+    remarks : tuple of str
+        What was wrong: damage, gaps, clock, channels that are of no use.
+    """
+
+    path: str
+    format: str
+    firmware: str
+    vehicle: str | None
+    duration: float
+    topics: tuple[TopicSummary, ...]
+    columns: tuple[ColumnSummary, ...]
+    missing: dict[str, tuple[str, ...]]
+    flights: tuple[FlightSummary, ...]
+    no_flight: str
+    remarks: tuple[str, ...]
+
+    def to_dict(self) -> dict:
+        """Return everything as lists, dicts, texts and numbers, NaN as None, ready for JSON."""
+        return _plain(asdict(self))
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.path}: {self.format}, {self.firmware}, {self.vehicle or 'vehicle unknown'}, {self.duration:.1f} s",
+            "",
+            *self._flight_lines(),
+            "",
+            f"  {'columns':<22}{'rate':>9}  from",
+            *self._column_lines(),
+            "",
+            *(_hanging(f"{step:<18}{_step_words(names)}", 20) for step, names in self.missing.items()),
+            *(f"  {'':<18}- {advice}" for advice in self._advice()),
+            *self._remark_lines(),
+            *self._topic_lines(),
+        ]
+        return "\n".join(lines)
+
+    def _flight_lines(self):
+        if not self.flights:
+            yield f"  no flight: {self.no_flight}"
+        for each in self.flights:
+            speed = f" at {each.airspeed:.1f} m/s" if np.isfinite(each.airspeed) else ""
+            yield f"  flight from {each.begin:.1f} s to {each.end:.1f} s{speed}"
+
+    def _column_lines(self):
+        for (source, rate, constant), columns in groupby(self.columns, key=lambda c: (c.source, c.rate, c.constant)):
+            names = " ".join(column.name for column in columns)
+            yield f"  {names:<22}{rate:>6.3g} Hz  {source}{' (never changes)' * constant}"
+
+    def _advice(self):
+        lacking = {name for names in self.missing.values() for name in names}
+        if any(name.startswith(("elevator", "aileron", "rudder")) for name in lacking):
+            yield ADVICE["servos"]
+        yield from (words for name, words in ADVICE.items() if name in lacking)
+
+    def _remark_lines(self):
+        if self.remarks:
+            yield ""
+        yield from (_hanging(f"! {remark}", 4) for remark in self.remarks)
+
+    def _topic_lines(self):
+        if self.topics:
+            words = ", ".join(f"{t.name} {_often(t)}" + f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics)
+            yield ""
+            yield _hanging(f"topics: {words}", 4)
+
+
+def inspect_log(path, *, servos=None) -> LogSummary:
+    r"""Say what a log holds: format, vehicle, topics, columns and where they are from, flights, and what is missing.
+
+    Parameters
+    ----------
+    path : str or path
+        Any file that :func:`read_flight` reads.
+    servos : path or mapping, optional
+        Calibration of the servos, as of :func:`read_flight`.
+
+    Returns
+    -------
+    LogSummary
+        ``print`` shows it, ``to_dict`` gives it for JSON.
+
+    Raises
+    ------
+    FlightReadError
+        If the file cannot be read. A log without a flight can.
+    FileNotFoundError
+        If there is no such file.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "sortie.csv"
+    >>> _ = path.write_text("time,airspeed,alpha\n0,20,0.1\n0.02,21,0.2\n0.04,20,0.1\n")
+    >>> summary = inspect_log(path)
+    >>> summary.format, summary.missing["replay"]
+    ('table', ('phi', 'theta', 'psi', 'v_north or u', 'v_east or v', 'v_down or w'))
+    """
+    path = Path(path)
+    if path.suffix.lower() not in READERS:
+        return _of_table(path, read_flight(path))
+    flown = fly_again(path, servos=servos)
+    longest = max(flown.parts, key=lambda part: len(part.table))
+    table, log = longest.table, flown.log
+    columns = [
+        ColumnSummary(name, *flown.origin[name], _constant(table[name])) for name in table if name in flown.origin
+    ]
+    flights = [_flight(part.table.iloc[rows]) for part in flown.parts for rows in part.segments]
+    return LogSummary(
+        path=str(path),
+        format=log.kind,
+        firmware=log.firmware,
+        vehicle=log.vehicle,
+        duration=float(sum(np.ptp(part.table["time"]) for part in flown.parts if len(part.table))),
+        topics=tuple(_topic(name, topic) for name, topic in longest.topics.items()),
+        columns=tuple(columns),
+        missing=missing_for(columns),
+        flights=tuple(flights),
+        no_flight="" if flights else no_flight_because(table, log, flown.speed),
+        remarks=(*flown.remarks, *flown.useless),
+    )
+
+
+def servo_template(path) -> str:
+    """Return the text of a servo file for a log of an autopilot, to be filled in with the angles of the surfaces.
+
+    Raises
+    ------
+    FlightReadError
+        If the file cannot be read, is no log of an autopilot, or holds nothing that was sent to servos.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in READERS:
+        raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(READERS)}.")
+    return template(read_log(path))
+
+
+def missing_for(columns) -> dict[str, tuple[str, ...]]:
+    """Return by step which columns are not there, or never change though they are a sensor's."""
+    there = {column.name for column in columns if not (column.constant and column.name in SENSORS)}
+    missing = {}
+    for step, needs in NEEDS.items():
+        done = {done for done, lacking in missing.items() if not lacking}
+        missing[step] = tuple(need for need in needs if not set(need.split(" or ")) & (there | done))
+    return missing
+
+
+def _of_table(path, table) -> LogSummary:
+    rate = sampling_rate(np.unique(table["time"]))
+    columns = [
+        ColumnSummary(name, "column", rate * table[name].notna().mean(), _constant(table[name]))
+        for name in table.columns
+        if name not in ("time", "flight", *table.attrs["unknown_columns"])
+    ]
+    flights = [_flight(part) for _, part in table.groupby("flight", sort=False)]
+    return LogSummary(
+        path=str(path),
+        format="table",
+        firmware=path.suffix.lstrip("."),
+        vehicle=None,
+        duration=sum(each.end - each.begin for each in flights),
+        topics=(),
+        columns=tuple(columns),
+        missing=missing_for(columns),
+        flights=tuple(flights),
+        no_flight="",
+        remarks=tuple(f"column {name!r} is not of the vocabulary" for name in table.attrs["unknown_columns"]),
+    )
+
+
+def _flight(table) -> FlightSummary:
+    time = table["time"]
+    airspeed = float(table["airspeed"].mean()) if "airspeed" in table else np.nan
+    return FlightSummary(float(time.iloc[0]), float(time.iloc[-1]), airspeed)
+
+
+def _topic(name, topic: Topic) -> TopicSummary:
+    found, rate = gaps(topic.time), sampling_rate(topic.time)
+    seconds = np.ptp(topic.time)
+    if seconds < SHORT or len(topic) < STEADY * rate * seconds:
+        return TopicSummary(name, len(topic), np.nan, 0, np.nan)
+    return TopicSummary(name, len(topic), rate, len(found), max((length for _, length in found), default=0.0))
+
+
+def _constant(column) -> bool:
+    return bool(column.nunique() < 2)
+
+
+def _plain(value):
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _often(topic) -> str:
+    return f"{topic.rate:.3g} Hz" if np.isfinite(topic.rate) else f"{topic.messages} times"
+
+
+def _hanging(words, indent) -> str:
+    return fill(words, WIDTH, initial_indent="  ", subsequent_indent=" " * indent, break_long_words=False)
+
+
+def _step_words(names) -> str:
+    return "nothing missing" if not names else "lacks " + ", ".join(names)

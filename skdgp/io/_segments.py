@@ -1,0 +1,81 @@
+"""Which stretches of a log are flight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from skdgp.io._rules import LANDED, SLOWEST_AIRSPEED
+from skdgp.io._topics import Log, Topic
+
+SHARE, USUAL = 0.7, 8.0
+"""Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
+DIP, SHORTEST = 2.0, 5.0
+"""Slower for less than this is still flight [s]; faster for less than this is none [s]."""
+NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
+
+
+def threshold(log: Log, airborne) -> float:
+    """Return the airspeed [m/s] above which the aircraft is airborne."""
+    if airborne is not True:
+        return float(airborne)
+    speeds = [log.parameters.get(name, np.nan) for name in SLOWEST_AIRSPEED[log.kind]]
+    return next((SHARE * speed for speed in speeds if 0 < speed < 200), USUAL)
+
+
+def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
+    """Return the rows of each flight: airspeed above a speed, and not on the ground where the autopilot tells.
+
+    Without an airspeed the speed over ground is taken, unless the vehicle has no wings.
+    """
+    fast = _speed(table, log) > speed
+    landed = _landed(table["time"].to_numpy(), log, topics)
+    if landed is not None:
+        fast &= ~landed
+    time = table["time"].to_numpy()
+    runs = [[a, b] for a, b in _runs(fast)]
+    joined = runs[:1]
+    for a, b in runs[1:]:
+        if time[a] - time[joined[-1][1] - 1] < DIP:
+            joined[-1][1] = b
+        else:
+            joined.append([a, b])
+    return [slice(a, b) for a, b in joined if time[b - 1] - time[a] >= SHORTEST]
+
+
+def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
+    """Return why a log holds no flight."""
+    reasons = []
+    if log.vehicle in NOT_FLYING_ON_WINGS:
+        reasons.append(f"the vehicle is a {log.vehicle}")
+    if "airspeed" not in table:
+        reasons.append("there is no valid airspeed")
+    highest = np.nanmax(_speed(table, log), initial=-np.inf)
+    if np.isfinite(highest):
+        what = "airspeed" if "airspeed" in table else "ground speed"
+        reasons.append(f"{what} never stays above {speed:.3g} m/s in the air (highest {highest:.3g} m/s)")
+    return ", ".join(reasons)
+
+
+def _speed(table, log):
+    if "airspeed" in table:
+        return table["airspeed"].to_numpy()
+    velocity = [name for name in ("v_north", "v_east") if name in table]
+    if len(velocity) < 2 or log.vehicle in NOT_FLYING_ON_WINGS:
+        return np.full(len(table), np.nan)
+    return np.hypot(*table[velocity].to_numpy().T)
+
+
+def _landed(time, log, topics):
+    """Return whether the autopilot took itself for landed, (n,), or None where it does not tell."""
+    name, field, value = LANDED[log.kind]
+    topic = topics.get(name)
+    if topic is None or field not in topic:
+        return None
+    last = np.searchsorted(topic.time, time, side="right") - 1
+    return (topic[field] == value)[np.maximum(last, 0)]
+
+
+def _runs(mask):
+    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(int)))
+    return edges.reshape(-1, 2).tolist()

@@ -1,0 +1,310 @@
+"""Writers of small logs: PX4 ULog and ArduPilot DataFlash, message by message, so that tests can damage them."""
+
+import struct
+
+import numpy as np
+import pytest
+
+ULOG_CODES = {
+    "float": "f",
+    "double": "d",
+    "uint8_t": "B",
+    "int32_t": "i",
+    "uint16_t": "H",
+    "uint64_t": "Q",
+    "bool": "?",
+}
+DATAFLASH_CODES = {
+    "Q": "Q",
+    "f": "f",
+    "B": "B",
+    "H": "H",
+    "h": "h",
+    "c": "h",
+    "C": "H",
+    "e": "i",
+    "L": "i",
+    "N": "16s",
+    "Z": "64s",
+}
+DATAFLASH_SCALE = {"c": 100, "C": 100, "e": 100, "L": 1e7}
+
+
+def ulog_message(kind, payload):
+    return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+
+def ulog_keyed(kind, key, payload):
+    return ulog_message(kind, bytes([len(key)]) + key.encode() + payload)
+
+
+class ULogWriter:
+    """Collects definitions and data messages; ``bytes()`` puts them in order of time."""
+
+    def __init__(self, **parameters):
+        self.head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+        self.definitions = [ulog_message("B", bytes(40)), ulog_keyed("I", "char[3] sys_name", b"PX4")]
+        for name, value in parameters.items():
+            code = "i" if isinstance(value, int) else "f"
+            self.definitions.append(
+                ulog_keyed("P", f"{'int32_t' if code == 'i' else 'float'} {name}", struct.pack(code, value))
+            )
+        self.subscriptions, self.data, self.formats = [], [], set()
+
+    def topic(self, name, time, *, instance=0, **fields):
+        """Add a topic; field types by suffix, as in ``q=("float[4]", values (n, 4))``."""
+        if name not in self.formats:
+            self.formats.add(name)
+            layout = "".join(f"{kind} {field};" for field, (kind, _) in fields.items())
+            self.definitions.append(ulog_message("F", f"{name}:uint64_t timestamp;{layout}".encode()))
+        number = len(self.subscriptions)
+        self.subscriptions.append(ulog_message("A", struct.pack("<BH", instance, number) + name.encode()))
+        columns = [(kind.split("[")[0], np.asarray(values).reshape(len(time), -1)) for kind, values in fields.values()]
+        for row, t in enumerate(time):
+            payload = struct.pack("<HQ", number, round(t * 1e6))
+            for kind, values in columns:
+                cells = values[row].tolist()
+                cells = cells if kind in ("float", "double") else [int(cell) for cell in cells]
+                payload += struct.pack(f"<{len(cells)}{ULOG_CODES[kind]}", *cells)
+            self.data.append((t, ulog_message("D", payload)))
+        return self
+
+    def parts(self):
+        """Return all messages after the header, data in order of time."""
+        return [
+            *self.definitions,
+            *self.subscriptions,
+            *(message for _, message in sorted(self.data, key=lambda d: d[0])),
+        ]
+
+    def __bytes__(self):
+        return self.head + b"".join(self.parts())
+
+
+class DataFlashWriter:
+    """The same for DataFlash."""
+
+    COLUMNS = "Type,Length,Name,Format,Columns"
+
+    def __init__(self, *messages, **parameters):
+        self.definitions, self.data, self.types = [], [], {}
+        self._define("FMT", "BBnNZ", self.COLUMNS, kind=0x80, length=89)
+        for text in messages:
+            self.rows("MSG", "QZ", "TimeUS,Message", [(0, text.encode())])
+        for name, value in parameters.items():
+            self.rows("PARM", "QNf", "TimeUS,Name,Value", [(0, name.encode(), value)])
+
+    def _define(self, name, codes, columns, kind=None, length=None):
+        if name in self.types:
+            return self.types[name]
+        kind = kind or 100 + len(self.types)
+        layout = "<" + "".join(DATAFLASH_CODES.get(code, "B") for code in codes)
+        length = length or struct.calcsize(layout) + 3
+        self.types[name] = kind, layout
+        body = struct.pack("<BB4s16s64s", kind, length, name.encode(), codes.encode(), columns.encode())
+        self.definitions.append(b"\xa3\x95\x80" + body)
+        return self.types[name]
+
+    def rows(self, name, codes, columns, rows):
+        """Add messages as they are stored: the first value is TimeUS."""
+        kind, layout = self._define(name, codes, columns)
+        self.data += [(row[0], b"\xa3\x95" + bytes([kind]) + struct.pack(layout, *row)) for row in rows]
+        return self
+
+    def topic(self, name, time, **fields):
+        """Add a topic; a field is ``(code, values)``."""
+        columns = []
+        for code, values in fields.values():
+            values = np.broadcast_to(values, len(time)) * DATAFLASH_SCALE.get(code, 1)
+            columns.append(values.tolist() if code == "f" else np.round(values).astype(int).tolist())
+        stamps = np.round(np.asarray(time) * 1e6).astype(int).tolist()
+        names, codes = ",".join(["TimeUS", *fields]), "Q" + "".join(code for code, _ in fields.values())
+        return self.rows(name, codes, names, list(zip(stamps, *columns, strict=True)))
+
+    def parts(self):
+        return [*self.definitions, *(message for _, message in sorted(self.data, key=lambda d: d[0]))]
+
+    def __bytes__(self):
+        return b"".join(self.parts())
+
+
+@pytest.fixture
+def ulog():
+    """Return the writer of ULogs."""
+    return ULogWriter
+
+
+@pytest.fixture
+def dataflash():
+    """Return the writer of DataFlash logs."""
+    return DataFlashWriter
+
+
+class Flight:
+    """A flight of 30 s whose every channel is a slow sine, known at any time."""
+
+    SIZES = {
+        "airspeed": (18.0, 2.0), "alpha": (0.05, 0.02), "beta": (0.0, 0.03), "density": (1.1, 0.01),
+        "altitude": (300.0, 20.0), "p": (0.0, 0.4), "q": (0.0, 0.2), "r": (0.0, 0.1), "ax": (0.5, 0.3),
+        "ay": (0.0, 0.4), "az": (-9.8, 1.0),
+        "phi": (0.1, 0.5), "theta": (0.05, 0.1), "psi": (3.1, 0.3), "north": (100.0, 50.0), "east": (-20.0, 40.0),
+        "down": (-50.0, 5.0), "v_north": (3.0, 9.0), "v_east": (1.0, 12.0), "v_down": (0.0, 0.5),
+        "throttle": (0.5, 0.2),
+        "propeller_speed": (500.0, 50.0), "elevator": (0.02, 0.05), "aileron": (0.0, 0.1), "rudder": (0.0, 0.05),
+        "elevon_left": (0.02, 0.1), "elevon_right": (0.02, 0.1), "wind_north": (2.0, 0.2), "wind_east": (-1.0, 0.2),
+    }  # fmt: skip
+    BEGIN, END = 12.0, 42.0
+
+    def __getitem__(self, name):
+        """Return a channel as a function of time."""
+        mean, size = self.SIZES[name]
+        number = list(self.SIZES).index(name)
+        return lambda t: mean + size * np.sin(2 * np.pi * (0.05 + 0.01 * (number % 7)) * t + number)
+
+    def time(self, rate, *, delay=0.0):
+        return np.arange(self.BEGIN + delay, self.END, 1 / rate)
+
+    def at(self, time, *names):
+        """Return channels at some times, (n, k)."""
+        return np.column_stack([self[name](np.asarray(time)) for name in names])
+
+
+@pytest.fixture(scope="session")
+def flight():
+    """Return channels that are known at any time."""
+    return Flight()
+
+
+def quaternion(angles):
+    """Return (w, x, y, z) by SciPy, of phi, theta, psi."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat().T
+    return np.column_stack([w, x, y, z])
+
+
+@pytest.fixture(scope="session")
+def px4(flight):
+    """Return a ULog of a PX4 fixed wing that logs every column."""
+    f, w = flight, ULogWriter(MAV_TYPE=1, FW_AIRSPD_MIN=12.0)
+
+    def add(name, rate, *, delay=0.0, **fields):
+        t = f.time(rate, delay=delay)
+        made = {key: (kind, make(t)) for key, (kind, make) in fields.items()}
+        w.topic(name, t, **made)
+
+    def of(*names, factor=1.0):
+        return lambda t: f.at(t, *names) * factor
+
+    add("vehicle_angular_velocity", 200, xyz=("float[3]", of("p", "q", "r")))
+    add("vehicle_acceleration", 100, delay=0.0017, xyz=("float[3]", of("ax", "ay", "az")))
+    add("vehicle_attitude", 50, delay=0.003, q=("float[4]", lambda t: quaternion(f.at(t, "phi", "theta", "psi"))))
+    add(
+        "airspeed",
+        20,
+        true_airspeed_m_s=("float", of("airspeed")),
+        indicated_airspeed_m_s=("float", of("airspeed", factor=0.9)),
+    )
+    add("airflow_aoa", 25, aoa_rad=("float", of("alpha")))
+    add("airflow_slip", 25, slip_rad=("float", of("beta")))
+    add(
+        *("vehicle_local_position", 30),
+        **{
+            k: ("float", of(n))
+            for k, n in (
+                ("x", "north"),
+                ("y", "east"),
+                ("z", "down"),
+                ("vx", "v_north"),
+                ("vy", "v_east"),
+                ("vz", "v_down"),
+            )
+        },
+        **{k: ("bool", lambda t: np.ones(len(t))) for k in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")},
+    )
+    add("vehicle_global_position", 10, alt=("float", of("altitude")))
+    add("vehicle_air_data", 15, rho=("float", of("density")))
+    add("wind", 2, windspeed_north=("float", of("wind_north")), windspeed_east=("float", of("wind_east")))
+    add("actuator_motors", 50, control=("float[4]", lambda t: np.tile(f.at(t, "throttle"), 4)))
+    add("rpm", 10, indicated_frequency_rpm=("float", of("propeller_speed", factor=30 / np.pi)))
+    add(
+        "actuator_outputs",
+        50,
+        output=("float[4]", lambda t: 1500 + 1000 * f.at(t, "aileron", "elevator", "rudder", "rudder")),
+    )
+    add("vehicle_status", 1, vehicle_type=("uint8_t", lambda t: np.full(len(t), 2)))
+    add("vehicle_land_detected", 1, landed=("bool", lambda t: np.zeros(len(t))))
+    return bytes(w)
+
+
+@pytest.fixture(scope="session")
+def ardupilot(flight):
+    """Return a DataFlash log of an ArduPilot plane that logs every column."""
+    f = flight
+    servos = {f"SERVO{n}_FUNCTION": value for n, value in ((1, 4.0), (2, 19.0), (4, 21.0))}
+    w = DataFlashWriter("ArduPlane V4.5.1 (abcdef01)", AIRSPEED_MIN=12.0, **servos)
+
+    def add(name, rate, *, delay=0.0, **fields):
+        t = f.time(rate, delay=delay)
+        w.topic(
+            name, t, **{key: (code, value(t) if callable(value) else value) for key, (code, value) in fields.items()}
+        )
+
+    def of(name, factor=1.0, offset=0.0):
+        return lambda t: f[name](t) * factor + offset
+
+    rates, forces = dict(zip("XYZ", "pqr", strict=True)), {"X": "ax", "Y": "ay", "Z": "az"}
+    add(
+        "IMU",
+        100,
+        I=("B", 0),
+        **{f"Gyr{k}": ("f", of(n)) for k, n in rates.items()},
+        **{f"Acc{k}": ("f", of(n)) for k, n in forces.items()},
+    )
+    degree = 180 / np.pi
+    add(
+        "ATT",
+        50,
+        delay=0.004,
+        Roll=("c", of("phi", degree)),
+        Pitch=("c", of("theta", degree)),
+        Yaw=("C", lambda t: f["psi"](t) * degree % 360),
+    )
+    add(
+        "ARSP",
+        20,
+        I=("B", 0),
+        Airspeed=("f", lambda t: f["airspeed"](t) * np.sqrt(f["density"](t) / 1.225)),
+        H=("B", 1),
+    )
+    add("AOA", 20, AOA=("f", of("alpha", degree)), SSA=("f", of("beta", degree)))
+    add(
+        "XKF1",
+        25,
+        C=("B", 0),
+        **{
+            k: ("f", of(n))
+            for k, n in (
+                ("VN", "v_north"),
+                ("VE", "v_east"),
+                ("VD", "v_down"),
+                ("PN", "north"),
+                ("PE", "east"),
+                ("PD", "down"),
+            )
+        },
+    )
+    add("XKF2", 25, C=("B", 0), VWN=("f", of("wind_north")), VWE=("f", of("wind_east")))
+    add("POS", 10, Alt=("f", of("altitude")))
+    add("BARO", 10, I=("B", 0), Press=("f", lambda t: 101325 * (f["density"](t) / 1.225) ** (1 / (1 - 1 / 5.25588))))
+    add("CTUN", 10, ThO=("f", of("throttle", 100)))
+    add("RPM", 10, rpm1=("f", of("propeller_speed", 30 / np.pi)), rpm2=("f", 0.0))
+    add(
+        "RCOU",
+        50,
+        C1=("H", of("aileron", 1000, 1500)),
+        C2=("H", of("elevator", -1000, 1500)),
+        C3=("H", 1100),
+        C4=("H", of("rudder", 1000, 1500)),
+    )
+    return bytes(w)

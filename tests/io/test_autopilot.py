@@ -1,0 +1,304 @@
+"""Logs of autopilots into flight tables: every channel comes back, in SI, on one clock, with the house's signs."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp._vocabulary import CHANNELS
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, standard_atmosphere
+from skdgp.io import FlightReadError, read_flight, read_flights
+from skdgp.io._rules import EQUIVALENT, QUATERNION, RULES, standard_density, standard_pressure
+from skdgp.preprocessing import FlightDataWarning
+
+SURFACES = ("aileron", "elevator", "rudder")
+PX4_SERVOS = {
+    name: {"channel": f"actuator_outputs.output[{n}]", "min": 1000, "trim": 1500, "max": 2000, "deflection": 0.5}
+    for n, name in enumerate(SURFACES)
+}
+ARDUPILOT_SERVOS = {
+    "aileron": {"channel": "RCOU.C1", "points": [[1000, -0.5], [2000, 0.5]]},
+    "elevator": {"channel": "RCOU.C2", "min": 1000, "trim": 1500, "max": 2000, "deflection": 0.5, "reversed": True},
+    "rudder": {"channel": "RCOU.C4", "min": 1000, "trim": 1500, "max": 2000, "deflection": [-0.5, 0.5]},
+}
+# Interpolation between samples of a slow channel, and the resolution of centidegrees and microseconds of pulses.
+TOLERANCE = {"airspeed": 2e-3, "altitude": 0.05, "density": 1e-4, "propeller_speed": 0.1, "wind_north": 5e-3}
+LOOSE = 2e-3
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a log under a name; return the path."""
+
+    def to(name, content):
+        path = tmp_path / name
+        path.write_bytes(bytes(content))
+        return path
+
+    return to
+
+
+def wrapped(angles):
+    return (np.asarray(angles) + np.pi) % (2 * np.pi) - np.pi
+
+
+def assert_is(table, flight, names):
+    time = table.time.to_numpy()
+    inside = (time > flight.BEGIN + 1.0) & (time < flight.END - 1.0)
+    for name in names:
+        error = table[name].to_numpy()[inside] - flight[name](time[inside])
+        if name == "psi":
+            assert table.psi.abs().max() <= np.pi
+            error = wrapped(error)
+        bound = max(TOLERANCE.get(name, LOOSE), 5e-4 * abs(flight.SIZES[name][1]))
+        assert np.abs(error).max() < bound, f"{name}: {np.abs(error).max()}"
+
+
+class TestEveryChannelComesBack:
+    def test_px4(self, write, px4, flight):
+        table = read_flight(write("sortie.ulg", px4), servos=PX4_SERVOS)
+        names = set(flight.SIZES) - {"elevon_left", "elevon_right"}
+        assert set(table.columns) == names | {"time", "flight"}
+        assert_is(table, flight, names)
+        assert (table.flight == "sortie").all()
+        np.testing.assert_allclose(np.diff(table.time), 0.02, rtol=1e-9)
+
+    def test_ardupilot(self, write, ardupilot, flight):
+        table = read_flight(write("sortie.BIN", ardupilot), servos=ARDUPILOT_SERVOS)
+        names = set(flight.SIZES) - {"elevon_left", "elevon_right"}
+        assert set(table.columns) == names | {"time", "flight"}
+        assert_is(table, flight, names)
+
+    @pytest.mark.parametrize("rate", [10.0, 40.0, 160.0])
+    def test_at_any_rate(self, write, px4, flight, rate):
+        table = read_flight(write("sortie.ulg", px4), rate=rate)
+        np.testing.assert_allclose(np.diff(table.time), 1 / rate, rtol=1e-9)
+        assert_is(table, flight, ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi", "v_north", "v_east"])
+
+    def test_sources_are_told(self, write, px4, ardupilot):
+        sources = read_flight(write("a.ulg", px4)).attrs["sources"]
+        assert sources["p"] == "vehicle_angular_velocity.xyz[0..2]"
+        assert sources["airspeed"] == "airspeed.true_airspeed_m_s"
+        sources = read_flight(write("a.bin", ardupilot)).attrs["sources"]
+        assert sources["airspeed"] == "ARSP.Airspeed (equivalent; true by density)"
+        assert "not measured by a vane" in sources["alpha"]
+
+    def test_no_surface_without_a_servo_file(self, write, px4):
+        assert not set(SURFACES) & set(read_flight(write("a.ulg", px4)).columns)
+
+
+def test_a_flight_in_a_ulog_gives_the_coefficients_of_its_table(write, ulog, flight):
+    time = 5.0 + np.arange(800) / 40
+    columns = ["airspeed", "density", "ax", "ay", "az", "p", "q", "r"]
+    flown = pd.DataFrame(flight.at(time, *columns), columns=columns).assign(time=time)
+    log = ulog(MAV_TYPE=1)
+    log.topic("vehicle_angular_velocity", time, xyz=("float[3]", flown[["p", "q", "r"]]))
+    log.topic("vehicle_acceleration", time, xyz=("float[3]", flown[["ax", "ay", "az"]]))
+    log.topic("airspeed", time, true_airspeed_m_s=("float", flown.airspeed))
+    log.topic("vehicle_air_data", time, rho=("float", flown.density))
+    table = read_flight(write("again.ulg", log))
+    assert len(table) == len(flown)
+    inertia = [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]]
+    glider = Aircraft(mass=12.0, inertia=inertia, wing_area=1.3, span=2.6, chord=0.55)
+    expected = aerodynamic_coefficients(flown, glider, thrust=None, cutoff=5.0)
+    found = aerodynamic_coefficients(table, glider, thrust=None, cutoff=5.0)
+    np.testing.assert_allclose(found, expected, atol=1e-5 * expected.abs().max().max())
+
+
+class TestChoices:
+    def time(self, rate=50.0, n=600):
+        return 1.0 + np.arange(n) / rate
+
+    def gyro(self, log, t):
+        return log.topic("vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([np.sin(t), t, t])))
+
+    def test_a_slow_source_gives_way_to_a_fast_one(self, write, ulog):
+        t, slow = self.time(), self.time(1.0, 12)
+        log = self.gyro(ulog(), t)
+        log.topic("airspeed_validated", slow, true_airspeed_m_s=("float", np.full(12, 30.0)))
+        log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(600, 20.0)))
+        assert read_flight(write("a.ulg", log), airborne=False).airspeed.median() == 20.0
+
+    def test_samples_that_are_not_valid_are_missing(self, write, ulog):
+        t = self.time()
+        log = self.gyro(ulog(), t)
+        valid = (t < 5) | (t > 6)
+        log.topic(
+            "vehicle_local_position",
+            t,
+            vx=("float", np.sin(t)),
+            vy=("float", np.cos(t)),
+            v_xy_valid=("bool", valid),
+        )
+        with pytest.warns(FlightDataWarning, match="vx vy has 1 gaps"):
+            table = read_flight(write("a.ulg", log), airborne=False)
+        lost = (table.time > 4.99) & (table.time < 6.01)
+        assert table.v_north[lost].isna().all()
+        assert table.v_north[~lost & (table.time < 12.9)].notna().all()
+        assert table.p.notna().all()
+
+    def test_another_instance_where_the_first_is_not_there(self, write, ulog):
+        t = self.time()
+        log = ulog().topic("vehicle_angular_velocity", t, instance=2, xyz=("float[3]", np.column_stack([t, t, t])))
+        table = read_flight(write("a.ulg", log), airborne=False)
+        assert table.attrs["sources"]["p"].startswith("vehicle_angular_velocity#2.")
+
+    def test_density_of_the_standard_atmosphere_where_only_altitude_is_known(self, write, ulog):
+        t = self.time()
+        log = self.gyro(ulog(), t).topic("vehicle_global_position", t, alt=("float", np.full(600, 1000.0)))
+        table = read_flight(write("a.ulg", log), airborne=False)
+        assert table.density.median() == pytest.approx(1.1117, abs=2e-4)
+        assert "standard atmosphere" in table.attrs["sources"]["density"]
+
+    def test_what_no_aircraft_can_feel_is_not_taken(self, write, ulog):
+        t = self.time()
+        log = self.gyro(ulog(), t)
+        log.topic("vehicle_acceleration", t, xyz=("float[3]", np.full((600, 3), 5000.0)))
+        assert "ax" not in read_flight(write("a.ulg", log), airborne=False)
+
+    def test_the_accelerometer_off_the_centre_of_gravity(self, write, ulog):
+        """A turn table: at distance r and rate omega the accelerometer feels -omega^2 r inward, and omega_dot r."""
+        t = self.time(n=1500)
+        omega, turning = 2 + 0.5 * np.sin(t), 0.5 * np.cos(t)
+        arm = np.array([0.3, -0.1, 0.2])
+        felt = np.column_stack(
+            [-(omega**2) * arm[0] - turning * arm[1], -(omega**2) * arm[1] + turning * arm[0], 0 * t]
+        )
+        log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([0 * t, 0 * t, omega])))
+        log.topic("vehicle_acceleration", t, xyz=("float[3]", felt + np.array([0, 0, -9.81])))
+        table = read_flight(write("a.ulg", log), airborne=False, imu_position=arm)
+        middle = table.iloc[50:-50]
+        np.testing.assert_allclose(middle[["ax", "ay", "az"]], np.tile([0, 0, -9.81], (len(middle), 1)), atol=2e-3)
+
+
+class TestFlights:
+    def log(self, ulog, airspeed, t, **parameters):
+        log = ulog(**parameters).topic("vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([t, t, t]) % 1))
+        return log.topic("airspeed", t, true_airspeed_m_s=("float", airspeed))
+
+    def test_stretches_in_the_air_become_flights(self, write, ulog):
+        t = np.arange(0, 120, 0.05)
+        airspeed = np.where((t > 20) & (t < 50) | (t > 70) & (t < 100), 15.0, 1.0)
+        airspeed[(t > 30) & (t < 31)] = 2.0  # a lull
+        airspeed[(t > 110) & (t < 112)] = 30.0  # a gust on the ground
+        table = read_flight(write("log.ulg", self.log(ulog, airspeed, t)))
+        spans = table.groupby("flight").time.agg(["min", "max"])
+        assert spans.index.tolist() == ["log", "log#2"]
+        np.testing.assert_allclose(spans.to_numpy(), [[20.05, 49.95], [70.05, 99.95]], atol=0.051)
+        assert len(read_flight(write("log.ulg", self.log(ulog, airspeed, t)), airborne=False)) == len(t)
+
+    def test_threshold_is_the_autopilots_or_the_callers(self, write, ulog):
+        t = np.arange(0, 60, 0.05)
+        path = write("log.ulg", self.log(ulog, t / 2, t, FW_AIRSPD_MIN=20.0))
+        assert read_flight(path).airspeed.min() == pytest.approx(14.0, abs=0.05)
+        assert read_flight(path, airborne=5.0).airspeed.min() == pytest.approx(5.0, abs=0.05)
+
+    def test_landed_is_not_flight(self, write, ulog):
+        t = np.arange(0, 60, 0.05)
+        log = self.log(ulog, np.full(t.size, 20.0), t)
+        log.topic("vehicle_land_detected", [0.0, 30.0], landed=("bool", [1, 0]))
+        assert read_flight(write("log.ulg", log)).time.min() == pytest.approx(30.0, abs=0.05)
+
+    def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, write, ulog):
+        t = np.arange(100, 140, 0.05)
+        first = self.log(ulog, np.full(t.size, 20.0), t)
+        again = self.log(ulog, np.full(t.size, 25.0), t - 95)
+        content = bytes(first) + b"".join(message for _, message in sorted(again.data, key=lambda d: d[0]))
+        with pytest.warns(FlightDataWarning, match=r"set back 1 times \(from 139.9 s to 5.0 s\)"):
+            table = read_flight(write("log.ulg", content))
+        spans = table.groupby("flight").agg({"time": ["min", "max"], "airspeed": "median"}).round(1).to_numpy()
+        np.testing.assert_allclose(spans, [[100.0, 140.0, 20.0], [5.0, 45.0, 25.0]], atol=0.2)
+
+    def test_names(self, write, ulog):
+        t = np.arange(0, 60, 0.05)
+        path = write("log.ulg", self.log(ulog, np.full(t.size, 20.0), t))
+        assert read_flight(path, flight="noon").flight.unique().tolist() == ["noon"]
+        both = read_flight({"morning": path, "noon": path}, rate=10.0)
+        assert both.flight.unique().tolist() == ["morning", "noon"]
+        assert len(both) == 2 * 600
+        other = write("other.ulg", path.read_bytes())
+        assert read_flights([path, other]).flight.unique().tolist() == ["log", "other"]
+
+
+class TestRefusals:
+    def test_a_multicopter(self, write, ulog):
+        t = np.arange(0, 30, 0.02)
+        log = ulog(MAV_TYPE=2).topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
+        log.topic("vehicle_local_position", t, vx=("float", np.full(t.size, 15.0)), vy=("float", np.zeros(t.size)))
+        with pytest.raises(FlightReadError, match="the vehicle is a multicopter, there is no valid airspeed"):
+            read_flight(write("quad.ulg", log))
+
+    def test_a_bench_log(self, write, ulog):
+        t = np.arange(0, 30, 0.02)
+        log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
+        log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, 0.5)))
+        with pytest.raises(FlightReadError, match=r"airspeed never stays above 8 m/s in the air \(highest 0.5 m/s\)"):
+            read_flight(write("bench.ulg", log))
+
+    def test_nothing_of_a_flight(self, write, ulog):
+        log = ulog().topic("cpuload", np.arange(0, 30, 0.02), load=("float", np.zeros(1500)))
+        with pytest.raises(FlightReadError, match=r"no message that tells of a flight.*log these topics"):
+            read_flight(write("log.ulg", log))
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"rate": 0}, "rate=0, but expected a sampling rate"),
+            ({"rate": "fast"}, "rate='fast'"),
+            ({"airborne": -1.0}, "airborne=-1.0, but expected True"),
+            ({"imu_position": [0.1, 0.2]}, "expected x, y, z"),
+            ({"servos": {"flap": {}}}, "'flap' in the servo file"),
+            (
+                {"servos": {"rudder": {"channel": "RCOU.C4", "points": [[0, 0], [1, 1]]}}},
+                "no such field: expected one of",
+            ),
+        ],
+    )
+    def test_options_that_make_no_sense(self, write, px4, options, message):
+        path = write("log.ulg", px4)
+        with pytest.raises(FlightReadError, match=message) as error:
+            read_flight(path, **options)
+        assert str(path) in str(error.value)
+
+    def test_options_of_logs_with_a_table(self, write):
+        path = write("log.csv", b"time,alpha\n0,0\n1,0\n")
+        with pytest.raises(FlightReadError, match=r"\['rate'\] for a table"):
+            read_flight(path, rate=20.0)
+
+    def test_one_name_for_several_paths(self, write, px4):
+        with pytest.raises(TypeError, match="mapping of flight identifier to path"):
+            read_flight([write("log.ulg", px4)], flight="one")
+
+
+class TestRules:
+    @pytest.mark.parametrize(
+        "rule", [rule for rules in RULES.values() for rule in rules], ids=lambda r: f"{r.topic}-{r.columns[0]}"
+    )
+    def test_columns_are_words_of_the_vocabulary(self, rule):
+        assert set(rule.columns) <= {*CHANNELS, *QUATERNION, EQUIVALENT}
+        assert np.shape(rule.convert(np.ones((3, len(rule.fields))))) == (3, len(rule.columns))
+
+    def test_the_atmosphere_is_the_one_of_the_aircraft_half(self):
+        altitude = np.linspace(0, 8000, 9)
+        pressure = standard_pressure(altitude)
+        expected = standard_atmosphere(altitude)
+        np.testing.assert_allclose(pressure, expected.pressure, rtol=2e-5)
+        np.testing.assert_allclose(standard_density(pressure), expected.density, rtol=2e-5)
+
+
+@pytest.mark.shared
+class TestSharedLogs:
+    def test_a_flight(self, shared_data):
+        path = shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg"
+        with pytest.warns(FlightDataWarning, match="563 of distance_sensor"):
+            table = read_flight(path)
+        assert 50 < np.ptp(table.time) < 57
+        assert 20 < table.airspeed.mean() < 27
+        assert "ax" not in table  # integers that overflowed
+
+    def test_bench_logs_are_no_flights_but_can_be_read(self, shared_data):
+        for name in ("pyulog_sample_log_small_vtol_bench.ulg", "pyflightcoach_elevator_bench.BIN"):
+            with pytest.raises(FlightReadError, match="no flight was found"):
+                read_flight(shared_data / "logs" / name)
+            with pytest.warns(FlightDataWarning):
+                table = read_flight(shared_data / "logs" / name, airborne=False)
+            assert np.median(np.linalg.norm(table[["ax", "ay", "az"]].dropna(), axis=1)) == pytest.approx(9.7, abs=0.2)

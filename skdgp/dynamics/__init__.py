@@ -7,6 +7,7 @@ The seam to the learning half is a table: flights in, the six coefficients out, 
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._atmosphere import Atmosphere, standard_atmosphere, standard_density
+from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._frames import (
     air_data,
     air_velocity,
@@ -66,6 +67,7 @@ __all__ = [
     "rk4",
     "rk4_step",
     "simulate",
+    "stability_derivatives",
     "standard_atmosphere",
     "standard_density",
     "trajectory_bands",

@@ -1,0 +1,192 @@
+"""Derivatives: the known ones of an aircraft, in any axes and by any rates, and deviations that are the posterior's."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
+from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, stability_derivatives, trim
+from skdgp.dynamics._motion import Motion
+
+HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
+NAMES = [f"{name}_hat" if name in HATS else name for name in REGRESSORS]
+MODEL = Aerodynamics(brumby_coefficients, NAMES, gradient=brumby_derivatives)
+CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04, "throttle": 0.6}
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+
+
+@pytest.fixture(scope="module")
+def state():
+    """No angle and no rate is zero."""
+    velocity, attitude = air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0)
+    return np.concatenate([[0.0, 0.0, -200.0], velocity, attitude, [0.2, 0.1, 0.15]])
+
+
+@pytest.fixture(scope="module")
+def regressors(state):
+    return Motion(MODEL, BRUMBY).at(state, CONTROLS).regressors
+
+
+def test_are_the_known_ones(state, regressors):
+    table = stability_derivatives(MODEL, BRUMBY, state, CONTROLS)
+    truth = brumby_derivatives(regressors)
+    for i, coefficient in enumerate(COEFFICIENTS):
+        assert table.loc[coefficient, "value"] == pytest.approx(brumby_coefficients(regressors)[i])
+        for k, name in enumerate(REGRESSORS):
+            assert table.loc[f"{coefficient}_{name}", "value"] == pytest.approx(truth[i, k])
+    assert len(table) == 8 * 11
+    assert "std" not in table
+    assert table.loc["Cm_q", ["coefficient", "regressor", "per"]].tolist() == ["Cm", "q", "rad"]
+
+
+def test_by_whatever_rates_the_model_was_given(state):
+    """Rates in rad/s, and non-dimensional by other lengths than the aircraft's."""
+    lengths = np.array([BRUMBY.span, BRUMBY.chord, BRUMBY.span, BRUMBY.chord, BRUMBY.span])
+
+    def dimensional(X):
+        X = X[:, :10].copy()
+        X[:, 2:7] *= lengths / (2 * 36.0)
+        return brumby_coefficients(X)
+
+    def doubled(X):
+        X = X.copy()
+        X[:, 2:7] *= 0.5
+        return brumby_coefficients(X)
+
+    usual = stability_derivatives(MODEL, BRUMBY, state, CONTROLS)["value"]
+    plain = Aerodynamics(dimensional, REGRESSORS)
+    others = Aerodynamics(doubled, NAMES, span=2 * BRUMBY.span, chord=2 * BRUMBY.chord)
+    for model in (plain, others):
+        assert stability_derivatives(model, BRUMBY, state, CONTROLS)["value"].to_numpy() == pytest.approx(
+            usual.to_numpy(), rel=1e-6, abs=1e-8
+        )
+
+
+def test_lift_and_drag_turn_with_alpha(state, regressors):
+    def lift_and_drag(alpha):
+        X = regressors.copy()
+        X[0] = alpha
+        CX, _, CZ, *_ = brumby_coefficients(X)
+        return np.array([CX * np.sin(alpha) - CZ * np.cos(alpha), -CX * np.cos(alpha) - CZ * np.sin(alpha)])
+
+    for axes in ("body", "stability"):
+        table = stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes=axes)["value"]
+        assert table[["CL", "CD"]].tolist() == pytest.approx(lift_and_drag(0.1))
+        slopes = (lift_and_drag(0.1 + 1e-5) - lift_and_drag(0.1 - 1e-5)) / 2e-5
+        assert table[["CL_alpha", "CD_alpha"]].tolist() == pytest.approx(slopes, rel=1e-8)
+
+
+def test_moments_and_rates_of_stability_axes(state, regressors):
+    """Rolling about the stability x axis, and its moment, by differences."""
+    cos, sin = np.cos(0.1), np.sin(0.1)
+
+    def moments(roll, yaw):
+        X = regressors.copy()
+        X[[2, 4]] += cos * roll - sin * yaw, sin * roll + cos * yaw
+        *_, Cl, _, Cn = brumby_coefficients(X)
+        return np.array([cos * Cl + sin * Cn, cos * Cn - sin * Cl])
+
+    table = stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes="stability")["value"]
+    h = 1e-5
+    assert table[["Cl", "Cn"]].tolist() == pytest.approx(moments(0, 0))
+    assert table[["Cl_p", "Cn_p"]].tolist() == pytest.approx((moments(h, 0) - moments(-h, 0)) / (2 * h))
+    assert table[["Cl_r", "Cn_r"]].tolist() == pytest.approx((moments(0, h) - moments(0, -h)) / (2 * h))
+
+
+def test_a_model_of_roll_alone_has_yaw_in_stability_axes(state):
+    """Cl = -.4 p: turned, part of it is due to yaw."""
+    model = Aerodynamics(lambda X: -0.4 * X[:, :1] * np.eye(6)[3] - 0.3 * np.eye(6)[2], ["p_hat"])
+    table = stability_derivatives(model, BRUMBY, state, CONTROLS, axes="stability")["value"]
+    assert table["Cl_p"] == pytest.approx(-0.4 * np.cos(0.1) ** 2)
+    assert table["Cl_r"] == pytest.approx(0.4 * np.cos(0.1) * np.sin(0.1))
+
+
+class TestDeviations:
+    @pytest.fixture
+    def uncertain(self):
+        """CX and CZ err together, so that drag is surer than either."""
+        slopes = np.zeros((6, 2))
+        slopes[:, 0] = 0.3, -0.5, -4.0, -0.05, -0.5, 0.08
+
+        def sampler(n_paths, random_state):
+            error = np.random.default_rng(random_state).normal(size=(n_paths, 1, 1))
+            draws = slopes + error * np.outer([np.cos(0.1), 0, np.sin(0.1), 0, 0, 0], [0, 1]) * 0.2
+            draws = draws + error * np.outer([np.sin(0.1), 0, -np.cos(0.1), 0, 0, 0], [1, 0]) * 0.3
+            return lambda X: X @ draws.swapaxes(1, 2), lambda X: np.repeat(draws[:, None], X.shape[1], axis=1)
+
+        return Aerodynamics(lambda X: X @ slopes.T, ["alpha", "elevator"], sampler=sampler)
+
+    def test_of_sums_know_that_their_parts_err_together(self, uncertain, state):
+        table = stability_derivatives(uncertain, BRUMBY, state, CONTROLS, n_paths=400)
+        size = np.random.default_rng(0).normal(size=400).std(ddof=1)
+        assert table.loc["CL_alpha", "std"] == pytest.approx(0.3 * size)
+        assert table.loc["CD_elevator", "std"] == pytest.approx(0.2 * size)
+        assert table.loc["CL_elevator", "std"] == pytest.approx(0.0, abs=1e-12)
+        assert table.loc["CD", "std"] == pytest.approx(0.2 * size * abs(CONTROLS["elevator"]))
+        reach = 1.96 * table.loc["CL_alpha", "std"]
+        assert table.loc["CL_alpha", "upper"] - table.loc["CL_alpha", "value"] == pytest.approx(reach, rel=1e-4)
+        assert table.loc["CL_alpha", "value"] - table.loc["CL_alpha", "lower"] == pytest.approx(reach, rel=1e-4)
+
+    def test_are_those_of_the_learned_slopes(self, state):
+        """In body axes, what the regressor says of its gradient, within the spread of so many paths."""
+        rng = np.random.default_rng(0)
+        X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q_hat", "elevator"])
+        slopes = np.array([[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]])
+        Y = X.to_numpy() @ slopes + np.array([2.0, 0, 8, 0, 3, 0]) * X[["alpha"]].to_numpy() ** 2
+        Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
+        model = DependentGPRegressor(n_latent=1, max_iter=15, random_state=0).fit(X, Y)
+        n_paths = 300
+        table = stability_derivatives(model, BRUMBY, state, CONTROLS, n_paths=n_paths)
+        at = Motion(model, BRUMBY).at(state, CONTROLS).regressors[None]
+        mean, std = model.predict_gradient(pd.DataFrame(at, columns=X.columns), return_std=True)
+        rows = [f"{c}_{name}" for c in COEFFICIENTS for name in ("alpha", "q", "elevator")]
+        assert table.loc[rows, "value"].to_numpy() == pytest.approx(mean.ravel())
+        ratio = table.loc[rows, "std"].to_numpy() / std.ravel()
+        assert ratio == pytest.approx(np.ones(18), abs=5 / np.sqrt(2 * n_paths))
+
+
+class TestSweep:
+    def test_each_point_is_as_if_alone(self):
+        trims = trim(MODEL, BRUMBY, [32.0, 36.0, 40.0], altitude=200.0)
+        sweep = stability_derivatives(MODEL, BRUMBY, trims)
+        assert sweep.index.names == ["point", None]
+        for k, one in enumerate(trims):
+            alone = stability_derivatives(MODEL, BRUMBY, one)
+            assert sweep.loc[k, "value"].to_numpy() == pytest.approx(alone["value"].to_numpy(), rel=1e-6)
+            assert sweep.loc[k, "airspeed"].iloc[0] == pytest.approx(one.airspeed)
+            assert sweep.loc[k, "alpha"].iloc[0] == pytest.approx(one.alpha)
+
+    def test_of_states(self, state):
+        alphas = np.array([0.0, 0.1])
+        states = np.tile(state, (2, 1))
+        states[:, 3:6] = air_velocity(36.0, alphas, 0.0)
+        sweep = stability_derivatives(MODEL, BRUMBY, states, CONTROLS | {"elevator": [-0.02, 0.02]})
+        alone = stability_derivatives(MODEL, BRUMBY, states[1], CONTROLS | {"elevator": 0.02})
+        assert sweep.loc[1, "value"].to_numpy() == pytest.approx(alone["value"].to_numpy(), rel=1e-6)
+
+
+class TestBadInput:
+    def test_axes(self, state):
+        with pytest.raises(ValueError, match=r"axes='wind'.*\['body', 'stability'\]"):
+            stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes="wind")
+
+    def test_airspeed_zero(self, state):
+        at_rest = np.where(np.isin(np.arange(13), [3, 4, 5]), 0.0, state)
+        with pytest.raises(ValueError, match="at rest"):
+            stability_derivatives(MODEL, BRUMBY, at_rest, CONTROLS)
+
+    def test_no_controls(self, state):
+        with pytest.raises(ValueError, match="without controls"):
+            stability_derivatives(MODEL, BRUMBY, [state, state])
+
+    def test_a_model_that_lacks_a_coefficient(self, state):
+        X = pd.DataFrame(np.random.default_rng(0).normal(size=(8, 1)), columns=["alpha"])
+        model = DependentGPRegressor(max_iter=1).fit(X, pd.DataFrame({"CX": X["alpha"], "CZ": X["alpha"]}))
+        with pytest.raises(ValueError, match=r"lacks \['CY', 'Cl', 'Cm', 'Cn'\]"):
+            stability_derivatives(model, BRUMBY, state, CONTROLS)
+
+    def test_a_model_that_is_not_defined_there(self, state):
+        nowhere = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevator"])
+        with pytest.raises(ValueError, match="not defined there"):
+            stability_derivatives(nowhere, BRUMBY, state, CONTROLS)

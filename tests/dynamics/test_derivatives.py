@@ -120,7 +120,8 @@ class TestDeviations:
     def test_of_sums_know_that_their_parts_err_together(self, uncertain, state):
         table = stability_derivatives(uncertain, BRUMBY, state, CONTROLS, n_paths=400)
         size = np.random.default_rng(0).normal(size=400).std(ddof=1)
-        assert table.loc["CL_alpha", "std"] == pytest.approx(0.3 * size)
+        drag = -0.2 * CONTROLS["elevator"]  # of which CL_alpha = CX_alpha sin(alpha) - CZ_alpha cos(alpha) - CD knows
+        assert table.loc["CL_alpha", "std"] == pytest.approx((0.3 - drag) * size)
         assert table.loc["CD_elevator", "std"] == pytest.approx(0.2 * size)
         assert table.loc["CL_elevator", "std"] == pytest.approx(0.0, abs=1e-12)
         assert table.loc["CD", "std"] == pytest.approx(0.2 * size * abs(CONTROLS["elevator"]))

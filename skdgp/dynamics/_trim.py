@@ -16,12 +16,12 @@ from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._frames import air_velocity, euler_to_quaternion, gravity_in_body_axes
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._propulsion import thrust_control
-from skdgp.dynamics._rigid_body import RATES, STANDARD_GRAVITY, VELOCITY
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY
 
 __all__ = ["Trim", "trim"]
 
 ENGINE = ("thrust", "throttle", "propeller_speed")
-ATTITUDE = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
+ANGLES = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
 OTHERS = {"climb": (-1.4, 1.4), "turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
 DEFLECTION = np.pi / 4
 """Largest one of a control of a model that does not say what it was learned from."""
@@ -30,6 +30,8 @@ TOLERANCE = 1e-6
 """Largest acceleration of a trim [m/s^2, rad/s^2]."""
 DEMAND = 100.0
 """Weight of the flight path's slope: where there is no trim, accelerations are left, and the path is as asked."""
+STEP = 1e-5
+"""Of differences of the residual, by an unknown or a fraction of it."""
 STARTS = (0.5, 0.25, 0.75, 0.05)
 """Where between its limits alpha starts."""
 
@@ -231,7 +233,7 @@ class _Problem:
             propeller = self.motion.aircraft.propeller
             return propeller.speed_range or (0.0, np.inf)
         if name in ("theta", "phi", "beta") or name not in self.flown:
-            return ATTITUDE.get(name, (-DEFLECTION, DEFLECTION))
+            return ANGLES.get(name, (-DEFLECTION, DEFLECTION))
         low, high = self.flown[name]
         return 2 * low - high, 2 * high - low
 
@@ -242,8 +244,8 @@ class _Problem:
         for start in ([] if near is None else [near]) + [self._start(airspeed, part) for part in STARTS]:
             margin = 1e-6 * np.minimum(high - low, 1.0)
             solution = least_squares(
-                lambda x: self._residual(x, airspeed), np.clip(start, low + margin, high - margin), bounds=(low, high),
-                jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200,
+                self._residual, np.clip(start, low + margin, high - margin), jac=self._slopes, args=(airspeed,),
+                bounds=(low, high), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200,
             )  # fmt: skip
             if best is None or solution.cost < best.cost:
                 best = solution
@@ -273,20 +275,20 @@ class _Problem:
         return np.array([start[name] for name in self.unknowns])
 
     def _flight(self, x, airspeed: float) -> tuple[dict, np.ndarray, dict]:
-        """Return what flies by name, its state, its controls."""
-        known = self.given | dict(zip(self.unknowns, np.asarray(x).tolist(), strict=True))
-        phi, theta = known["phi"], known["theta"]
-        state = np.zeros(13)
-        state[2] = -known["altitude"]
-        state[VELOCITY] = air_velocity(airspeed, known["alpha"], known["beta"])
-        state[6:10] = euler_to_quaternion(phi, theta, 0.0)
-        state[RATES] = known["turn_rate"] * gravity_in_body_axes(phi, theta, 1.0)
+        """Return what flies by name, its state, its controls, at unknowns (..., k)."""
+        known = self.given | dict(zip(self.unknowns, np.moveaxis(x, -1, 0), strict=True))
+        state = np.zeros((*x.shape[:-1], 13))
+        state[..., 2] = -known["altitude"]
+        state[..., VELOCITY] = air_velocity(airspeed, known["alpha"], known["beta"])
+        state[..., ATTITUDE] = euler_to_quaternion(known["phi"], known["theta"], 0.0)
+        vertical = gravity_in_body_axes(known["phi"], known["theta"], 1.0)
+        state[..., RATES] = np.asarray(known["turn_rate"])[..., None] * vertical
         return known, state, self.fixed | {name: known[name] for name in self.controls}
 
     def _instant(self, known, state, controls) -> Instant:
-        steady = np.zeros(8)
-        specific = np.cross(state[RATES], state[VELOCITY])
-        steady[5:] = specific - gravity_in_body_axes(known["phi"], known["theta"], self.motion.gravity)
+        steady = np.zeros((*state.shape[:-1], 8))
+        weight = gravity_in_body_axes(known["phi"], known["theta"], self.motion.gravity)
+        steady[..., 5:] = np.cross(state[..., RATES], state[..., VELOCITY]) - weight
         return self.motion.at(state, controls, implicit=steady)
 
     def _residual(self, x, airspeed: float) -> np.ndarray:
@@ -294,12 +296,18 @@ class _Problem:
         derivative = self._instant(known, state, controls).derivative
         if not np.isfinite(derivative).all():
             raise ValueError(
-                f"Got {derivative[3:].tolist()} as the rates of change of {', '.join(ACCELERATIONS)} at airspeed "
-                f"{airspeed:g} m/s, alpha {known['alpha']:g} rad, controls {controls}, but expected finite numbers: "
-                "the model or the thrust is not defined there."
+                f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
+                f"{np.mean(known['alpha']):.3g} rad, but expected six accelerations: the model or the thrust is not "
+                "defined there."
             )
-        path = DEMAND * (-derivative[2] / airspeed - np.sin(known["climb"]))
-        return np.concatenate([derivative[VELOCITY], derivative[RATES], [path]])
+        path = DEMAND * (-derivative[..., 2] / airspeed - np.sin(known["climb"]))
+        return np.concatenate([derivative[..., VELOCITY], derivative[..., RATES], path[..., None]], axis=-1)
+
+    def _slopes(self, x, airspeed: float) -> np.ndarray:
+        """Return d residual / d unknowns by central differences, all points at once."""
+        steps = STEP * np.maximum(1.0, np.abs(x))
+        more, less = self._residual(x + np.stack([np.diag(steps), -np.diag(steps)]), airspeed)
+        return (more - less).T / (2.0 * steps)
 
     def _trim(self, x, airspeed: float) -> Trim:
         known, state, controls = self._flight(x, airspeed)

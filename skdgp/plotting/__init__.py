@@ -8,6 +8,7 @@ time slice before they are drawn. Needs matplotlib: ``pip install "skdgp[plot]"`
 from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._coefficients import CoefficientDisplay
 from skdgp.plotting._coupling import CouplingDisplay
+from skdgp.plotting._derivatives import DerivativeDisplay
 from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._learning_curve import FlightLearningCurveDisplay
 from skdgp.plotting._states import StateDisplay
@@ -16,6 +17,7 @@ __all__ = [
     "CalibrationDisplay",
     "CoefficientDisplay",
     "CouplingDisplay",
+    "DerivativeDisplay",
     "FlightDisplay",
     "FlightLearningCurveDisplay",
     "StateDisplay",

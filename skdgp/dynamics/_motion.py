@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,10 @@ ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 """What follows from the loads, and so from the coefficients that it is a regressor of."""
 STATES = ("airspeed", "alpha", "beta", "density", "altitude", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
+PLACES = {"u": 3, "v": 4, "w": 5, "p": 10, "q": 11, "r": 12}
 MOST_ITERATIONS = 60
+MEMORY = 4
+RIDGE, TINY = 1e-12, 1e-300
 TOLERANCE = 1e-10
 """Of the implicit regressors, each over 1 + its size."""
 
@@ -141,15 +145,16 @@ class Motion:
         if not self._implicit:
             return self._loaded(state, X, airspeed, alpha, beta, density, others, None, True)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
+        tried = []
         for _ in range(MOST_ITERATIONS):
             self._insert(X, guess, airspeed)
             now = self._loaded(state, X, airspeed, alpha, beta, density, others, guess, True)
             found = self._follow(state, now, velocity, steady, wind_rate)
-            off = (np.abs(found - guess) / (1.0 + np.abs(found)))[..., self._follows]
-            settled = off.max(axis=-1) < TOLERANCE
-            guess = found
+            off = ((found - guess) / (1.0 + np.abs(found)))[..., self._follows]
+            settled = np.abs(off).max(axis=-1) < TOLERANCE
             if np.all(settled | ~np.isfinite(off).all(axis=-1)):
                 break
+            guess = _anderson(tried, found, off)
         return now._replace(implicit=found, settled=settled)
 
     def _explicit(self, state, controls, airspeed, alpha, beta, density, altitude) -> np.ndarray:
@@ -205,4 +210,18 @@ class Motion:
         return found
 
 
-PLACES = {"u": 3, "v": 4, "w": 5, "p": 10, "q": 11, "r": 12}
+def _anderson(tried: list, found, off) -> np.ndarray:
+    """Return the next guess from the last ones, (found, off) each: the mixture whose residual vanishes to first order.
+
+    Anderson (1965), over the last `MEMORY` changes, for each trajectory by itself.
+    """
+    tried.append((found, off))
+    del tried[: -MEMORY - 1]
+    if len(tried) == 1:
+        return found
+    changes, steps = ([b[i] - a[i] for a, b in pairwise(tried)] for i in (1, 0))
+    D, F = np.stack(changes, axis=-1), np.stack(steps, axis=-1)
+    normal = np.swapaxes(D, -1, -2) @ D
+    normal = normal + (RIDGE * np.trace(normal, axis1=-2, axis2=-1) + TINY)[..., None, None] * np.eye(len(changes))
+    mixture = np.linalg.solve(normal, np.swapaxes(D, -1, -2) @ off[..., None])
+    return found - (F @ mixture)[..., 0]

@@ -1,0 +1,172 @@
+"""The seam: a pipeline as a function of named regressors gives the pipeline's numbers, slopes and beliefs."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from skdgp import DependentGPRegressor
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.dynamics import Aerodynamics, as_aerodynamics
+from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
+
+REGRESSORS = ["alpha", "beta", "p_hat", "elevator"]
+
+
+@pytest.fixture(scope="module")
+def flight():
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame(
+        rng.normal(0, 0.1, (120, 6)), columns=["alpha", "beta", "p", "q", "elevon_left", "elevon_right"]
+    )
+    return table.assign(airspeed=30 + rng.normal(0, 1, 120))
+
+
+@pytest.fixture(scope="module")
+def targets(flight):
+    alpha, left = flight["alpha"], flight["elevon_left"]
+    waves = [np.sin((k + 1) * alpha * 8) + left * k + 0.3 * flight["beta"] * k for k in range(6)]
+    return pd.DataFrame(np.stack(waves, axis=1), columns=list(COEFFICIENTS))
+
+
+def pipeline(*behind):
+    return make_pipeline(
+        ElevonSplitter(), RateNondimensionalizer(span=2.8, chord=1.2), RegressorSelector(REGRESSORS), *behind
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted(flight, targets):
+    regressor = DependentGPRegressor(n_latent=1, max_iter=8, random_state=0)
+    return pipeline(StandardScaler(), regressor).fit(flight, targets)
+
+
+@pytest.fixture(scope="module")
+def X(fitted, flight):
+    return fitted[:3].transform(flight).to_numpy()[::7]
+
+
+BEHIND = {
+    "scaled": lambda: (StandardScaler(), LinearRegression()),
+    "scaled twice": lambda: (StandardScaler(), StandardScaler(with_mean=False), LinearRegression()),
+    "bare": lambda: (LinearRegression(),),
+    "polynomial": lambda: (StandardScaler(), PolynomialFeatures(2), LinearRegression()),
+}
+
+
+@pytest.mark.parametrize("behind", BEHIND)
+def test_gives_the_numbers_of_the_pipeline_for_rows_of_the_table(behind, flight, targets):
+    model = pipeline(*BEHIND[behind]()).fit(flight, targets)
+    aerodynamics = as_aerodynamics(model)
+    assert aerodynamics.regressors == tuple(REGRESSORS)
+    rows = model[:3].transform(flight).to_numpy()
+    np.testing.assert_allclose(aerodynamics(rows), model.predict(flight), atol=1e-12)
+    np.testing.assert_allclose(aerodynamics(rows[0]), model.predict(flight)[0], atol=1e-12)
+
+
+def test_knows_what_was_flown_and_the_lengths_and_the_mixing_of_the_pipeline(fitted, flight):
+    aerodynamics = as_aerodynamics(fitted)
+    rows = fitted[:3].transform(flight).to_numpy()
+    np.testing.assert_array_equal(aerodynamics.limits, [rows.min(axis=0), rows.max(axis=0)])
+    assert (aerodynamics.span, aerodynamics.chord) == (2.8, 1.2)
+    assert aerodynamics.mixing.surfaces == ("elevon_left", "elevon_right")
+
+
+def test_limits_are_of_the_rows_that_were_learned_from(flight, targets):
+    learned = targets.copy()
+    learned.iloc[60:] = np.nan
+    model = pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(flight, learned)
+    rows = model[:3].transform(flight).to_numpy()[:60]
+    np.testing.assert_array_equal(as_aerodynamics(model).limits, [rows.min(axis=0), rows.max(axis=0)])
+
+
+@pytest.mark.parametrize("behind", ["gaussian process", *BEHIND])
+def test_slopes_are_those_of_its_values(behind, fitted, flight, targets, X):
+    model = fitted if behind == "gaussian process" else pipeline(*BEHIND[behind]()).fit(flight, targets)
+    aerodynamics, step = as_aerodynamics(model), 1e-5
+    for k in range(len(REGRESSORS)):
+        h = step * np.eye(len(REGRESSORS))[k]
+        difference = (aerodynamics(X + h) - aerodynamics(X - h)) / (2 * step)
+        np.testing.assert_allclose(
+            aerodynamics.gradient(X)[..., k], difference, atol=1e-4 * np.abs(difference).max() + 1e-7
+        )
+
+
+def test_outputs_come_in_the_order_of_the_house_whatever_the_table_had(flight, targets, X):
+    turned = targets[list(COEFFICIENTS)[::-1]]
+    regressor = DependentGPRegressor(n_latent=1, max_iter=8, random_state=0)
+    model = pipeline(StandardScaler(), regressor).fit(flight, turned)
+    aerodynamics = as_aerodynamics(model)
+    direct = model[3:].predict(pd.DataFrame(X, columns=REGRESSORS))[:, ::-1]
+    np.testing.assert_allclose(aerodynamics(X), direct, atol=1e-12)
+    variance = np.diag(aerodynamics.covariance(X[:3])).reshape(6, 3).T
+    std = model[3:].predict(pd.DataFrame(X[:3], columns=REGRESSORS), return_std=True)[1][:, ::-1]
+    np.testing.assert_allclose(variance, std**2, rtol=1e-6, atol=1e-10)
+
+
+def test_sampled_functions_have_the_posterior_moments_in_the_units_of_the_flight(fitted, X):
+    aerodynamics = as_aerodynamics(fitted)
+    n = 400
+    drawn = aerodynamics.sample(n, random_state=0)
+    values = drawn(np.tile(X[:3], (n, 1, 1)))
+    covariance = aerodynamics.covariance(X[:3])
+    std = np.sqrt(np.diag(covariance)).reshape(6, 3).T
+    assert np.abs((values.mean(axis=0) - aerodynamics(X[:3])) / (std / np.sqrt(n))).max() < 4.5
+    np.testing.assert_allclose(values.std(axis=0) / std, 1.0, atol=0.17)
+    slopes, h = drawn.gradient(np.tile(X[:3], (n, 1, 1))), 1e-5
+    moved = X[:3] + h * np.eye(4)[0]
+    difference = (drawn(np.tile(moved, (n, 1, 1))) - values) / h
+    np.testing.assert_allclose(slopes[..., 0], difference, atol=1e-3 * np.abs(difference).max())
+
+
+def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, targets):
+    table = flight[["alpha", "beta"]]
+    model = LinearRegression().fit(table, targets)
+    aerodynamics = as_aerodynamics(model)
+    assert aerodynamics.regressors == ("alpha", "beta")
+    np.testing.assert_allclose(aerodynamics(table.to_numpy()), model.predict(table))
+    assert hasattr(model, "feature_names_in_")  # the user's model is left as it was
+
+
+class TestBadInput:
+    def test_a_missing_coefficient_is_named(self, flight, targets):
+        model = pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(flight, targets[["CZ", "Cm"]])
+        with pytest.raises(ValueError, match=r"lacks \['CX', 'CY', 'Cl', 'Cn'\]"):
+            as_aerodynamics(model)
+
+    def test_nameless_outputs_must_be_six(self, flight, targets):
+        model = pipeline(LinearRegression()).fit(flight, targets[["CZ", "Cm"]].to_numpy())
+        with pytest.raises(ValueError, match="expected all six coefficients"):
+            as_aerodynamics(model)
+
+    def test_regressors_without_names(self, targets):
+        model = LinearRegression().fit(np.zeros((120, 2)), targets.to_numpy())
+        with pytest.raises(ValueError, match="have no names"):
+            as_aerodynamics(model)
+
+    def test_what_cannot_predict(self):
+        with pytest.raises(TypeError, match="Got dict as the model"):
+            as_aerodynamics({})
+
+    def test_no_uncertainty_to_draw_from(self, flight, targets):
+        model = as_aerodynamics(pipeline(LinearRegression()).fit(flight, targets))
+        with pytest.raises(ValueError, match="without posterior samples"):
+            model.sample(3)
+        with pytest.raises(ValueError, match="without a posterior covariance"):
+            model.covariance(np.zeros((1, 4)))
+
+    @pytest.mark.parametrize(("options", "match"), [
+        ({"regressors": ["alpha", "alpha"]}, "each once"),
+        ({"regressors": "alpha"}, "expected a list of names"),
+        ({"regressors": ["alpha"], "limits": [0.0, 1.0]}, r"expected \(2, 1\)"),
+    ])  # fmt: skip
+    def test_of_the_constructor(self, options, match):
+        with pytest.raises(ValueError, match=match):
+            Aerodynamics(lambda X: X, **options)
+
+    def test_paths_are_asked_at_their_own_points(self, fitted, X):
+        drawn = as_aerodynamics(fitted).sample(3)
+        with pytest.raises(ValueError, match="3 paths as their first axis"):
+            drawn(np.zeros((2, 5, 4)))

@@ -1,0 +1,437 @@
+"""Simulation against independent equations, the pipeline's own regressors, and what must hold of any flight."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    Propeller,
+    SimulationWarning,
+    Simulator,
+    aerodynamic_coefficients,
+    simulate,
+    standard_density,
+    trajectory_bands,
+)
+from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
+
+NAMES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")
+SLOPES = np.array(
+    [
+        [0.10, 0.00, 0.0, 0.0, 0.0, 0.05, 0.00, 0.00],
+        [0.00, -0.50, 0.1, 0.0, 0.2, 0.00, 0.02, 0.20],
+        [-4.00, 0.05, 0.0, -6.0, 0.0, -0.20, 0.00, 0.00],
+        [0.00, -0.03, -0.4, 0.0, 0.08, 0.00, 0.10, 0.01],
+        [-0.50, 0.00, 0.0, -8.0, 0.0, -0.60, 0.00, 0.00],
+        [0.00, 0.06, -0.03, 0.0, -0.15, 0.00, 0.005, -0.05],
+    ]
+)
+INTERCEPT = np.array([-0.03, 0.0, -0.1, 0.0, 0.03, 0.0])
+START = {
+    "airspeed": 22.0,
+    "alpha": 0.08,
+    "beta": 0.02,
+    "phi": 0.3,
+    "theta": 0.1,
+    "psi": 1.0,
+    "p": 0.1,
+    "q": 0.05,
+    "r": -0.1,
+}
+START |= {"north": 10.0, "east": -20.0, "altitude": 300.0}
+STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r", "north", "east", "down", "airspeed"]
+
+
+def linear(slopes=SLOPES, intercept=INTERCEPT, **options):
+    return Aerodynamics(
+        lambda X: intercept + X @ slopes.T, NAMES, gradient=lambda X: np.tile(slopes, (len(X), 1, 1)), **options
+    )
+
+
+def commands(t, state=None):
+    return {
+        "elevator": -0.02 + 0.03 * np.sin(2.0 * t), "aileron": 0.03 * np.cos(1.5 * t), "rudder": 0.04 * np.sin(t + 1.0),
+        "thrust": 14.0 + 3.0 * np.sin(0.9 * t),
+    }  # fmt: skip
+
+
+def table_of(duration, step=0.001):
+    t = np.arange(0, duration + step / 2, step)
+    return pd.DataFrame({"time": t, **commands(t)})
+
+
+@pytest.fixture(scope="module")
+def flown(aircraft):
+    return simulate(linear(), aircraft, START, commands, dt=0.01, duration=4.0, wind=[3.0, -2.0, 0.7])
+
+
+class TestEquations:
+    def test_follows_equations_typed_from_the_textbook_with_rotation_matrices(self, aircraft, flown):
+        wind, line = np.array([3.0, -2.0, 0.7]), aircraft.thrust_line
+        attitude = Rotation.from_euler("ZYX", [START["psi"], START["theta"], START["phi"]])
+        V, a, b = START["airspeed"], START["alpha"], START["beta"]
+        air = V * np.array([np.cos(a) * np.cos(b), np.sin(b), np.sin(a) * np.cos(b)])
+        start = np.concatenate(
+            [[START["north"], START["east"], -START["altitude"]], attitude.apply(air) + wind,
+             attitude.as_matrix().ravel(), [START["p"], START["q"], START["r"]]]
+        )  # fmt: skip
+
+        def rate(t, x):
+            R, omega = x[6:15].reshape(3, 3), x[15:]
+            u, v, w = R.T @ (x[3:6] - wind)
+            speed = np.sqrt(u * u + v * v + w * w)
+            p, q, r = omega
+            control = commands(t)
+            regressors = np.array(
+                [np.arctan(w / u), np.arcsin(v / speed), p * 2.6 / 2 / speed, q * 0.55 / 2 / speed, r * 2.6 / 2 / speed,
+                 control["elevator"], control["aileron"], control["rudder"]]
+            )  # fmt: skip
+            pressure = 0.5 * standard_density(-x[2]) * speed**2 * aircraft.wing_area
+            C = INTERCEPT + SLOPES @ regressors
+            thrust = control["thrust"] * line.direction
+            force = pressure * C[:3] + thrust
+            moment = pressure * C[3:] * [2.6, 0.55, 2.6] + np.cross(line.position, thrust)
+            skew = np.array([[0, -r, q], [r, 0, -p], [-q, p, 0]])
+            omega_dot = np.linalg.solve(aircraft.inertia, moment - np.cross(omega, aircraft.inertia @ omega))
+            acceleration = R @ force / aircraft.mass + [0, 0, 9.80665]
+            return np.concatenate([x[3:6], acceleration, (R @ skew).ravel(), omega_dot])
+
+        truth = solve_ivp(rate, (0, 4), start, rtol=1e-11, atol=1e-11).y[:, -1]
+        end = flown.iloc[-1]
+        np.testing.assert_allclose(end[["north", "east", "down"]].to_numpy(float), truth[:3], atol=1e-6)
+        np.testing.assert_allclose(end[["v_north", "v_east", "v_down"]].to_numpy(float), truth[3:6], atol=1e-6)
+        np.testing.assert_allclose(end[["p", "q", "r"]].to_numpy(float), truth[15:], atol=1e-6)
+        angles = Rotation.from_matrix(truth[6:15].reshape(3, 3)).as_euler("ZYX")[::-1]
+        np.testing.assert_allclose(end[["phi", "theta", "psi"]].to_numpy(float), angles, atol=1e-7)
+
+    def test_is_of_fourth_order_in_the_step(self, aircraft):
+        def end(dt):
+            return simulate(linear(), aircraft, START, commands, dt=dt, duration=2.0)[STATES].iloc[-1].to_numpy(float)
+
+        exact = end(0.0025)
+        errors = [np.abs(end(dt) - exact).max() for dt in (0.04, 0.02)]
+        assert 3.6 < np.log2(errors[0] / errors[1]) < 4.5
+
+    def test_inverse_dynamics_gives_the_coefficients_back(self, aircraft, flown):
+        loads = aircraft.thrust_line.loads(flown["thrust"])
+        names = [f"thrust_{axis}" for axis in "xyzlmn"]
+        log = flown.drop(columns="thrust").assign(**dict(zip(names, np.hstack(loads).T, strict=True)))
+        Y = aerodynamic_coefficients(log, aircraft, cutoff=None)
+        np.testing.assert_allclose(Y, flown[Y.columns], atol=1e-12)
+
+    def test_a_steady_wind_only_carries_the_flight_away(self, aircraft, flown):
+        calm = simulate(linear(), aircraft, START, commands, dt=0.01, duration=4.0, density=1.1)
+        windy = simulate(linear(), aircraft, START, commands, dt=0.01, duration=4.0, density=1.1, wind=[3.0, -2.0, 0.7])
+        drift = np.outer(calm["time"], [3.0, -2.0, 0.7])
+        moved = windy[["north", "east", "down"]] - calm[["north", "east", "down"]]
+        np.testing.assert_allclose(moved, drift, atol=1e-9)
+        same = ["airspeed", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi"]
+        np.testing.assert_allclose(windy[same], calm[same], atol=1e-9)
+
+
+class TestRegressors:
+    def test_are_rebuilt_as_the_pipeline_builds_them(self, aircraft):
+        rng = np.random.default_rng(1)
+        words = ["alpha", "beta", "p", "q", "r", "elevon_left", "elevon_right", "rudder"]
+        log = pd.DataFrame(rng.normal(0, 0.1, (200, 8)), columns=words).assign(airspeed=rng.uniform(18, 26, 200))
+        chosen = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder", "airspeed"]
+        model = make_pipeline(
+            ElevonSplitter(), RateNondimensionalizer(span=2.0, chord=0.4), RegressorSelector(chosen), StandardScaler(),
+            LinearRegression(),
+        )  # fmt: skip
+        values = model[:3].fit(log).transform(log).to_numpy()
+        model.fit(log, INTERCEPT + values[:, :8] @ SLOPES.T + 0.001 * values[:, 8:])
+        surfaces = {"elevon_left": 0.01, "elevon_right": -0.03, "rudder": 0.01, "thrust_x": 14.0}
+        with pytest.warns(SimulationWarning, match="left what the model was learned from"):
+            flown = simulate(model, aircraft, START, surfaces, duration=2.0)
+        assert {"elevator", "aileron"} <= set(flown)
+        np.testing.assert_allclose(model.predict(flown), flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]], atol=1e-12)
+
+    def test_that_follow_from_the_loads_are_those_of_the_motion(self, aircraft):
+        names = ("alpha", "q_hat", "alpha_dot_hat", "beta_dot", "beta", "r_dot", "ay", "elevator")
+
+        def coefficients(X):
+            alpha, q, alpha_dot, beta_dot, beta, r_dot, ay, elevator = X.T
+            zero = 0 * alpha
+            return np.stack(
+                [zero - 0.03, -0.5 * beta - 0.02 * beta_dot, -0.1 - 4 * alpha - 2 * alpha_dot, 0.001 * ay - 0.02 * beta,
+                 0.03 - 0.5 * alpha - 8 * q - 4 * alpha_dot - 0.6 * elevator, 0.06 * beta + 0.0004 * r_dot], axis=-1,
+            )  # fmt: skip
+
+        gust = pd.DataFrame({"time": np.arange(0, 2.1, 0.01)})
+        for k, name in enumerate(("wind_north", "wind_east", "wind_down")):
+            gust[name] = 2.0 * np.sin(5 * gust["time"] + k)
+        flown = simulate(
+            Aerodynamics(coefficients, names),
+            aircraft,
+            START,
+            {"elevator": -0.02, "thrust": 14.0},
+            dt=0.005,
+            duration=1.0,
+            wind=gust,
+        )
+        step = 0.005
+        for name in ("alpha", "beta"):
+            flown[f"{name}_dot"] = np.gradient(flown[name], step, edge_order=2)
+        flown["alpha_dot_hat"] = flown["alpha_dot"] * aircraft.chord / (2 * flown["airspeed"])
+        flown["q_hat"] = flown["q"] * aircraft.chord / (2 * flown["airspeed"])
+        again = coefficients(flown[list(names)].to_numpy())
+        inner = slice(3, -3)
+        np.testing.assert_allclose(again[inner], flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]][inner], atol=2e-4)
+        assert np.ptp(flown["alpha_dot"]) > 0.2  # the check is not of nothing
+
+    def test_a_fixed_point_that_is_not_found_marks_the_trajectory(self, aircraft):
+        flipping = Aerodynamics(lambda X: np.where(X < -10.0, 0.1, 0.5) * [0, 0, -1.0, 0, 0, 0], ["az"])
+        with pytest.warns(SimulationWarning, match="no fixed point"):
+            flown = simulate(flipping, aircraft, START, {}, duration=0.5, thrust=None)
+        assert (flown["ended"] == "fixed point").all()
+
+    def test_one_that_cannot_be_rebuilt_is_named(self, aircraft):
+        model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha", "elevator_trim", "temperature"])
+        with pytest.raises(ValueError, match=r"controls lack 'elevator_trim'.*'temperature'"):
+            simulate(model, aircraft, START, {"elevator": 0.0}, duration=1.0, thrust=None)
+        with pytest.raises(ValueError, match="only rates have a non-dimensional form"):
+            simulate(Aerodynamics(lambda X: X, ["alpha_hat"]), aircraft, START, {}, duration=1.0, thrust=None)
+
+
+class TestControls:
+    def test_a_table_a_function_and_tables_for_each_start_are_the_same_flight(self, aircraft):
+        by_function = simulate(linear(), aircraft, START, commands, dt=0.02, duration=1.0)
+        table = table_of(1.0)
+        by_table = simulate(linear(), aircraft, START, table.assign(time=table["time"] + 7.0), dt=0.02)
+        np.testing.assert_allclose(by_table[STATES], by_function[STATES], atol=1e-6)
+        np.testing.assert_allclose(by_table["time"], by_function["time"] + 7.0)
+        two = simulate(linear(), aircraft, pd.DataFrame([START, START]), [table, table.assign(elevator=0.0)], dt=0.02)
+        first, second = (part for _, part in two.groupby("start"))
+        np.testing.assert_allclose(first[STATES], by_table[STATES], atol=1e-12)
+        assert np.abs(second["theta"].to_numpy() - first["theta"].to_numpy()).max() > 0.01
+
+    def test_a_law_that_is_held_sees_the_flight_once_a_step(self, aircraft):
+        seen = []
+
+        def law(t, state):
+            seen.append((t, state["phi"]))
+            return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
+
+        flown = simulate(linear(), aircraft, START, law, dt=0.05, duration=1.0, hold=True)
+        np.testing.assert_allclose([t for t, _ in seen], flown["time"])
+        np.testing.assert_allclose([phi for _, phi in seen], flown["phi"], atol=1e-12)
+
+    def test_throttle_turns_the_propeller(self, aircraft):
+        propeller = Propeller(0.5, (0.1, -0.05, -0.08), speed_range=(200.0, 800.0))
+        engine = {"diameter": 0.5, "thrust_coefficients": (0.1, -0.05, -0.08), "speed_range": (200.0, 800.0)}
+        powered = Aircraft.from_dict(aircraft.to_dict() | {"propeller": engine})
+        surfaces = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        by_throttle = simulate(linear(), powered, START, surfaces | {"throttle": 0.5}, duration=1.0)
+        by_speed = simulate(linear(), powered, START, surfaces | {"propeller_speed": 500.0}, duration=1.0)
+        np.testing.assert_allclose(by_throttle[STATES], by_speed[STATES])
+
+        def thrust(controls, airspeed, density):
+            return propeller.thrust(500.0, airspeed, density)
+
+        by_function = simulate(linear(), aircraft, START, surfaces, duration=1.0, thrust=thrust)
+        np.testing.assert_allclose(by_function[STATES], by_speed[STATES])
+
+    @pytest.mark.parametrize(("controls", "options", "match"), [
+        (table_of(1.0), {"duration": 2.0}, "ends after 1 s, but the simulation lasts 2 s"),
+        (table_of(1.0).assign(rudder=np.nan), {}, r"NaN or infinite in \['rudder'\]"),
+        (table_of(1.0).drop(columns="rudder"), {}, "controls lack 'rudder'"),
+        (table_of(1.0).drop(columns="thrust"), {}, "Nothing tells the thrust"),
+        (table_of(1.0)[::-1], {}, "time does not increase"),
+        ({"elevator": np.inf}, {"duration": 1.0}, "expected a finite number"),
+        ({"elevator": 0.0}, {}, "Got no duration"),
+        ([table_of(1.0)] * 3, {}, "3 tables as controls for 1 starts"),
+        (table_of(1.0), {"dt": 0.0}, "expected a time step"),
+        (table_of(1.0), {"wind": [1.0, 2.0]}, r"wind of shape \(2,\)"),
+        (table_of(1.0), {"wind": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
+        (table_of(1.0), {"initial_std": {"phi": 0.1}}, "nothing would show it"),
+    ])  # fmt: skip
+    def test_mistakes_are_told_at_the_door(self, aircraft, controls, options, match):
+        with pytest.raises(ValueError, match=match):
+            simulate(linear(), aircraft, START, controls, **options)
+
+
+class TestStarts:
+    def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, aircraft, flown):
+        row = flown.iloc[100]
+        controls = dict.fromkeys(("elevator", "aileron", "rudder"), 0.01) | {"thrust": 12.0}
+        by_row = simulate(linear(), aircraft, row, controls, duration=0.5, wind=[3.0, -2.0, 0.7])
+        names = ["airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "north", "east", "altitude"]
+        by_names = simulate(linear(), aircraft, dict(row[names]), controls, duration=0.5, wind=[3.0, -2.0, 0.7])
+        np.testing.assert_allclose(by_row[STATES], by_names[STATES], atol=1e-9)
+
+    def test_a_start_of_a_windy_flight_without_its_wind_is_noticed(self, aircraft):
+        start = {"airspeed": 22.0, "v_north": 30.0, "v_east": 0.0, "v_down": 0.0}
+        with pytest.warns(UserWarning, match="give the wind of that flight"):
+            simulate(linear(), aircraft, start, commands, duration=0.1)
+
+    @pytest.mark.parametrize(("start", "match"), [
+        ({"phi": 0.1}, "lack 'airspeed'"),
+        ({"airspeed": np.nan}, "NaN or infinite"),
+        ({"airspeed": 20.0, "phi": 30.0}, "expected radians"),
+        (np.zeros(12), r"shape \(12,\)"),
+        (np.zeros(13), "quaternion is zero"),
+    ])  # fmt: skip
+    def test_impossible_ones_are_told(self, aircraft, start, match):
+        with pytest.raises(ValueError, match=match):
+            simulate(linear(), aircraft, start, commands, duration=0.1)
+
+
+class TestMarks:
+    def test_a_flight_that_loses_its_airspeed_ends_and_the_others_go_on(self, aircraft):
+        vertical = START | {
+            "alpha": 0.0,
+            "beta": 0.0,
+            "phi": 0.0,
+            "theta": 1.5,
+            "p": 0.0,
+            "q": 0.0,
+            "r": 0.0,
+            "airspeed": 8.0,
+        }
+        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        falling = linear(slopes=0.0 * SLOPES, intercept=np.zeros(6))
+        starts = pd.DataFrame([vertical, START])
+        with pytest.warns(SimulationWarning, match="1 of 2 trajectories ended early.*airspeed under 1 m/s: 1"):
+            both = simulate(falling, aircraft, starts, controls, duration=2.0, thrust=None)
+        lost, kept = (part.reset_index(drop=True) for _, part in both.groupby("start"))
+        alone = simulate(falling, aircraft, START, controls, duration=2.0, thrust=None)
+        np.testing.assert_allclose(kept[STATES], alone[STATES], atol=1e-12)
+        end = (lost["ended"] != "").idxmax()
+        assert lost["time"][end] == pytest.approx(8.0 * np.sin(1.5) / 9.80665, abs=0.15)
+        assert lost.loc[end:, STATES].isna().all(axis=None)
+        assert lost.loc[: end - 1, STATES].notna().all(axis=None)
+
+    def test_one_that_diverges_is_marked_and_no_nan_is_silent(self, aircraft):
+        unstable = SLOPES.copy()
+        unstable[4, 0], unstable[4, 3] = 40.0, 8.0
+        with pytest.warns(SimulationWarning, match="diverged"):
+            flown = simulate(linear(unstable), aircraft, START, commands, duration=5.0)
+        assert (flown[STATES].isna().any(axis=1) == (flown["ended"] != "")).all()
+        assert set(flown["ended"]) == {"", "diverged"}
+
+    def test_tells_when_and_where_it_leaves_what_was_flown(self, aircraft):
+        limits = np.array([[-0.5] * 8, [0.5] * 8])
+        limits[:, 0] = [0.0, 0.07]
+        with pytest.warns(SimulationWarning, match="in alpha .*learned from 0 to 0.07"):
+            flown = simulate(linear(limits=limits), aircraft, START, commands, duration=2.0)
+        outside = (flown["alpha"] > 0.07 * 1.02) | (flown["alpha"] < -0.02 * 0.07)
+        assert (flown["beyond"] == "alpha").to_numpy().tolist() == outside.to_numpy().tolist()
+        assert 0 < outside.mean() < 1
+
+
+def uncertain(size, **options):
+    """A linear model whose slopes are known with a standard deviation in proportion, drawn jointly."""
+
+    def drawn(n, random_state):
+        off = np.random.default_rng(random_state).standard_normal((n, 6, 8))
+        slopes = SLOPES * (1.0 + size * off)
+        return (
+            lambda X: INTERCEPT + np.einsum("pcd,pnd->pnc", slopes, X),
+            lambda X: np.broadcast_to(slopes[:, None], (*X.shape[:2], 6, 8)),
+        )
+
+    def covariance(X):
+        K = np.zeros((6, len(X), 6, len(X)))
+        for i in range(6):
+            K[i, :, i] = (X * (size * SLOPES[i]) ** 2) @ X.T
+        return K.reshape(6 * len(X), 6 * len(X))
+
+    return linear(sampler=drawn, covariance=covariance, **options)
+
+
+class TestEnsembles:
+    def test_each_path_flies_a_function_of_its_own_for_the_whole_flight(self, aircraft):
+        paths = simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, random_state=5)
+        off = np.random.default_rng(5).standard_normal((3, 6, 8))
+        for k, (_, path) in enumerate(paths.groupby("path")):
+            alone = simulate(linear(SLOPES * (1 + 0.1 * off[k])), aircraft, START, commands, duration=1.0)
+            np.testing.assert_allclose(path[STATES], alone[STATES], atol=1e-10)
+
+    def test_first_order_spread_is_that_of_the_ensemble_while_errors_are_small(self, aircraft):
+        model, starts = uncertain(0.01), pd.DataFrame([START, START | {"phi": -0.2, "airspeed": 25.0}])
+        options = {"dt": 0.02, "duration": 2.0, "initial_std": {"phi": 2e-3, "v": 0.02, "q": 1e-3}}
+        mean = simulate(model, aircraft, starts, commands, return_std=True, **options)
+        paths = simulate(model, aircraft, starts, commands, n_paths=500, **options)
+        for start, part in mean.groupby("start"):
+            spread = paths[paths["start"] == start].groupby("time")[STATES].std()
+            for name in STATES:
+                np.testing.assert_allclose(
+                    part[f"{name}_std"].iloc[25::25], spread[name].iloc[25::25], rtol=0.2, atol=1e-9
+                )
+
+    def test_bands_hold_their_share_of_the_paths(self, aircraft):
+        paths = simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=60)
+        band = trajectory_bands(paths, level=0.8)
+        for name in ("airspeed", "phi", "psi"):
+            values = paths[name].to_numpy().reshape(60, -1)
+            inside = (values >= band[f"{name}_low"].to_numpy()) & (values <= band[f"{name}_high"].to_numpy())
+            assert inside.mean(axis=0)[10:] == pytest.approx(0.8, abs=0.05)
+        assert (band["flying"] == 1).all()
+
+    def test_bands_of_a_heading_do_not_tear_at_a_half_turn(self):
+        psi = np.array([[3.10, 3.14, -3.10], [3.05, 3.09, 3.13]])
+        paths = pd.DataFrame(
+            {"start": 0, "path": np.repeat([0, 1], 3), "time": [0.0, 1, 2] * 2, "psi": psi.ravel(), "ended": ""}
+        )
+        band = trajectory_bands(paths, level=1.0)
+        assert (band["psi_high"] - band["psi_low"]).max() < 0.1
+
+    def test_a_model_without_beliefs_has_no_ensemble(self, aircraft):
+        with pytest.raises(ValueError, match="without posterior samples"):
+            simulate(linear(), aircraft, START, commands, duration=1.0, n_paths=3)
+        with pytest.raises(ValueError, match="without a posterior covariance"):
+            simulate(linear(), aircraft, START, commands, duration=1.0, return_std=True)
+        with pytest.raises(ValueError, match="expected one of them"):
+            simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, return_std=True)
+        with pytest.raises(ValueError, match="initial_std lack 'speed'"):
+            simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, initial_std={"speed": 1.0})
+
+
+class TestSimulator:
+    def test_steps_are_those_of_a_held_law(self, aircraft):
+        def law(t, state):
+            return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
+
+        at_once = simulate(linear(), aircraft, START, law, dt=0.02, duration=1.0, hold=True, wind=[1.0, 2.0, 0.0])
+        simulator = Simulator(linear(), aircraft, dt=0.02, wind=[1.0, 2.0, 0.0])
+        seen = simulator.reset(START)
+        for _, row in at_once.iterrows():
+            assert seen["time"] == pytest.approx(row["time"])
+            np.testing.assert_allclose([seen[name] for name in STATES], row[STATES].to_numpy(float), atol=1e-10)
+            seen = simulator.step(law(seen["time"], seen))
+
+    def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft):
+        simulator = Simulator(uncertain(0.1), aircraft)
+
+        def end(seed, starts=START):
+            simulator.reset(starts, random_state=seed)
+            for _ in range(20):
+                seen = simulator.step(commands(0.0))
+            return seen["phi"]
+
+        assert end(1) == end(1) != end(2)
+        two = end(1, pd.DataFrame([START, START]))
+        assert two[0] == pytest.approx(end(1))
+        assert two[0] != two[1]
+        assert end(None, pd.DataFrame([START, START])) == pytest.approx(end(None))
+
+    def test_says_when_it_is_over(self, aircraft):
+        simulator = Simulator(linear(0.0 * SLOPES, np.zeros(6)), aircraft, thrust=None)
+        with pytest.raises(ValueError, match="call reset"):
+            simulator.step({})
+        seen = simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
+        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        while not simulator.ended:
+            seen = simulator.step(controls)
+        assert simulator.ended == "airspeed"
+        assert np.isnan(seen["airspeed"])
+        with pytest.raises(ValueError, match="has ended"):
+            simulator.step(controls)

@@ -10,66 +10,60 @@ from scipy.special import logsumexp
 from skdgp.kernels._paths import PathBundle
 
 
-class Spectrum(NamedTuple):
-    """Waves gain * cos(omega . (s - shift) + phase) of M latents, F each, that S paths of P outputs consist of.
+class LatentWaves(NamedTuple):
+    """What a latent contributes to the outputs that feel it: sums of gain * cos(omega . (s - shift) + phase).
 
-    ``omega`` (S, M, F, d), ``phase`` (S, M, F), ``gain`` (S, M, F, P), ``shift`` (M, P, d), and ``feeds`` (M, P) of
-    bool, which latent is felt by which output.
+    ``omega`` (S, F, d), ``phase`` (S, F), ``outputs`` (c,), and of these ``gain`` (S, F, c), ``shift`` (c, d).
     """
 
     omega: np.ndarray
     phase: np.ndarray
+    outputs: np.ndarray
     gain: np.ndarray
     shift: np.ndarray
-    feeds: np.ndarray
 
+    @classmethod
+    def draw(cls, outputs, roots, amplitude, shift, n_paths, n_frequencies, random_state) -> LatentWaves:
+        r"""Draw what one latent contributes to convolved Gaussians, h_i * x with A_i = 2 R_i R_i^T.
 
-def draw_spectrum(roots, amplitude, shift, feeds, n_paths, n_frequencies, random_state) -> Spectrum:
-    r"""Draw the waves of convolved Gaussians, f_i = sum_m h_mi * x_m with A_mi = 2 R_mi R_mi^T.
+        The spectral density of h_i * x is the Gaussian N_i = N(0, R_i R_i^T), so samples are
 
-    The spectral density of h_mi is the Gaussian N_mi = N(0, R_mi R_mi^T), and what a latent contributes is
+        .. math:: w_i \sum_k \sqrt{\frac{N_i(\omega_k)}{F q(\omega_k)}}
+                  \big(g_k \cos \omega_k^T (s - \mu_i) + g'_k \sin \omega_k^T (s - \mu_i)\big),
+                  \quad g_k, g'_k \sim N(0, 1).
 
-    .. math:: w_{mi} \sum_k \sqrt{\frac{N_{mi}(\omega_k)}{F q_m(\omega_k)}}
-              \big(g_k \cos \omega_k^T (s - \mu_{mi}) + g'_k \sin \omega_k^T (s - \mu_{mi})\big),
-              \quad g_k, g'_k \sim N(0, 1).
+        These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the mixture of the N_i
+        of all outputs that feel the latent, and frequencies are stratified over its components: each output has waves
+        of its own, and weights are bounded (the balance heuristic of Veach & Guibas 1995). Frequencies are drawn anew
+        for every path, so that moments over paths are those of the prior, however few they are.
 
-    q_m is the mixture of the N_mi of all outputs that feel the latent, which gives every output waves of its own and
-    keeps weights bounded (the balance heuristic of Veach & Guibas 1995); frequencies are stratified over its
-    components, and drawn anew for every path, so that moments over paths are those of the prior whatever F is (the
-    waves of Rahimi & Recht 2007, with several spectra at once).
+        Parameters
+        ----------
+        outputs : ndarray (c,)
+        roots : ndarray (c, d, d)
+            R.
+        amplitude : ndarray (c,)
+            w.
+        shift : ndarray (c, d)
+            mu.
+        n_paths, n_frequencies : int
+            S, and F: at least c.
+        random_state : RandomState
+        """
+        S, F, (c, d) = n_paths, n_frequencies, shift.shape
+        component = np.arange(F) % c
+        omega = (roots[component] @ random_state.standard_normal((S, F, d, 1)))[..., 0]
+        white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
+        log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
+        log_mixture = logsumexp(log_density, axis=2, b=np.bincount(component), keepdims=True)  # log(F q)
+        gain = amplitude * np.exp(0.5 * (log_density - log_mixture))
+        gain *= random_state.rayleigh(size=(S, F, 1))  # the length of (g, g'), whose direction is uniform
+        return cls(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), outputs, gain, shift)
 
-    Parameters
-    ----------
-    roots : ndarray (M, P, d, d)
-        R.
-    amplitude : ndarray (M, P)
-        w.
-    shift : ndarray (M, P, d)
-        mu.
-    feeds : ndarray (M, P) of bool
-    n_paths, n_frequencies : int
-        S, and F: raised to the number of outputs, where a latent has more.
-    random_state : RandomState
-    """
-    M, P, d = shift.shape
-    F = max(n_frequencies, int(feeds.sum(axis=1).max()))
-    omega, gain = np.empty((n_paths, M, F, d)), np.zeros((n_paths, M, F, P))
-    for m, felt in enumerate(map(np.flatnonzero, feeds)):
-        component = np.arange(F) % len(felt)
-        white = random_state.standard_normal((n_paths, F, d, 1))
-        omega[:, m] = (roots[m, felt[component]] @ white)[..., 0]
-        log_density = _log_density(omega[:, m], roots[m, felt])
-        share = np.bincount(component) / F
-        log_mixture = logsumexp(log_density, axis=-1, b=share, keepdims=True)
-        gain[:, m][..., felt] = amplitude[m, felt] * np.exp(0.5 * (log_density - log_mixture))
-    gain *= random_state.rayleigh(size=(n_paths, M, F, 1)) / np.sqrt(F)  # of g and g', with a uniform phase
-    return Spectrum(omega, random_state.uniform(0.0, 2 * np.pi, (n_paths, M, F)), gain, shift, feeds)
-
-
-def _log_density(omega, roots):
-    """Return log N(omega; 0, R R^T) but for a constant, (S, F, c), for omega (S, F, d) and roots (c, d, d)."""
-    white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
-    return -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
+    def at_origin(self, chosen) -> tuple[np.ndarray, np.ndarray]:
+        """Return the phase at the shift of the first of the chosen outputs, (S, F), and how the others turn it."""
+        turn = self.omega @ self.shift[chosen].T
+        return self.phase - turn[..., 0], turn - turn[..., :1]
 
 
 class Waves(PathBundle):
@@ -94,27 +88,32 @@ class Waves(PathBundle):
         self.omega, self.phase, self.shared, self.own, self.fed = omega, phase, shared, own, fed
 
     @classmethod
-    def of(cls, spectrum: Spectrum, outputs) -> Waves:
-        """Return the paths of some of the outputs."""
-        omega, phase, gain, shift, feeds = spectrum
-        gain, shift, feeds = gain[..., outputs], shift[:, outputs], feeds[:, outputs]
-        origin = shift[np.arange(len(feeds)), feeds.argmax(axis=1)]  # of the first output that feels the latent
-        phase = phase - np.einsum("smfk,mk->smf", omega, origin)
-        turn = np.einsum("smfk,mpk->smfp", omega, (shift - origin[:, None]) * feeds[..., None])
-        many, one = feeds.sum(axis=1) > 1, feeds.sum(axis=1) == 1
-        parts = [(omega[:, many], phase[:, many])]
-        shared = [(gain * np.cos(turn))[:, many]]
-        if turn[:, many].any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
-            parts.append((omega[:, many], phase[:, many] - 0.5 * np.pi))
-            shared.append((gain * np.sin(turn))[:, many])
-        parts.append((omega[:, one], phase[:, one]))
-        S, d, P = len(omega), omega.shape[-1], len(outputs)
+    def of(cls, latents: list[LatentWaves], outputs) -> Waves:
+        """Return the paths of some of the outputs, (P,)."""
+        (S, F), P = latents[0].phase.shape, len(outputs)
+        shared, own, fed = [], [], []
+        for latent in latents:
+            place, chosen = np.nonzero(np.equal.outer(outputs, latent.outputs))
+            if len(place) == 0:
+                continue
+            phase, turn = latent.at_origin(chosen)
+            gain = latent.gain[..., chosen]
+            if len(place) == 1:
+                own.append((latent.omega, phase, gain))
+                fed.append(np.eye(P)[place[0]])
+                continue
+            unit = np.eye(P)[place]
+            shared.append((latent.omega, phase, (gain * np.cos(turn)) @ unit))
+            if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
+                shared.append((latent.omega, phase - 0.5 * np.pi, (gain * np.sin(turn)) @ unit))
+        omega, phase, _ = zip(*shared, *own, strict=True)
+        alone = np.concatenate([np.empty((S, F, 0)), *(weight for *_, weight in own)], axis=2)
         return cls(
-            np.concatenate([w.reshape(S, -1, d) for w, _ in parts], axis=1).swapaxes(1, 2).copy(),
-            np.concatenate([p.reshape(S, 1, -1) for _, p in parts], axis=2),
-            np.concatenate([g.reshape(S, -1, P) for g in shared], axis=1),
-            gain[:, one].sum(axis=-1)[:, None],
-            feeds[one].astype(float),
+            np.concatenate(omega, axis=1).swapaxes(1, 2).copy(),
+            np.concatenate(phase, axis=1)[:, None],
+            np.concatenate([np.empty((S, 0, P)), *(weight for *_, weight in shared)], axis=1),
+            alone.swapaxes(1, 2)[:, None].copy(),
+            np.reshape(fed, (-1, P)),
         )
 
     def take(self, some):
@@ -155,18 +154,21 @@ def _cosine_of_twice(half):
     return cosine
 
 
-def convolved_spectrum(kernel, n_paths, n_frequencies, random_state) -> Spectrum:
-    """Return the waves of all outputs of a ConvolvedGaussian."""
-    names = ("amplitude", "shift", "feeds", "length_scale")
-    amplitude, shift, feeds, lengths = (kernel._value(name) for name in names)
-    roots = kernel._roots() if kernel.covariance_type == "full" else np.eye(shift.shape[2]) / lengths[..., None]
-    return draw_spectrum(roots, amplitude, shift, feeds.astype(bool), n_paths, n_frequencies, random_state)
+def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWaves]:
+    """Return the waves of every latent of a ConvolvedGaussian; as many as a latent has outputs, at least."""
+    w, mu, feeds = (kernel._value(name) for name in ("amplitude", "shift", "feeds"))
+    lengths = kernel._value("length_scale")
+    roots = kernel._roots() if kernel.covariance_type == "full" else np.eye(mu.shape[2]) / lengths[..., None]
+    n_frequencies = max(n_frequencies, int(feeds.sum(axis=1).max()))
+    return [
+        LatentWaves.draw(felt, roots[m, felt], w[m, felt], mu[m, felt], n_paths, n_frequencies, random_state)
+        for m, felt in enumerate(map(np.flatnonzero, feeds))
+    ]
 
 
 def convolved_paths(kernel, n_paths, n_frequencies, random_state) -> Waves:
     """Return paths of all outputs of a ConvolvedGaussian."""
-    spectrum = convolved_spectrum(kernel, n_paths, n_frequencies, random_state)
-    return Waves.of(spectrum, list(range(kernel.n_outputs)))
+    return Waves.of(draw_latents(kernel, n_paths, n_frequencies, random_state), range(kernel.n_outputs))
 
 
 def joint_paths(joint, Z, jitter, n_paths, n_frequencies, random_state) -> tuple[Waves, np.ndarray]:
@@ -174,9 +176,8 @@ def joint_paths(joint, Z, jitter, n_paths, n_frequencies, random_state) -> tuple
 
     ``jitter`` is the variance of white noise in these.
     """
-    spectrum = convolved_spectrum(joint, n_paths, n_frequencies, random_state)
+    latents = draw_latents(joint, n_paths, n_frequencies, random_state)
     P = joint.n_outputs - len(Z)
-    last = [Waves.of(spectrum, [P + f]).values(np.asarray(z)[None])[..., 0] for f, z in enumerate(Z)]
-    u = np.concatenate(last, axis=1)
+    u = np.concatenate([Waves.of(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(Z)], axis=1)
     u += np.sqrt(jitter) * random_state.standard_normal(u.shape)
-    return Waves.of(spectrum, list(range(P))), u
+    return Waves.of(latents, range(P)), u

@@ -1,0 +1,131 @@
+"""Paths of the posterior: their moments are the posterior's, and they pass through what is known."""
+
+import pickle
+
+import numpy as np
+import pytest
+from sklearn.preprocessing import PolynomialFeatures
+
+from skdgp.inference import Data, ExactPosterior, SparsePosterior, compact, shares_of
+from skdgp.kernels import BasisTrend, LinearTrend
+
+N_PATHS = 4000
+Z = np.random.default_rng(6).normal(size=(7, 2))
+
+
+def exact(problem, data=None):
+    return ExactPosterior(problem.kernel, problem.noise, data or problem.data)
+
+
+def sparse(problem, data=None):
+    features = problem.kernel.features(Z)
+    return SparsePosterior(problem.kernel, features, problem.noise, shares_of(data or problem.data))
+
+
+def compacted(problem, data=None):
+    return compact(exact(problem, data), 15, None, 0, 0, lambda size: None)[0]
+
+
+def points(problem):
+    """Observed samples, points between them, and one far from all."""
+    return np.concatenate([problem.X[:2], Z[:2], [[9.0, -9.0]]])
+
+
+def assert_moments(posterior, X, n_paths=N_PATHS, bound=5.0):
+    """Mean and joint covariance over paths, within what so many of them allow."""
+    paths = posterior.paths(n_paths, 0)
+    values = paths(X).swapaxes(1, 2).reshape(n_paths, -1)
+    mean, cov = posterior.predict(X).T.ravel(), posterior.covariance(X)
+    std = np.sqrt(np.diag(cov))
+    assert (np.abs(values.mean(axis=0) - mean) < bound * std / np.sqrt(n_paths)).all()
+    off = values - mean
+    error = np.abs(off.T @ off / n_paths - cov)
+    assert (error < bound * np.sqrt((np.multiply.outer(std**2, std**2) + cov**2) / n_paths)).all()
+    return paths
+
+
+@pytest.fixture(autouse=True)
+def _few_waves(monkeypatch):
+    """Moments over paths do not depend on how many waves a path has."""
+    monkeypatch.setattr("skdgp.inference._paths.FREQUENCIES", 6)
+
+
+@pytest.fixture(params=[exact, sparse, compacted])
+def make(request):
+    return request.param
+
+
+def test_mean_and_covariance_are_the_posteriors(problem, make):
+    assert_moments(make(problem), points(problem))
+
+
+def test_slopes_have_the_posteriors_moments(one_problem, make):
+    posterior, X = make(one_problem), points(one_problem)
+    slopes = posterior.paths(N_PATHS, 1).gradient(X)
+    mean, variance = posterior.gradient(X, return_variance=True)
+    assert (np.abs(slopes.mean(axis=0) - mean) < 5 * np.sqrt(variance / N_PATHS)).all()
+    assert (np.abs(((slopes - mean) ** 2).mean(axis=0) / variance - 1.0) < 5 * np.sqrt(2 / N_PATHS)).all()
+
+
+def test_noise_that_outputs_share(one_problem, make):
+    """Noisy regressors carry the same error into all outputs of a sample."""
+    reach = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
+    data = Data.from_table(one_problem.X, one_problem.Y, reach)
+    assert_moments(make(one_problem, data), points(one_problem))
+
+
+def test_a_trend_in_any_columns(one_problem, make):
+    X, Y = one_problem.X, one_problem.Y
+    basis = BasisTrend(PolynomialFeatures(2), np.ones(3), np.full((3, 6), 0.5)).initialize(X, Y, 0)
+    one_problem.kernel = basis + one_problem.kernel.k2
+    assert_moments(make(one_problem), points(one_problem))
+
+
+def test_a_trend_alone(one_problem, make):
+    one_problem.kernel = one_problem.kernel.k1
+    assert isinstance(one_problem.kernel, LinearTrend)
+    assert_moments(make(one_problem), points(one_problem)[:2])
+
+
+def test_after_an_update(one_problem, make):
+    """An exact posterior has appended rows then; loaded from a file it factors anew."""
+    X, Y = one_problem.X, one_problem.Y
+    posterior = make(one_problem, Data.from_table(X[:9], Y[:9])).updated(Data.from_table(X[9:], Y[9:]))
+    paths = assert_moments(posterior, points(one_problem))
+    again = pickle.loads(pickle.dumps(posterior)).paths(N_PATHS, 0)
+    np.testing.assert_allclose(again(Z), paths(Z), rtol=1e-6, atol=1e-7)
+
+
+def test_an_output_that_was_never_observed(one_problem, make):
+    Y = one_problem.Y.copy()
+    Y[:, 1] = np.nan
+    assert_moments(make(one_problem, Data.from_table(one_problem.X, Y)), points(one_problem))
+
+
+def test_without_noise_every_path_passes_through_the_data(one_problem):
+    one_problem.noise = np.full(3, 1e-12)
+    paths = exact(one_problem).paths(20, 2)
+    values = paths(one_problem.X)
+    seen = np.isfinite(one_problem.Y)
+    expected = np.broadcast_to(one_problem.Y[seen], (20, seen.sum()))
+    np.testing.assert_allclose(values[:, seen], expected, atol=1e-4)
+    assert values[:, ~seen].std(axis=0).min() > 0.01  # what is not known there differs
+
+
+def test_far_from_the_data_paths_vary_as_the_prior(one_problem, make):
+    one_problem.kernel = one_problem.kernel.k2
+    away = np.array([[40.0, -30.0]])
+    values = make(one_problem).paths(N_PATHS, 3)(away)[:, 0]
+    prior = one_problem.kernel.diag(away)
+    assert (np.abs(values.mean(axis=0)) < 5 * np.sqrt(prior / N_PATHS)).all()
+    np.testing.assert_allclose(values.var(axis=0), prior, rtol=5 * np.sqrt(2 / N_PATHS))
+
+
+def test_a_path_is_one_function_between_two_points(one_problem, make):
+    """Two points that nearly coincide have nearly one value on every path: the covariance between them counts too."""
+    paths = make(one_problem).paths(50, 4)
+    near = Z[:1] + np.array([[0.0, 0.0], [1e-6, 0.0]])
+    values = paths(near)
+    np.testing.assert_allclose(values[:, 0], values[:, 1], atol=1e-4)
+    slope = paths.gradient(near)[:, 0, :, 0]
+    np.testing.assert_allclose((values[:, 1] - values[:, 0]) / 1e-6, slope, rtol=1e-3, atol=1e-3)

@@ -1,0 +1,153 @@
+"""Samples of the prior that are functions, and inducing variables drawn with them."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels._parts import PartFeatures
+
+X = np.random.default_rng(0).normal(0, 1.2, (4, 2))
+Z = np.random.default_rng(1).normal(0, 1.2, (3, 2))
+
+
+def make_kernel(covariance_type="diag", shifted=True, P=3, d=2, seed=0):
+    """Two shared latents and one for each output, all different."""
+    rng = np.random.default_rng(seed)
+    M = 2 + P
+    return ConvolvedGaussian(
+        2,
+        covariance_type=covariance_type,
+        amplitude=rng.normal(size=(M, P)) * np.r_[np.ones((2, P)), np.eye(P)],
+        length_scale=rng.uniform(0.6, 1.8, (M, P, d)),
+        shear=rng.normal(0, 0.5, (M, P, d * (d - 1) // 2)) if covariance_type == "full" else 0.0,
+        shift=rng.normal(0, 0.6, (M, P, d)) if shifted else 0.0,
+    )
+
+
+def parts_of(kernel):
+    """Parts that some outputs have and others have not."""
+    return PartFeatures(kernel, [(0, 0), (0, 2), (1, 1), (2, 0)], [Z, Z[:1], Z[:2] + 0.5, Z])
+
+
+def trend():
+    rng = np.random.default_rng(3)
+    return LinearTrend(rng.uniform(0.5, 2, 3), rng.uniform(0.5, 2, (3, 2)), rng.normal(size=2))
+
+
+FEATURES = {
+    "smoothed latents": make_kernel().features(Z),
+    "smoothed latents, full": make_kernel("full").features(Z),
+    "parts": parts_of(make_kernel()),
+    "parts, full": parts_of(make_kernel("full", shifted=False)),
+    "trend": trend().features(Z),
+    "trend and smoothed latents": (trend() + make_kernel()).features(Z),
+}
+
+
+@pytest.fixture(params=FEATURES)
+def features(request):
+    return FEATURES[request.param]
+
+
+def cross_covariance(features, rows=X):
+    """Kfu of all outputs, (P n, K), output-major."""
+    K = np.zeros((3, len(rows), features.size))
+    for i in range(3):
+        K[i][:, features.columns(i)] = features.Kfu(i, rows)
+    return K.reshape(-1, features.size)
+
+
+def test_inducing_variables_are_drawn_with_the_paths(features):
+    """Covariances of u with itself and with the outputs, over many paths."""
+    n_paths = 10000
+    paths, u = features.prior_paths(n_paths, 6, np.random.RandomState(4))
+    f = paths.values(X[None]).swapaxes(1, 2).reshape(n_paths, -1)
+    kernel_variance = (f**2).mean(axis=0)
+    Kuu, Kfu = features.Kuu(), cross_covariance(features)
+    for found, expected, variance in (
+        (u.T @ u, Kuu, np.multiply.outer(np.diag(Kuu), np.diag(Kuu))),
+        (f.T @ u, Kfu, np.multiply.outer(kernel_variance, np.diag(Kuu))),
+    ):
+        assert (np.abs(found / n_paths - expected) < 5 * np.sqrt((variance + expected**2) / n_paths)).all()
+
+
+def test_coefficients_make_functions_of_the_features(features):
+    c = np.random.default_rng(5).normal(size=(2, features.size))
+    paths = features.paths(c)
+    expected = (cross_covariance(features) @ c.T).reshape(3, len(X), 2).transpose(2, 1, 0)
+    np.testing.assert_allclose(paths.values(X[None]), expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(paths.take(slice(1, 2)).values(X[None]), expected[1:], rtol=1e-10, atol=1e-12)
+    slopes = np.zeros((2, len(X), 3, 2))
+    for i in range(3):
+        slopes[:, :, i] = (features.Kfu_derivative(i, X) @ c[:, features.columns(i)].T).transpose(2, 1, 0)
+    np.testing.assert_allclose(paths.slopes(X[None]), slopes, rtol=1e-10, atol=1e-12)
+
+
+def test_coefficients_make_functions_of_a_kernel():
+    kernel, rng = trend() + make_kernel("full"), np.random.default_rng(6)
+    where = [rng.normal(size=(n, 2)) for n in (700, 0, 3)]  # more than one tile; an output without values
+    c = [rng.normal(size=(2, len(x))) for x in where]
+    paths = kernel.paths(where, c)
+    expected = (kernel(X, where) @ np.hstack(c).T).reshape(3, len(X), 2).transpose(2, 1, 0)
+    np.testing.assert_allclose(paths.values(X[None]), expected, rtol=1e-10, atol=1e-10)
+    derivative = [[kernel.block_derivative(i, j, X, x) @ c[j].T for j, x in enumerate(where)] for i in range(3)]
+    slopes = np.stack([sum(blocks) for blocks in derivative]).transpose(3, 2, 0, 1)
+    np.testing.assert_allclose(paths.slopes(X[None]), slopes, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("kernel", [make_kernel(), trend() + make_kernel("full")], ids=["dependent", "trend + full"])
+class TestBundle:
+    def bundle(self, kernel):
+        where = [X, X[:2], X[:0]]
+        c = [np.random.default_rng(7).normal(size=(5, len(x))) for x in where]
+        features = kernel.features(Z)
+        prior, u = features.prior_paths(5, 7, np.random.RandomState(8))
+        return prior + features.paths(u) + kernel.paths(where, c)
+
+    def test_each_at_its_own_points_is_what_all_have_there(self, kernel):
+        bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
+        for function in (bundle.each, bundle.gradient):
+            for k in range(5):
+                np.testing.assert_allclose(function(own)[k], function(own[k][None])[k], rtol=1e-10, atol=1e-11)
+
+    def test_some_of_the_functions_are_the_same_functions(self, kernel):
+        bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
+        some = slice(1, None, 2)
+        np.testing.assert_allclose(bundle.take(some).each(own[some]), bundle.each(own)[some], rtol=1e-10, atol=1e-11)
+
+    def test_chunks_make_no_difference(self, kernel, monkeypatch):
+        bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
+        values, slopes = bundle.values(own), bundle.slopes(own)
+        monkeypatch.setattr("skdgp.kernels._paths.CHUNK_BYTES", 1)
+        np.testing.assert_allclose(bundle.values(own), values, rtol=1e-10, atol=1e-11)
+        np.testing.assert_allclose(bundle.slopes(own), slopes, rtol=1e-10, atol=1e-11)
+
+    def test_pickle(self, kernel):
+        bundle = self.bundle(kernel)
+        again = pickle.loads(pickle.dumps(bundle))
+        np.testing.assert_array_equal(again.each(X[None]), bundle.each(X[None]))
+
+
+def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():
+    """One wave is enough: its amplitude is of Rayleigh, its phase uniform."""
+    kernel = ConvolvedGaussian(2, covariance_type="tied", amplitude=np.ones((4, 2)), length_scale=[[[0.5, 2.0]]])
+    paths = kernel.prior_paths(5000, 1, np.random.RandomState(0)).values(X[None])
+    for values in paths[:, 0].T / np.sqrt(3.0):
+        assert kstest(values, "norm").pvalue > 0.01
+
+
+def test_more_waves_make_paths_more_gaussian():
+    """Of outputs of different widths; the excess kurtosis falls as one over the number of waves."""
+    lengths = 2.0 * np.exp(np.random.default_rng(0).normal(0, 0.5, (1, 4, 6)))
+    kernel = ConvolvedGaussian(1, private_latents=False, amplitude=np.ones((1, 4)), length_scale=lengths)
+    points = np.random.default_rng(1).normal(size=(1, 8, 6))
+
+    def kurtosis(n_frequencies):
+        paths = kernel.prior_paths(10000, n_frequencies, np.random.RandomState(2)).values(points)
+        return np.mean((paths**4).mean(axis=0) / (paths**2).mean(axis=0) ** 2 - 3.0)
+
+    assert kurtosis(4) > 0.3
+    assert kurtosis(64) < 0.1

@@ -130,7 +130,7 @@ class PredictionMixin:
         Paths
             A sequence of functions: ``paths[k](X)`` is (n, P) for X (n, d), or (n,) where y was. ``paths(X)``, all of
             them at the same points, (n_paths, n, P); ``paths.each(X)``, each at its own, X (n_paths, n, d);
-            ``paths.gradient(X)``, slopes at either, (n_paths, n, P, d). Without measurement noise; X as arrays.
+            ``paths.gradient(X)``, slopes at either, (n_paths, n, P, d). Measurement noise is not in them.
 
         Raises
         ------
@@ -150,7 +150,8 @@ class PredictionMixin:
         check_is_fitted(self)
         if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
             raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
-        return self.posterior_.paths(n_paths, random_state).in_units(self._center, self._scale, self._single)
+        names = getattr(self, "feature_names_in_", None)
+        return self.posterior_.paths(n_paths, random_state).in_units(self._center, self._scale, self._single, names)
 
     def score(self, X, y, sample_weight=None):
         """Return R^2, averaged over the outputs, of the targets that were observed.

@@ -8,6 +8,7 @@ sampling functions from Gaussian process posteriors").
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -49,15 +50,17 @@ class Paths(Sequence):
         Values are ``center`` + ``scale`` times those of the bundle.
     single : bool
         Whether the axis of outputs is left out.
+    feature_names : sequence of str or None
+        What columns of a DataFrame must be called.
     """
 
-    def __init__(self, bundle, n_paths, n_features, center=0.0, scale=1.0, single=False):
+    def __init__(self, bundle, n_paths, n_features, center=0.0, scale=1.0, single=False, feature_names=None):
         self.bundle, self.n_paths, self.n_features = bundle, n_paths, n_features
-        self.center, self.scale, self.single = center, scale, single
+        self.center, self.scale, self.single, self.feature_names = center, scale, single, feature_names
 
-    def in_units(self, center, scale, single) -> Paths:
+    def in_units(self, center, scale, single, feature_names) -> Paths:
         """Return the same paths of outputs that are ``center`` + ``scale`` times these."""
-        return Paths(self.bundle, self.n_paths, self.n_features, center, scale, single)
+        return Paths(self.bundle, self.n_paths, self.n_features, center, scale, single, feature_names)
 
     def __len__(self):
         return self.n_paths
@@ -66,8 +69,9 @@ class Paths(Sequence):
         if not isinstance(index, slice):
             k = range(self.n_paths)[index]
             return Path(self[k : k + 1])
-        n_paths = len(range(self.n_paths)[index])
-        return Paths(self.bundle.take(index), n_paths, self.n_features, self.center, self.scale, self.single)
+        some = copy(self)
+        some.bundle, some.n_paths = self.bundle.take(index), len(range(self.n_paths)[index])
+        return some
 
     def __call__(self, X) -> np.ndarray:
         """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) where y was (n,)."""
@@ -92,6 +96,12 @@ class Paths(Sequence):
         return self._shaped(values)
 
     def _checked(self, X, ndim):
+        columns = getattr(X, "columns", None)
+        if columns is not None and self.feature_names is not None and list(columns) != list(self.feature_names):
+            raise ValueError(
+                f"Got X with the columns {list(columns)}, but expected those of the fit, in their order: "
+                f"{list(self.feature_names)}."
+            )
         X = np.asarray(X, dtype=float)
         if X.ndim != ndim or X.shape[-1] != self.n_features or (ndim == 3 and len(X) != self.n_paths):
             expected = f"(n, {self.n_features})" if ndim == 2 else f"({self.n_paths}, n, {self.n_features})"

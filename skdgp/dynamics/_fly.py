@@ -136,7 +136,12 @@ def lost(state, now: Instant) -> dict[str, np.ndarray]:
     fine = np.isfinite(now.derivative).all(axis=-1)
     fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
     fine = fine & (np.abs(state[..., RATES]) < SPINNING).all(axis=-1)
-    found = {"airspeed": now.airspeed < SLOWEST, "diverged": ~fine, "fixed point": np.logical_not(now.settled)}
+    found = {
+        "airspeed": now.airspeed < SLOWEST,
+        "altitude": np.isnan(now.density),
+        "diverged": ~fine,
+        "fixed point": np.logical_not(now.settled),
+    }
     return {reason: where for reason, where in found.items() if np.any(where)}
 
 

@@ -12,7 +12,7 @@ from skdgp._validation import check_names
 from skdgp._vocabulary import TRUTH_SUFFIX
 from skdgp.dynamics._aerodynamics import as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._checks import standard_density
+from skdgp.dynamics._atmosphere import standard_density
 from skdgp.dynamics._frames import air_data, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._propulsion import propulsion_of
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
@@ -83,7 +83,7 @@ class Motion:
         if not isinstance(aircraft, Aircraft):
             raise TypeError(f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft.")
         self.aircraft, self.gravity, self.thrust = aircraft, gravity, thrust
-        self._density = standard_density if density is None else density
+        self._density = _density_of_air if density is None else density
         self._plan = [self._rule(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, *_ in self._plan)
         self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
@@ -185,12 +185,19 @@ class Motion:
             X[..., k] = value * (0.5 * length / airspeed) ** power if power else value
 
     def _loaded(self, state, X, airspeed, alpha, beta, density, others, implicit, settled) -> Instant:
-        C = self.aerodynamics(X)
+        C = self._coefficients(X)
         scale = (0.5 * self.aircraft.wing_area) * density * airspeed * airspeed
         force = C[..., :3] * np.asarray(scale)[..., None] + others[0]
         moment = C[..., 3:] * (np.asarray(scale)[..., None] * self.aircraft.moment_lengths) + others[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, implicit, settled)
+
+    def _coefficients(self, X) -> np.ndarray:
+        """Return the model's coefficients, NaN where a state has diverged: models refuse what is not finite."""
+        if np.isfinite(X).all():
+            return self.aerodynamics(X)
+        finite = np.isfinite(X).all(axis=-1, keepdims=True)
+        return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
 
     def _follow(self, state, now: Instant, velocity, steady, wind_rate) -> np.ndarray:
         """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`."""
@@ -208,6 +215,11 @@ class Motion:
         found[..., 2:5] = now.derivative[..., RATES]
         found[..., 5:] = now.force / self.aircraft.mass
         return found
+
+
+def _density_of_air(altitude):
+    """Return the standard atmosphere's density, NaN where it knows none."""
+    return standard_density(np.where((altitude > -5e3) & (altitude < 32e3), altitude, np.nan))
 
 
 def _anderson(tried: list, found, off) -> np.ndarray:

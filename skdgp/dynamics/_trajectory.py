@@ -20,6 +20,7 @@ BEYOND = 0.02
 TINY = 1e-12
 REASONS = {
     "airspeed": "airspeed under 1 m/s",
+    "altitude": "outside of the atmosphere",
     "diverged": "diverged",
     "fixed point": "no fixed point of the regressors that follow from the loads",
 }

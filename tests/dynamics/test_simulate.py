@@ -317,6 +317,13 @@ class TestMarks:
         assert (flown[STATES].isna().any(axis=1) == (flown["ended"] != "")).all()
         assert set(flown["ended"]) == {"", "diverged"}
 
+    def test_one_that_leaves_the_atmosphere_is_marked(self, aircraft):
+        high = pd.DataFrame([START | {"altitude": 31_999.0, "theta": 0.5}, START])
+        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        with pytest.warns(SimulationWarning, match="outside of the atmosphere: 1"):
+            flown = simulate(linear(), aircraft, high, controls, duration=2.0, thrust=None)
+        assert flown.groupby("start")["ended"].last().tolist() == ["altitude", ""]
+
     def test_tells_when_and_where_it_leaves_what_was_flown(self, aircraft):
         limits = np.array([[-0.5] * 8, [0.5] * 8])
         limits[:, 0] = [0.0, 0.07]

@@ -1,0 +1,223 @@
+"""Learned aircraft flown free from the state of another flight, replayed on it, and how long a minute of flight takes.
+
+    python tests/benchmarks/freeflight.py ../shared/data [--models FOLDER] [--paths 100] [--out OUT]
+
+Free flight: from 20 points of the test flight, spread over it, at the true state, under the logged controls and thrust
+and the true wind, by simulate: nothing of the test flight enters after the start. "ours": the pipeline of
+make_identification_pipeline; "least squares": the same pipeline with LinearRegression at its end; "truth replayed":
+the true coefficients, open loop in time, integrated from the same starts. Errors are medians of the absolute errors
+over the starts; bands are those of an ensemble of posterior functions, and their coverage counts v_north ... r.
+
+Replay: the pipeline's coefficients at the measured regressors, integrated from the measured state every 2 s and 10 s.
+
+--models keeps fitted pipelines there and takes those that are there.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from pathlib import Path
+
+import joblib
+import numpy as np
+import pandas as pd
+from _common import finish, parser_of
+from sklearn.linear_model import LinearRegression
+
+from skdgp import make_identification_pipeline
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.datasets import load_example_flights
+from skdgp.dynamics import (
+    Aircraft,
+    SimulationWarning,
+    aerodynamic_coefficients,
+    replay,
+    replay_errors,
+    simulate,
+    trajectory_bands,
+    trim,
+)
+from skdgp.identification import predict_flight
+from skdgp.io import read_flight
+
+PAIRS = [("c172p", "train_latlon", "test_calm"), ("viggen_uav", "train_latlon", "test_twoalt")]
+SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
+ANGLES = ("phi", "theta", "psi")
+HORIZONS = (2.0, 10.0)
+STARTS, MARGIN, STEP = 20, 5.0, 0.025
+CONTROLS = ("elevator", "aileron", "rudder", "throttle")
+
+
+def truth_of(flight):
+    """Return the flight as it truly was, in the plain words, with its controls, thrust and air."""
+    true = flight[[name for name in flight if name.endswith("_true")]]
+    true = true.rename(columns=lambda name: name.removesuffix("_true"))
+    known = [name for name in flight if name in CONTROLS or name.startswith("thrust")]
+    return true.assign(time=flight["time"], altitude=flight["altitude"], density=flight["density"], **flight[known])
+
+
+def windows(truth):
+    """Return the stretches that are flown free, one for each start."""
+    rows = round(HORIZONS[-1] / STEP)
+    first = np.linspace(round(MARGIN / STEP), len(truth) - rows - 2, STARTS).astype(int)
+    return [truth.iloc[k : k + rows + 1].reset_index(drop=True) for k in first]
+
+
+def flown_free(model, aircraft, stretches, **options):
+    """Return what the model makes of the stretches, from their first rows on."""
+    starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=["airspeed"])
+    gravity = float(np.mean([stretch["gravity"].mean() for stretch in stretches]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)
+        return simulate(model, aircraft, starts, stretches, dt=STEP, gravity=gravity, wind=stretches, **options)
+
+
+def errors_of(flights, stretches):
+    """Return the median absolute errors, a row for each horizon."""
+    rows = []
+    for horizon in HORIZONS:
+        k = round(horizon / STEP)
+        row = {"horizon": horizon}
+        for name in SCORED:
+            pairs = zip(flights, stretches, strict=True)
+            error = [_off(flown[name].to_numpy()[k], truth[name][k], name) for flown, truth in pairs]
+            row[name] = float(np.nanmedian(np.abs(error)))
+        rows.append(row)
+    return rows
+
+
+def coverage_of(ensemble, stretches):
+    """Return which share of the truth lies within the 95 % bands, a row for each horizon."""
+    bands = [band.reset_index(drop=True) for _, band in trajectory_bands(ensemble, 0.95, SCORED).groupby("start")]
+    rows = []
+    for horizon in HORIZONS:
+        k = round(horizon / STEP)
+        inside, width = [], []
+        for band, stretch in zip(bands, stretches, strict=True):
+            for name in SCORED:
+                low, middle, high = (band[name + end][k] for end in ("_low", "", "_high"))
+                value = middle + _off(stretch[name][k], middle, name)
+                inside.append(low <= value <= high)
+                width.append(abs(value - middle) / (0.5 * (high - low)))
+        row = {"horizon": horizon, "coverage %": 100.0 * np.mean(inside)}
+        row["median error / half width"] = float(np.median(width))
+        row["flying %"] = 100.0 * float(np.mean([band["flying"][k] for band in bands]))
+        rows.append(row)
+    return rows
+
+
+def free(name, models, aircraft, flight, n_paths):
+    """Return the rows of one test flight: errors of every method, and the coverage of the bands."""
+    stretches = windows(truth_of(flight))
+    flights = {method: _parts(flown_free(model, aircraft, stretches)) for method, model in models.items()}
+    flights["truth replayed"] = [
+        replay(s, aircraft, s[list(COEFFICIENTS)], horizon=HORIZONS[-1], gravity=s["gravity"].mean()) for s in stretches
+    ]
+    errors = [
+        {"flight": name, "method": method, **row}
+        for method, parts in flights.items()
+        for row in errors_of(parts, stretches)
+    ]
+    ensemble = flown_free(models["ours"], aircraft, stretches, n_paths=n_paths)
+    return errors, [{"flight": name, "paths": n_paths, **row} for row in coverage_of(ensemble, stretches)]
+
+
+def replayed(name, model, aircraft, flight):
+    """Return the paper's test: medians of v_E, p, r over restarts, against measurement and truth."""
+    mean, std = predict_flight(model, flight)
+    flown = replay(flight, aircraft, mean, std=std, horizon=HORIZONS)
+    rows = []
+    for against, suffix in (("measured", ""), ("true", "_true")):
+        table = replay_errors(flown, flight, suffix=suffix).set_index(["state", "horizon"])
+        for horizon in HORIZONS:
+            scores = {state: float(table.loc[(state, horizon), "median"]) for state in ("v_east", "p", "r")}
+            rows.append({
+                "flight": name, "against": against, "horizon": horizon, "v_east [m/s]": scores["v_east"],
+                "p [deg/s]": np.rad2deg(scores["p"]), "r [deg/s]": np.rad2deg(scores["r"]),
+                "coverage %": 100.0 * float(np.mean([table.loc[(state, horizon), "coverage"] for state in scores])),
+            })  # fmt: skip
+    return rows
+
+
+def timed(model, aircraft, n_paths, duration=60.0):
+    """Return how long a minute of free flight at 50 Hz takes, from a trim, controls held."""
+    steady = trim(model, aircraft, 35.0)
+    rows = []
+    for what, options in (
+        ("mean", {}),
+        (f"{n_paths} paths", {"n_paths": n_paths}),
+        ("mean and first-order std", {"return_std": True}),
+    ):
+        start = time.perf_counter()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SimulationWarning)
+            simulate(model, aircraft, steady, steady.controls, dt=0.02, duration=duration, **options)
+        rows.append(
+            {
+                "flight": what,
+                "flown [s]": duration,
+                "steps": round(duration / 0.02),
+                "seconds": time.perf_counter() - start,
+            }
+        )
+    return rows
+
+
+def learned(folder, name, make):
+    """Return a fitted pipeline, from the folder where it is there."""
+    path = folder / f"{name}.joblib" if folder else None
+    if path is not None and path.exists():
+        return joblib.load(path)
+    model = make()
+    if path is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        joblib.dump(model, path)
+    return model
+
+
+def _parts(trajectories):
+    return [part.reset_index(drop=True) for _, part in trajectories.groupby("start")]
+
+
+def _off(value, reference, name):
+    difference = value - reference
+    return np.angle(np.exp(1j * difference)) if name in ANGLES else difference
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
+    parser.add_argument("--paths", type=int, default=100, help="of the ensembles")
+    options = parser.parse_args(words)
+    if options.data is None and not options.smoke:
+        parser.error("the folder of the shared data is needed")
+    errors, coverage, replays = [], [], []
+    for airframe, train, test in [] if options.smoke else PAIRS:
+        folder = options.data / "flights"
+        aircraft = Aircraft.from_json(folder / f"{airframe}.json")
+        log, flight = (read_flight(folder / f"{airframe}_{part}.parquet") for part in (train, test))
+        Y = aerodynamic_coefficients(log, aircraft)
+        models = {
+            "ours": learned(
+                options.models, airframe, lambda a=aircraft, f=log, y=Y: make_identification_pipeline(a).fit(f, y)
+            ),
+            "least squares": make_identification_pipeline(aircraft, regressor=LinearRegression()).fit(log, Y),
+        }
+        found = free(f"{airframe} {test}", models, aircraft, flight, options.paths)
+        errors, coverage = errors + found[0], coverage + found[1]
+        replays += replayed(f"{airframe} {test}", models["ours"], aircraft, flight)
+    example = load_example_flights()
+    log = example.train if not options.smoke else example.train.iloc[:1200]
+
+    def fit():
+        return make_identification_pipeline(example.aircraft).fit(log, aerodynamic_coefficients(log, example.aircraft))
+
+    model = learned(None if options.smoke else options.models, "example", fit)
+    times = timed(model, example.aircraft, 3, 0.2) if options.smoke else timed(model, example.aircraft, options.paths)
+    finish(options, "freeflight", errors=errors, coverage=coverage, replay=replays, times=times)
+
+
+if __name__ == "__main__":
+    main()

@@ -21,6 +21,7 @@ SCRIPTS = (
     "comparison",
     "ablation",
     "structure",
+    "derivatives",
     "referee",
 )
 

@@ -263,7 +263,9 @@ class TestBadInput:
             linearize(nowhere, glider, level, **AIR)
 
     def test_a_motion_that_is_not_determined(self, glider, level):
-        """CZ follows from az more steeply than az from CZ."""
-        loop = Aerodynamics(lambda X: MODEL(X[:, :8]) - 0.5 * X[:, 8:] * np.eye(6)[2], [*NAMES, "az"])
+        """Pulled up where it is pushed down, and down where up: no az fits."""
+        loop = Aerodynamics(
+            lambda X: MODEL(X[:, :8]) + np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2], [*NAMES, "az"]
+        )
         with pytest.raises(ValueError, match="not determined"):
             linearize(loop, glider, level, **AIR)

@@ -59,7 +59,7 @@ def test_names_hold_whatever_the_order_and_units_of_states():
     assert list(table.index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
     apart = [mode_table(LONGITUDINAL, ALONG), mode_table(LATERAL, ACROSS)]
     for part in apart:
-        assert table.loc[part.index, "eigenvalue"].to_numpy() == pytest.approx(part["eigenvalue"].to_numpy(), rel=1e-6)
+        assert list(table.loc[part.index, "eigenvalue"]) == pytest.approx(list(part["eigenvalue"]), rel=1e-6)
 
 
 def test_names_hold_where_the_planes_are_weakly_coupled():

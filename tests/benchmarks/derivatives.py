@@ -1,0 +1,149 @@
+"""Stability derivatives and modes of the example aircraft, learned from its flights, beside the known ones.
+
+    python tests/benchmarks/derivatives.py [--out FOLDER] [--samples N] [--seed 0] [--turbulence 1] [--regressors SET]
+
+The default pipeline learns from both training flights. At three level trims of the true aircraft each derivative is
+compared with the known one, and the modes of the learned aircraft at its own trims with those of the true one.
+
+A model without alpha_dot and beta_dot gives other regressors what these do, as far as they went together: what the
+data hold is the known derivative plus that by alpha_dot times the slope of alpha_dot by the regressor, here of least
+squares on the noise-free columns of the training flights, for scoring alone. These are the "merged" ones.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+import numpy as np
+import pandas as pd
+from _common import finish, parser_of
+from sklearn.exceptions import ConvergenceWarning
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.datasets import load_example_flights
+from skdgp.datasets._brumby import brumby_derivatives
+from skdgp.dynamics import Aerodynamics, aerodynamic_coefficients, linearize, stability_derivatives, trim
+from skdgp.model_selection import thin_targets
+
+AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0
+RATES = ("p", "q", "r", "alpha_dot", "beta_dot")
+SHOWN = ("CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_p", "Cl_r", "Cn_r",
+         "CZ_elevator", "Cm_elevator", "Cl_aileron", "Cn_aileron", "CY_rudder", "Cn_rudder")  # fmt: skip
+
+
+def known_aircraft(data):
+    """Return the true coefficients as a model to fly."""
+    names = [f"{name}_hat" if name in RATES else name for name in data.regressor_names]
+    return Aerodynamics(data.aerodynamics, names, gradient=brumby_derivatives)
+
+
+def slopes_of_slopes(data, regressors):
+    """Return d (alpha_dot, beta_dot) / d regressors over the training flights, all rates non-dimensional."""
+    train, aircraft = data.train, data.aircraft
+    lengths = dict(zip(RATES, (*aircraft.moment_lengths, aircraft.chord, aircraft.span), strict=True))
+
+    def column(name):
+        values = train[f"{name}_true"] if f"{name}_true" in train else train[name]
+        return values * lengths[name] / (2 * train["airspeed_true"]) if name in lengths else values
+
+    X = np.column_stack([np.ones(len(train)), *map(column, regressors)])
+    lagging = np.column_stack([column("alpha_dot"), column("beta_dot")])
+    return pd.DataFrame(np.linalg.lstsq(X, lagging, rcond=None)[0][1:], regressors, ["alpha_dot", "beta_dot"])
+
+
+def compared(model, truth, data, n_paths):
+    """Return all derivatives at the trims, learned and known."""
+    trims = trim(truth, data.aircraft, AIRSPEEDS, altitude=ALTITUDE)
+    table = stability_derivatives(model, data.aircraft, trims, n_paths=n_paths)
+    known = stability_derivatives(truth, data.aircraft, trims)["value"]
+    table = table[table["regressor"] != ""].copy()
+    regressors = list(table["regressor"].unique())
+    table["known"] = known.reindex(table.index).fillna(0.0)  # by throttle
+    table["merged"] = table["known"]
+    if "alpha_dot" not in regressors:
+        slopes = slopes_of_slopes(data, regressors)
+        for (point, name), row in table.iterrows():
+            lost = (
+                known[point, f"{row['coefficient']}_{rate}"] * slopes.loc[row["regressor"], rate] for rate in slopes
+            )
+            table.loc[(point, name), "merged"] += sum(lost)
+    return table
+
+
+def coverage(table):
+    """Return the share of the derivatives within two standard deviations, by coefficient and in all."""
+    rows = {name: table["coefficient"] == name for name in (*COEFFICIENTS, "CL", "CD")}
+    rows |= {"body axes": table["coefficient"].isin(COEFFICIENTS)}
+    share = {
+        reference: np.abs(table["value"] - table[reference]) < 2 * table["std"] for reference in ("known", "merged")
+    }
+    return [
+        {"derivatives of": name, "number": int(chosen.sum())}
+        | {f"within 2 std of {reference}, %": float(100 * inside[chosen].mean()) for reference, inside in share.items()}
+        for name, chosen in rows.items()
+    ]
+
+
+def examples(table):
+    """Return the best known derivatives at the middle trim."""
+    middle = table.loc[len(AIRSPEEDS) // 2]
+    columns = ["value", "std", "known", "merged"]
+    return [{"derivative": n, **middle.loc[n, columns].astype(float)} for n in SHOWN if n in middle.index]
+
+
+def modes(model, truth, data, n_paths):
+    """Return the modes at each airspeed, learned and known, each at its own trim."""
+    rows = []
+    for airspeed in AIRSPEEDS:
+        found, known = (
+            linearize(one, data.aircraft, trim(one, data.aircraft, airspeed, altitude=ALTITUDE), n_paths=n).modes()
+            for one, n in ((model, n_paths), (truth, 0))
+        )
+        for name, row in known.iterrows():
+            if name not in found.index:
+                continue
+            one = found.loc[name]
+            rows.append(
+                {"V, m/s": airspeed, "mode": name, "known": _root(row), "learned": _root(one)}
+                | {"frequency std": float(one["frequency_std"]), "damping std": float(one["damping_std"])}
+                | {"error, %": float(100 * abs(one["eigenvalue"] / row["eigenvalue"] - 1))}
+            )
+    return rows
+
+
+def _root(row):
+    root = row["eigenvalue"]
+    return f"{root.real:.3f} +- {root.imag:.3f}i" if root.imag else f"{root.real:.4f}"
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("--samples", type=int, help="to learn from; default: all")
+    parser.add_argument("--seed", type=int, default=0, help="of gusts and sensor noise")
+    parser.add_argument("--turbulence", type=float, default=1.0)
+    parser.add_argument("--regressors", default="quasi-steady")
+    options = parser.parse_args(words)
+    data = load_example_flights(random_state=options.seed, turbulence=options.turbulence)
+    model, n_paths = make_identification_pipeline(data.aircraft, regressors=options.regressors), 200
+    if options.smoke:
+        options.samples, n_paths = 60, 10
+        data.train = data.train.groupby("flight", observed=True).head(800)
+        model.set_params(flightpathreconstruction="passthrough", dependentgpregressor=DependentGPRegressor(max_iter=2))
+    Y = aerodynamic_coefficients(data.train, data.aircraft)
+    start = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        model.fit(data.train, Y if options.samples is None else thin_targets(Y, options.samples))
+    print(f"learned in {time.perf_counter() - start:.0f} s", flush=True)
+    truth = known_aircraft(data)
+    table = compared(model, truth, data, n_paths)
+    finish(
+        options, "derivatives", coverage=coverage(table), at_36_m_per_s=examples(table),
+        modes=modes(model, truth, data, n_paths),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -7,6 +7,7 @@ PAGE = Template("""<!DOCTYPE html>
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="$policy">
 <meta name="generator" content="skdgp">
 <title>$title</title>
 <style>$style</style>
@@ -23,6 +24,7 @@ $body
 <p class="colophon">$colophon</p>
 </footer>
 </main>
+<script>$script</script>
 </body>
 </html>
 """)

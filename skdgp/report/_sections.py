@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pandas as pd
 
 from skdgp._vocabulary import LATERAL, LONGITUDINAL
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _pictures as pictures
+from skdgp.report import _views as views
 from skdgp.report._content import FlightResult, ModelSummary, ReportContent
 from skdgp.report._tables import (
     THIN,
@@ -136,7 +139,14 @@ _NO_BANDS_OF_TRUTH = (
 )
 
 
-def flight(result: FlightResult, noise_std, n_bins: int, draw: bool) -> str:
+class Detail(NamedTuple):
+    """How finely flights are drawn: slices of time in a picture, samples for one of a chart."""
+
+    n_bins: int
+    every: int = 1
+
+
+def flight(result: FlightResult, noise_std, detail: Detail, draw: bool) -> str:
     """Return everything about one test flight."""
     scores = result.scores
     tables = error_table(scores["measured"], noise_std, against="measured coefficients")
@@ -150,39 +160,41 @@ def flight(result: FlightResult, noise_std, n_bins: int, draw: bool) -> str:
     ]
     span = pictures.busiest_span(result.time, result.mean)
     if draw:
-        parts.append(_coefficients(result, span, n_bins))
+        parts.append(_coefficients(result, span, detail))
     if result.replay is not None or result.replay_errors is not None:
-        parts.append(_replays(result, span, n_bins, draw))
+        parts.append(_replays(result, span, detail, draw))
     if draw:
         parts.append(_calibration(result))
     return "".join([*parts, "</section>"])
 
 
-def _coefficients(result: FlightResult, span, n_bins: int) -> str:
+def _coefficients(result: FlightResult, span, detail: Detail) -> str:
     band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
     key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", band, "area")]
     key += [] if result.truth is None else [("vermillion", "truth", "")]
-    columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, n_bins)}
-    columns["Whole flight"] = pictures.coefficient_panels(result, None, n_bins)
+    columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, detail.n_bins)}
+    columns["Whole flight"] = pictures.coefficient_panels(result, None, detail.n_bins)
     caption = "Measured and estimated coefficients."
     if span is not None:
-        caption += (
-            f" First the {number(span[1] - span[0], 'g')}{THIN}s in which the estimates move most, where a wrong "
+        length = f"{number(span[1] - span[0], 'g')}{THIN}s"
+        caption += _still(
+            f" First the {length} in which the estimates move most, where a wrong model shows first; then the whole "
+            "flight."
         )
-        caption += "model shows first; then the whole flight."
-    return f"<h3>Coefficients</h3>{_columns(columns, key, caption)}"
+    chart = views.coefficient_chart(result, band, span, detail.every)
+    return f"<h3>Coefficients</h3>{_columns(columns, key, caption, chart)}"
 
 
-def _replays(result: FlightResult, span, n_bins: int, draw: bool) -> str:
+def _replays(result: FlightResult, span, detail: Detail, draw: bool) -> str:
     parts = ["<h3>Replayed states</h3>"]
     if result.replay_errors is not None:
         parts.append(replay_table(result.replay_errors))
     if draw and result.replay is not None:
-        parts += [_states(result, horizon, span, n_bins) for horizon in np.unique(result.replay["horizon"])]
+        parts += [_states(result, horizon, span, detail) for horizon in np.unique(result.replay["horizon"])]
     return "".join(parts)
 
 
-def _states(result: FlightResult, horizon: float, span, n_bins: int) -> str:
+def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
     rows = pictures.replay_rows(result.replay, horizon)
     names = [name for name in pictures.LATERAL_STATES if name in rows and name in result.table]
     if not names:
@@ -190,14 +202,16 @@ def _states(result: FlightResult, horizon: float, span, n_bins: int) -> str:
     key = [("measured", "measured", ""), ("blue", "replayed", "")]
     key += [("sky", "95 % band", "area")] if f"{names[0]}_std" in rows else []
     span = span if span is not None and rows["time"].between(*span).any() else None
-    columns = {} if span is None else {_seconds(span): pictures.state_panels(result, horizon, span, n_bins)}
-    columns["Whole flight"] = pictures.state_panels(result, horizon, None, n_bins)
+    columns = {} if span is None else {_seconds(span): pictures.state_panels(result, horizon, span, detail.n_bins)}
+    columns["Whole flight"] = pictures.state_panels(result, horizon, None, detail.n_bins)
     caption = (
         f"States integrated from the estimated coefficients, restarted from the measured state every "
-        f"{number(horizon, 'g')}{THIN}s; lines break there, and marks at the upper edge show where."
+        f"{number(horizon, 'g')}{THIN}s; lines break there."
     )
-    caption += "" if span is None else " First the same seconds as of the coefficients, then the whole flight."
-    return _columns(columns, key, caption)
+    caption += _still(" Marks at the upper edge show where.")
+    if span is not None:
+        caption += _still(" First the same seconds as of the coefficients, then the whole flight.")
+    return _columns(columns, key, caption, views.state_chart(result, horizon, span, detail.every))
 
 
 def _calibration(result: FlightResult) -> str:
@@ -220,14 +234,17 @@ def coupling(content: ReportContent) -> str:
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
 
 
-def flown(content: ReportContent) -> str:
+def flown(content: ReportContent, detail: Detail) -> str:
     """Return the inputs and the path of every flight that came with its table."""
     flights = flown_tables(content)
+    links = {id(result.table): result.name for result in content.test}
     parts = ["<section><h2>What was flown</h2>"]
     for k, name in enumerate(flights):
         key = [(_color(k), name, "")]
         panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
-        parts.append(_figure(panels, f"Inputs of {text(name)}.", key))
+        link = links.get(id(flights[name]), name)
+        chart = views.input_chart(flights[name], name, link, _color(k), detail.every)
+        parts.append(_figure(panels, f"Inputs of {text(name)}.", key, chart))
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:
         key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
@@ -292,18 +309,27 @@ def _sample(kind: str) -> str:
     return f'<i class="{kind}"></i>' if kind in ("", "area") else f'<i class="mark">{kind}</i>'
 
 
-def _figure(panels, caption: str, key=()) -> str:
+def _still(words: str) -> str:
+    """Return words about the pictures that stand where no chart is."""
+    return f'<span class="still">{words}</span>'
+
+
+def _figure(panels, caption: str, key=(), chart: str = "") -> str:
     classes = "panels" if len(panels) > 1 else "single"
-    return (
-        f'<figure>{_key(key)}<div class="{classes}">{"".join(panels)}</div><figcaption>{caption}</figcaption></figure>'
-    )
+    return _framed(f'{_key(key)}<div class="{classes}">{"".join(panels)}</div>', caption, chart)
 
 
-def _columns(columns: dict[str, list[str]], key, caption: str) -> str:
+def _columns(columns: dict[str, list[str]], key, caption: str, chart: str = "") -> str:
     """Return a figure of headed columns; on a phone one follows the other."""
     rows = max(map(len, columns.values()))
     cells = "".join(f"<p>{head}</p>{''.join(panels)}" for head, panels in columns.items())
-    return (
-        f'<figure>{_key(key)}<div class="panels columns" style="--rows: {rows}">{cells}</div>'
-        f"<figcaption>{caption}</figcaption></figure>"
-    )
+    return _framed(f'{_key(key)}<div class="panels columns" style="--rows: {rows}">{cells}</div>', caption, chart)
+
+
+def _framed(still: str, caption: str, chart: str) -> str:
+    """Return a figure: what stands still, and the samples that a script makes a chart of in its place."""
+    if chart:
+        return (
+            f'<figure class="chart"><div class="static">{still}</div>{chart}<figcaption>{caption}</figcaption></figure>'
+        )
+    return f"<figure>{still}<figcaption>{caption}</figcaption></figure>"

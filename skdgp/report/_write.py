@@ -9,16 +9,21 @@ from pathlib import Path
 from skdgp._files import write_atomically
 from skdgp.plotting._style import check_matplotlib
 from skdgp.report import _sections as sections
+from skdgp.report._charts import POLICY, SCRIPT
+from skdgp.report._charts import STYLE as CHART_STYLE
 from skdgp.report._content import ReportContent
 from skdgp.report._page import PAGE, STYLE
 from skdgp.report._pictures import time_slices
+from skdgp.report._sections import Detail
 from skdgp.report._tables import text
+from skdgp.report._views import thinning
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
-    """Write a report as one HTML file that needs nothing else: no network, no script, no other file.
+    """Write a report as one HTML file that needs nothing else: no network, no other file.
 
-    The file appears whole or not at all. Without matplotlib the report has no pictures and says so.
+    The file appears whole or not at all. Its pictures stand in it as they are printed; on a screen a script of its own
+    makes charts of them, to zoom and to read values. Without matplotlib the report has no pictures and says so.
 
     Parameters
     ----------
@@ -65,21 +70,27 @@ def render_report(content: ReportContent) -> str:
     """
     title = text(content.title)
     return PAGE.substitute(
-        title=title, style=STYLE, meta=_meta(content), body=_body(content), colophon=_colophon(content)
+        title=title,
+        policy=POLICY,
+        style=STYLE + CHART_STYLE,
+        meta=_meta(content),
+        body=_body(content),
+        colophon=_colophon(content),
+        script=SCRIPT,
     )
 
 
 def _body(content: ReportContent) -> str:
     draw = _can_draw()
-    n_bins = time_slices(len(content.test))
     parts = [sections.summary(content), sections.messages(content), sections.what_was_done(content)]
     if not draw:
         parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
-    parts += [sections.flight(result, content.model.noise_std, n_bins, draw) for result in content.test]
+    detail = Detail(time_slices(len(content.test)), thinning(content))
+    parts += [sections.flight(result, content.model.noise_std, detail, draw) for result in content.test]
     if draw and content.model.correlation is not None:
         parts.append(sections.coupling(content))
     if draw and sections.flown_tables(content):
-        parts.append(sections.flown(content))
+        parts.append(sections.flown(content, detail))
     return "\n".join([*parts, sections.how_to_read()])
 
 

@@ -1,0 +1,456 @@
+// Charts of samples against time: zoom, pan, read values. Charts of one link share the visible time and the cursor.
+
+const LEFT = 46, RIGHT = 6, TOP = 4, HEIGHT = 118, AXIS = 30; // [px] of a panel
+const FEWEST = 8; // samples that remain visible
+const links = new Map(); // name -> {begin, end, low, high, cursor, charts}
+
+// ---- page ---------------------------------------------------------------------------------------
+
+function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
+}
+
+function button(label, title, act) {
+  const made = element("button", { type: "button", title, "aria-label": title }, label);
+  made.addEventListener("click", act);
+  return made;
+}
+
+// ---- chart --------------------------------------------------------------------------------------
+
+class Chart {
+  constructor(figure, spec, columns) {
+    this.spec = spec;
+    [this.time, ...this.columns] = columns;
+    this.cut = cuts(this.time, spec.window === null ? null : this.columns[spec.window]);
+    this.hidden = new Set();
+    this.relative = false;
+    this.link = this.join(spec.link);
+    this.build(figure);
+    this.listen();
+  }
+
+  join(name) {
+    const low = this.time[0], high = this.time[this.time.length - 1];
+    const link = links.get(name) ?? { begin: low, end: high, low, high, cursor: null, charts: [] };
+    link.low = Math.min(link.low, low);
+    link.high = Math.max(link.high, high);
+    [link.begin, link.end] = this.spec.spans[0] ?? (link.charts.length ? [link.begin, link.end] : [low, high]);
+    link.charts.push(this);
+    links.set(name, link);
+    return link;
+  }
+
+  build(figure) {
+    const { spec, link } = this;
+    const seconds = ([begin, end]) => `${minus(begin.toFixed(0))} to ${minus(end.toFixed(0))} s`;
+    this.spans = [[link.low, link.high], ...spec.spans].map((span, k) => {
+      const made = button(k ? seconds(span) : "Whole flight", k ? "Show these seconds" : "Show the whole flight",
+        () => this.show(...(k ? span : [link.low, link.high])));
+      return { made, span, whole: k === 0 };
+    });
+    const middle = () => link.cursor ?? (link.begin + link.end) / 2;
+    const steps = [
+      button("−", "Zoom out", () => this.zoom(2, middle())),
+      button("+", "Zoom in", () => this.zoom(0.5, middle())),
+      button("‹", "Earlier", () => this.move(-0.25)),
+      button("›", "Later", () => this.move(0.25)),
+    ];
+    this.clock = element("span", { class: "clock" });
+    const names = new Map(spec.panels.flatMap((panel) => panel.series.map((one) => [one.name, one])));
+    const toggles = [...names.values()].map((one) => this.toggle(one));
+    if (spec.panels.every((panel) => panel.base !== null)) toggles.push(this.difference());
+    this.panels = spec.panels.map((panel) => this.panel(panel));
+    this.thumb = element("div", { class: "thumb" });
+    this.track = element("div", { class: "track", "aria-hidden": "true" }, this.thumb);
+    this.grid = element("div", {
+      class: "grid", tabindex: "0", role: "group", "aria-label": `${spec.title}: interactive chart`,
+      style: `--rows: ${Math.ceil(spec.panels.length / 2)}`,
+    }, ...this.panels.map((panel) => panel.box));
+    if (spec.panels.length < 4) this.grid.classList.add("one");
+    this.spoken = element("p", { class: "unseen", "aria-live": "polite" });
+    const touch = matchMedia("(hover: none)").matches;
+    this.hint = element("p", { class: "hint" }, touch
+      ? "Touch to read values, swipe sideways to move, pinch to zoom."
+      : "Point to read values. Drag over the seconds to see closer, drag the bar or turn the wheel with Ctrl to move "
+        + "on and zoom, double-click for the whole flight; keys: ← → + − 0.");
+    this.live = element("div", { class: "live" },
+      element("div", { class: "tools" }, element("div", { class: "spans" }, ...this.spans.map((one) => one.made)),
+        element("div", { class: "steps" }, ...steps), this.clock),
+      ...(toggles.length > 1 ? [element("div", { class: "toggles", role: "group", "aria-label": "What is drawn" },
+        ...toggles)] : []),
+      this.grid, this.track, this.hint, this.spoken);
+    figure.prepend(this.live);
+    figure.classList.add("on");
+  }
+
+  toggle(one) {
+    const mark = element("i", { class: one.std === null ? "" : "area", style: `color: var(--${one.color})` });
+    const made = element("button", { type: "button", "aria-pressed": "true" }, mark, one.name);
+    made.addEventListener("click", () => {
+      const shown = this.hidden.delete(one.name);
+      if (!shown) this.hidden.add(one.name);
+      made.setAttribute("aria-pressed", String(shown));
+      this.stale();
+    });
+    return made;
+  }
+
+  // What is left over when the estimate is taken away: the clearer picture of a long record.
+  difference() {
+    const made = button("less estimate", "Show everything relative to the estimate", () => {
+      this.relative = !this.relative;
+      made.setAttribute("aria-pressed", String(this.relative));
+      this.stale();
+    });
+    made.setAttribute("aria-pressed", "false");
+    made.classList.add("way");
+    return made;
+  }
+
+  // The i-th value of a series as it is shown.
+  at(panel, one, i) {
+    return this.columns[one.values][i] - (this.relative ? this.columns[panel.base][i] : 0);
+  }
+
+  panel(panel) {
+    const label = element("b");
+    label.innerHTML = panel.label;
+    const value = element("span", { class: "value" });
+    const canvas = element("canvas", { role: "img", "aria-label": panel.title });
+    const cursor = element("div", { class: "cursor", hidden: "" });
+    const picked = element("div", { class: "picked", hidden: "" });
+    const plot = element("div", { class: "plot" }, canvas, picked, cursor);
+    const unit = panel.unit ? element("span", { class: "unit" }, `[${panel.unit}]`) : "";
+    const box = element("div", { class: "panel" }, element("p", { class: "head" }, label, unit, value), plot);
+    return { ...panel, box, plot, canvas, cursor, picked, value };
+  }
+
+  // ---- what is visible ----
+
+  show(begin, end) {
+    const { link } = this;
+    const step = (this.time[this.time.length - 1] - this.time[0]) / (this.time.length - 1);
+    const length = Math.min(Math.max(end - begin, FEWEST * step), link.high - link.low);
+    begin = Math.min(Math.max((begin + end - length) / 2, link.low), link.high - length);
+    [link.begin, link.end] = [begin, begin + length];
+    for (const chart of link.charts) chart.stale();
+  }
+
+  zoom(factor, about) {
+    const { begin, end } = this.link;
+    this.show(about - (about - begin) * factor, about + (end - about) * factor);
+  }
+
+  move(part) {
+    const { begin, end, low, high } = this.link;
+    const by = Math.min(Math.max(part * (end - begin), low - begin), high - end);
+    this.show(begin + by, end + by);
+  }
+
+  point(t) {
+    this.link.cursor = t;
+    for (const chart of this.link.charts) chart.read();
+  }
+
+  stale() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      this.draw();
+    });
+  }
+
+  // ---- drawing ----
+
+  draw() {
+    const { begin, end, low, high } = this.link;
+    this.live.dataset.begin = begin;
+    this.live.dataset.end = end;
+    this.thumb.style.left = `${(100 * (begin - low)) / (high - low)}%`;
+    this.thumb.style.width = `${(100 * (end - begin)) / (high - low)}%`;
+    for (const { made, span, whole } of this.spans) {
+      const [a, b] = whole ? [low, high] : span;
+      made.setAttribute("aria-pressed", String(Math.abs(a - begin) + Math.abs(b - end) < 1e-6));
+    }
+    const width = this.panels[0].plot.clientWidth;
+    if (!width) return;
+    const colors = Object.fromEntries(["ink", "quiet", "rule"].map((name) => [name, color(name)]));
+    const bottom = this.panels.map((panel, k) => this.isBottom(k));
+    this.panels.forEach((panel, k) => this.drawPanel(panel, width, bottom[k] ? AXIS : 6, colors));
+    this.read();
+  }
+
+  // Whether nothing stands below the panel in its column.
+  isBottom(k) {
+    const boxes = this.panels.map((panel) => panel.box.getBoundingClientRect());
+    return !boxes.some((box) => box.top > boxes[k].top + 1 && Math.abs(box.left - boxes[k].left) < 1);
+  }
+
+  drawPanel(panel, width, axis, colors) {
+    const { canvas } = panel, dense = window.devicePixelRatio || 1, height = TOP + HEIGHT + axis;
+    canvas.style.height = `${height}px`;
+    if (canvas.width !== Math.round(width * dense) || canvas.height !== Math.round(height * dense))
+      [canvas.width, canvas.height] = [Math.round(width * dense), Math.round(height * dense)];
+    const pen = canvas.getContext("2d");
+    pen.setTransform(dense, 0, 0, dense, 0, 0);
+    pen.clearRect(0, 0, width, height);
+    const plot = Math.max(width - LEFT - RIGHT, 1);
+    const shown = panel.series.filter((one) => !this.hidden.has(one.name)).map((one) => this.condense(panel, one, plot));
+    const [low, high] = limits(shown);
+    const x = (t) => LEFT + ((t - this.link.begin) / (this.link.end - this.link.begin)) * plot;
+    const y = (v) => TOP + ((high - v) / (high - low)) * HEIGHT;
+    Object.assign(panel, { low, high });
+    this.drawAxes(pen, { x, y, low, high, plot, width, labelled: axis === AXIS, colors });
+    pen.save();
+    pen.beginPath();
+    pen.rect(LEFT, TOP, plot, HEIGHT);
+    pen.clip();
+    for (const one of shown) (one.std === null ? drawLine : drawBand)(pen, one, x, y);
+    pen.restore();
+  }
+
+  drawAxes(pen, { x, y, low, high, plot, width, labelled, colors }) {
+    pen.font = `11px ${getComputedStyle(document.body).fontFamily}`;
+    pen.lineWidth = 1;
+    pen.strokeStyle = colors.rule;
+    pen.fillStyle = colors.quiet;
+    pen.beginPath();
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    for (const [value, words] of ticks(low, high, 4)) {
+      const at = Math.round(y(value)) + 0.5;
+      pen.moveTo(LEFT, at);
+      pen.lineTo(LEFT + plot, at);
+      pen.fillText(words, LEFT - 6, at);
+    }
+    pen.textBaseline = "top";
+    for (const [value, words] of ticks(this.link.begin, this.link.end, Math.max(2, plot / 75))) {
+      const at = Math.round(x(value)) + 0.5;
+      pen.moveTo(at, TOP);
+      pen.lineTo(at, TOP + HEIGHT);
+      if (!labelled) continue;
+      pen.textAlign = at > width - 18 ? "right" : "center";
+      pen.fillText(words, Math.min(at, width - 1), TOP + HEIGHT + 4);
+    }
+    pen.stroke();
+    pen.textAlign = "center";
+    if (labelled) pen.fillText("time [s]", LEFT + plot / 2, TOP + HEIGHT + 17);
+  }
+
+  // Reduce the visible samples to strokes of points; of each pixel column the first, lowest, highest and last.
+  condense(panel, one, plot) {
+    const { begin, end } = this.link, { time, cut } = this;
+    const first = Math.max(index(time, begin) - 1, 0), last = Math.min(index(time, end) + 1, time.length);
+    const std = one.std === null ? null : this.columns[one.std];
+    const half = std === null ? () => 0 : (i) => this.spec.level * std[i];
+    const wide = last - first > 4 * plot ? (end - begin) / plot : 0;
+    const strokes = [];
+    let stroke = null, cell = null;
+    for (let i = first; i < last; i++) {
+      const v = this.at(panel, one, i), h = half(i);
+      if (Number.isNaN(v) || Number.isNaN(h)) {
+        if (!wide) stroke = cell = null;
+        continue;
+      }
+      if (cut[i] || stroke === null) {
+        strokes.push((stroke = []));
+        cell = null;
+      }
+      const place = wide ? Math.floor((time[i] - begin) / wide) : i;
+      if (cell === null || cell.place !== place)
+        stroke.push((cell = { place, t: time[i], first: v, low: v - h, high: v + h, last: v }));
+      else {
+        cell.low = Math.min(cell.low, v - h);
+        cell.high = Math.max(cell.high, v + h);
+        cell.last = v;
+      }
+    }
+    return { ...one, strokes, wide };
+  }
+
+  // ---- reading values ----
+
+  read() {
+    const { cursor, begin, end } = this.link, { time } = this;
+    const i = cursor === null ? -1 : nearest(time, cursor);
+    const inside = i >= 0 && time[i] >= begin && time[i] <= end;
+    this.clock.textContent = inside ? `at ${time[i].toFixed(2)} s` : "";
+    const plot = this.panels[0].plot.clientWidth - LEFT - RIGHT;
+    for (const panel of this.panels) {
+      panel.cursor.hidden = !inside;
+      panel.cursor.style.left = `${LEFT + ((time[i] - begin) / (end - begin)) * plot}px`;
+      panel.value.replaceChildren(...(inside ? this.values(panel, i) : []));
+    }
+  }
+
+  values(panel, i) {
+    const step = panel.high - panel.low;
+    return panel.series.filter((one) => !this.hidden.has(one.name)).map((one) => {
+      const words = one.std === null
+        ? `${panel.series.length > 1 ? one.name + " " : ""}${written(this.at(panel, one, i), step)}`
+        : `± ${written(this.spec.level * this.columns[one.std][i], step)}`;
+      return element("span", { style: `border-color: var(--${one.color})` }, words);
+    });
+  }
+
+  speak() {
+    const told = this.panels.map((panel) => `${panel.box.querySelector("b").textContent}: ` +
+      [...panel.value.children].map((one) => one.textContent).join(", "));
+    this.spoken.textContent = this.clock.textContent ? `${this.clock.textContent}. ${told.join(". ")}` : "";
+  }
+
+  // ---- hands ----
+
+  listen() {
+    const { grid, track } = this;
+    this.fingers = new Map();
+    grid.addEventListener("pointerdown", (event) => this.press(event));
+    grid.addEventListener("pointermove", (event) => this.drag(event));
+    for (const name of ["pointerup", "pointercancel"]) grid.addEventListener(name, (event) => this.release(event));
+    grid.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && this.point(null));
+    grid.addEventListener("dblclick", () => this.show(this.link.low, this.link.high));
+    grid.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    grid.addEventListener("keydown", (event) => this.key(event));
+    track.addEventListener("pointerdown", (event) => this.grab(event));
+    new ResizeObserver(() => this.stale()).observe(grid);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.stale());
+  }
+
+  // Time under a pointer, and the panel it is over.
+  under(event) {
+    const panel = this.panels.find((one) => one.plot.contains(event.target)) ?? this.panels[0];
+    const box = (this.pressed?.panel ?? panel).plot.getBoundingClientRect();
+    const part = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
+    const { begin, end } = this.link;
+    return { panel, part, t: begin + Math.min(Math.max(part, 0), 1) * (end - begin) };
+  }
+
+  press(event) {
+    if (event.button !== 0) return;
+    const { panel, t } = this.under(event);
+    this.fingers.set(event.pointerId, event.clientX);
+    this.pressed = { panel, t, x: event.clientX, begin: this.link.begin, end: this.link.end };
+    this.point(t);
+    if (event.pointerType === "mouse") this.grid.setPointerCapture(event.pointerId);
+  }
+
+  drag(event) {
+    const { pressed, fingers } = this;
+    if (!fingers.has(event.pointerId)) {
+      if (event.pointerType === "mouse") this.point(this.under(event).t);
+      return;
+    }
+    const before = [...fingers.values()];
+    fingers.set(event.pointerId, event.clientX);
+    const width = pressed.panel.plot.clientWidth - LEFT - RIGHT;
+    if (fingers.size === 2) {
+      const [a, b] = before, [c, d] = [...fingers.values()];
+      const { begin, end } = this.link, left = pressed.panel.plot.getBoundingClientRect().left + LEFT;
+      const about = begin + (((a + b) / 2 - left) / width) * (end - begin);
+      this.zoom(Math.max(Math.abs(a - b), 10) / Math.max(Math.abs(c - d), 10), about);
+      this.move(-(c + d - a - b) / 2 / width);
+    } else if (event.pointerType === "mouse" && !event.shiftKey) this.pick(pressed, this.under(event).t);
+    else {
+      this.move((before[0] - event.clientX) / width);
+      this.point(this.under(event).t);
+    }
+  }
+
+  // Mark the seconds between the press and here.
+  pick(pressed, t) {
+    const { begin, end } = this.link, width = pressed.panel.plot.clientWidth - LEFT - RIGHT;
+    const [a, b] = [Math.min(t, pressed.t), Math.max(t, pressed.t)];
+    pressed.picked = [a, b];
+    for (const { picked } of this.panels) {
+      picked.hidden = false;
+      picked.style.left = `${LEFT + ((a - begin) / (end - begin)) * width}px`;
+      picked.style.width = `${((b - a) / (end - begin)) * width}px`;
+    }
+    this.point(t);
+  }
+
+  release(event) {
+    if (!this.fingers.delete(event.pointerId)) return;
+    const { picked, x } = this.pressed;
+    for (const panel of this.panels) panel.picked.hidden = true;
+    if (picked && Math.abs(event.clientX - x) > 4 && event.type === "pointerup") this.show(...picked);
+    if (!this.fingers.size) this.pressed = null;
+  }
+
+  wheel(event) {
+    const sideways = Math.abs(event.deltaX) > Math.abs(event.deltaY);
+    // Plain turning scrolls the page, unless the chart was clicked into.
+    if (!event.ctrlKey && !sideways && document.activeElement !== this.grid) return;
+    event.preventDefault();
+    if (sideways) this.move(event.deltaX / 1000);
+    else this.zoom(Math.exp(Math.min(Math.max(event.deltaY, -200), 200) / (event.ctrlKey ? 200 : 500)), this.under(event).t);
+  }
+
+  key(event) {
+    const { link } = this, step = (link.end - link.begin) / (event.shiftKey ? 10 : 100);
+    const at = link.cursor ?? (link.begin + link.end) / 2;
+    const acts = {
+      ArrowLeft: () => this.follow(at - step),
+      ArrowRight: () => this.follow(at + step),
+      Home: () => this.follow(link.low),
+      End: () => this.follow(link.high),
+      "+": () => this.zoom(0.5, at),
+      "=": () => this.zoom(0.5, at),
+      "-": () => this.zoom(2, at),
+      0: () => this.show(link.low, link.high),
+      Escape: () => this.point(null),
+    };
+    if (!acts[event.key] || event.altKey || event.metaKey || event.ctrlKey) return;
+    event.preventDefault();
+    acts[event.key]();
+    this.speak();
+  }
+
+  // Put the cursor somewhere, and the visible seconds around it.
+  follow(t) {
+    const { link } = this;
+    t = Math.min(Math.max(t, link.low), link.high);
+    const by = t < link.begin ? t - link.begin : t > link.end ? t - link.end : 0;
+    if (by) this.show(link.begin + by, link.end + by);
+    this.point(t);
+  }
+
+  // Drag the bar of the visible seconds.
+  grab(event) {
+    const { track, link } = this, box = track.getBoundingClientRect(), length = link.end - link.begin;
+    const time = (x) => link.low + ((x - box.left) / box.width) * (link.high - link.low);
+    const held = time(event.clientX);
+    const off = held >= link.begin && held <= link.end ? held - link.begin : length / 2;
+    const go = (x) => {
+      const begin = Math.min(Math.max(time(x) - off, link.low), link.high - length);
+      this.show(begin, begin + length);
+    };
+    event.preventDefault();
+    track.setPointerCapture(event.pointerId);
+    go(event.clientX);
+    const follow = (moved) => go(moved.clientX);
+    track.addEventListener("pointermove", follow);
+    const done = () => track.removeEventListener("pointermove", follow);
+    for (const name of ["pointerup", "pointercancel"]) track.addEventListener(name, done, { once: true });
+  }
+}
+
+// ---- begin --------------------------------------------------------------------------------------
+
+async function begin() {
+  if (!("DecompressionStream" in window)) return; // the pictures remain
+  for (const figure of document.querySelectorAll("figure.chart")) {
+    const holder = figure.querySelector('script[type="application/json"]');
+    const spec = JSON.parse(holder.textContent);
+    const chart = new Chart(figure, spec, await unpack(spec));
+    chart.draw();
+  }
+  document.documentElement.dataset.charts = "ready";
+}
+
+begin();

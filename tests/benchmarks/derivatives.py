@@ -102,14 +102,13 @@ def modes(model, truth, data, n_paths):
             for one, n in ((model, n_paths), (truth, 0))
         )
         for name, row in known.iterrows():
-            if name not in found.index:
-                continue
-            one = found.loc[name]
-            rows.append(
-                {"V, m/s": airspeed, "mode": name, "known": _root(row), "learned": _root(one)}
-                | {"frequency std": float(one["frequency_std"]), "damping std": float(one["damping_std"])}
-                | {"error, %": float(100 * abs(one["eigenvalue"] / row["eigenvalue"] - 1))}
-            )
+            line = {"V, m/s": airspeed, "mode": name, "known": _root(row), "learned": None}
+            line |= {"frequency std": None, "damping std": None, "error, %": None}
+            if name in found.index:
+                one = found.loc[name]
+                line |= {"learned": _root(one), "error, %": 100 * abs(one["eigenvalue"] / row["eigenvalue"] - 1)}
+                line |= {f"{column} std": one[f"{column}_std"] for column in ("frequency", "damping")}
+            rows.append({name: float(v) if isinstance(v, np.floating) else v for name, v in line.items()})
     return rows
 
 

@@ -11,6 +11,8 @@ from sklearn.utils import check_random_state
 from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from skdgp._callbacks import CallbackSupportMixin, FitTask
+from skdgp._checkpoint import kept_in, record_of_fit
 from skdgp._parallel import check_n_jobs, fit_map
 from skdgp._prediction import PredictionMixin
 from skdgp._targets import (
@@ -37,7 +39,7 @@ EXACT_LIMIT = 6000
 MOST_LATENT = 3  # shared, that n_latent="auto" tries
 
 
-class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
+class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
     r"""Gaussian-process regression of several outputs with the dependencies between them.
 
     Output i is a trend, plus a sum of white-noise processes that the outputs share, each through a Gaussian
@@ -232,7 +234,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
             ``max_iter`` far from an optimum.
         """
         check_n_jobs(self.n_jobs)
-        index = getattr(X, "index", None)
+        task, index = FitTask(self, X, y), getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         warn_of_indices(index, y)
         Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
@@ -251,7 +253,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         self._center = np.nanmean(Y, axis=0) if self.trend is not None else np.zeros(Y.shape[1])
         scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
         self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
-        best = self._search(X, (Y - self._center) / self._scale)
+        best = task.heard(self._search, X, (Y - self._center) / self._scale)
         warn_of_search(best, self.max_iter)
         vars(self).pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
@@ -261,6 +263,7 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_, self.converged_ = best.n_iter, best.n_evaluations, best.converged
+        task.end()
         return self
 
     def _search(self, X, Z):
@@ -269,22 +272,27 @@ class DependentGPRegressor(PredictionMixin, MultiOutputMixin, RegressorMixin, Ba
         root = input_root(self.input_noise, X.shape[1])
         options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
-        kernel = self._choose(X, Z, options | {"random_state": int(seeds[0])})
-        starts = [{"random_state": int(seed), "spread": float(k > 0)} for k, seed in enumerate(seeds)]
-        fits = fit_map(partial(search, kernel, X, Z, **options), starts, self.n_jobs)
+        record = record_of_fit(X, Z, seeds, self.get_params(deep=False))
+        seeds = seeds if record is None else record.seeds
+        kernel, found = self._choose(X, Z, options | {"random_state": int(seeds[0]), "record": record})
+        names = [f"start-{k}" for k in range(len(seeds) if found is None else 1)]
+        starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
+        start = partial(kept_in, record, function=partial(search, kernel, X, Z, found=found, **options))
+        fits = fit_map(start, starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.value)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))
 
     def _choose(self, X, Z, options):
-        """Return the prior, its number of shared latents taken from the data where that was asked."""
+        """Return the prior, its number of shared latents from the data where that was asked; what Ctrl-C left of it."""
         self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
+        found = None
         if self.n_latent_ == "auto":
             fewest = int(not self.private_latents)
             numbers = range(fewest, (MOST_LATENT if Z.shape[1] > 1 else fewest) + 1)
             choice = choose_kernel([self._prior(number) for number in numbers], X, Z, **options)
-            self.n_latent_ = numbers[choice.index]
+            self.n_latent_, found = numbers[choice.index], choice.found
             self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
-        return self._prior(self.n_latent_)
+        return self._prior(self.n_latent_), found
 
     def _prior(self, n_latent):
         options = {

@@ -34,6 +34,8 @@ FLOORS = [
         "_parallel",
         "_progress",
         "_files",
+        "_checkpoint",
+        "_callbacks",
         "_targets",
         "_prediction",
     ],

@@ -46,8 +46,13 @@ class Fit(NamedTuple):
     rising: bool = False
     converged: bool = True
 
+    def found(self, interrupted: bool) -> Found:
+        """Return the hyperparameters of an exact fit, to be taken for other values."""
+        story = self.n_iter, self.n_evaluations, interrupted, self.rising, self.converged
+        return Found(self.posterior.kernel, self.noise, self.root, *story)
 
-class _Found(NamedTuple):
+
+class Found(NamedTuple):
     """Hyperparameters, and how they were found."""
 
     kernel: object
@@ -69,7 +74,7 @@ class _Found(NamedTuple):
         return Fit(posterior, self.noise, self.root, value, *story)
 
 
-def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, spread=0.0) -> Fit:
+def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, spread=0.0, found=None) -> Fit:
     """Return the exact posterior at the best hyperparameters found from one starting point.
 
     Parameters
@@ -88,13 +93,20 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=No
         R of the covariance R R^T of the regressors' noise; or a variance for each regressor is learned.
     spread : float
         Standard deviation of what is added to the starting theta: for restarts.
+    found : Found or None
+        Hyperparameters to take as they are.
     """
-    options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
-    found, data = _learn(kernel.prepared(X), X, Y, slice(None), *options)
+    if found is None:
+        options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
+        found, data = _learn(kernel.prepared(X), X, Y, slice(None), *options)
+    else:
+        data = _carried(Data.from_table(X, Y), found, X, Y)
     return found.fit(ExactPosterior(found.kernel, found.noise, data))
 
 
-def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, input_noise=None, spread=0.0) -> Fit:
+def fit_sparse(
+    kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, input_noise=None, spread=0.0, found=None
+) -> Fit:
     """Return the sparse posterior on all samples, at hyperparameters learned from some of them.
 
     Parameters are those of ``fit_exact``, and
@@ -111,8 +123,9 @@ def fit_sparse(kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, i
     Z = _centres(X, n_inducing, random_state)
     size = kernel.initialize(X, Y, np.random.RandomState(0)).features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    rows = some_rows(Y, random_state)
-    found, _ = _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread)
+    if found is None:
+        rows = some_rows(Y, random_state)
+        found, _ = _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread)
     kernel, features = found.kernel, found.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
@@ -179,7 +192,7 @@ def _repeats(posterior, X, Y):
     return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
 
 
-def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread) -> tuple[_Found, Data]:
+def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread) -> tuple[Found, Data]:
     """Return hyperparameters: of each output alone, then of all jointly from the rows; and the values of these."""
     P = Y.shape[1]
     noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
@@ -193,10 +206,10 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
     everything, X, Y = (X, Y), X[rows], Y[rows]
     data = Data.from_table(X, Y)
     if optimizer is None:
-        found = _Found(kernel, noise, None if isinstance(input_noise, str) else input_noise)
+        found = Found(kernel, noise, None if isinstance(input_noise, str) else input_noise)
         return found, _carried(data, found, X, Y)
 
-    def climb(kernel, noise, bounds, max_iter, data, spread=0.0):
+    def climb(name, kernel, noise, bounds, max_iter, data, spread=0.0):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
         best = maximize(
@@ -205,6 +218,7 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
             bounds_of(kernel, bounds),
             optimizer=optimizer,
             max_iter=max_iter,
+            name=name,
             stop=stop,
         )
         theta, noise = np.split(best.theta, [-len(noise)])
@@ -216,7 +230,7 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or input_noise is not None:
-        coarse, noise, best = climb(coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
+        coarse, noise, best = climb("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
         n_evaluations, n_iter, spread = n_evaluations + best.n_evaluations, best.n_iter, 0.0
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     root, bounds = input_noise, noise_bounds
@@ -224,11 +238,11 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
         root, data, noise, more = _start_of_inputs(coarse, noise, data, X, Y, column_scale(everything[0]))
         bounds = np.concatenate([noise_bounds, more])
     elif input_noise is not None:
-        data = _carried(data, _Found(coarse, noise, root), X, Y)
-    kernel, noise, best = climb(kernel, noise, bounds, max_iter - n_iter, data, spread)
+        data = _carried(data, Found(coarse, noise, root), X, Y)
+    kernel, noise, best = climb("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
     if isinstance(input_noise, str):
         root = root * np.sqrt(noise[P:])
-    found = _Found(kernel, noise[:P], root, n_iter + best.n_iter, n_evaluations + best.n_evaluations)
+    found = Found(kernel, noise[:P], root, n_iter + best.n_iter, n_evaluations + best.n_evaluations)
     found = found._replace(interrupted=stop.is_set(), rising=best.rising, converged=best.converged)
     return found, _carried(data, found, X, Y)
 
@@ -251,7 +265,7 @@ def _start_of_inputs(kernel, noise, data, X, Y, scale):
     At the start half of the noise comes from the regressors, each off by the same part of its spread.
     """
     root = np.diag(scale)
-    data = _carried(data, _Found(kernel, noise, root), X, Y)
+    data = _carried(data, Found(kernel, noise, root), X, Y)
     carried = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.scatter.reach]
     part = 0.5 * float(np.nanmedian(noise / np.maximum(carried, 1e-12)))
     least, most = INPUT_BOUNDS

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
+from skdgp._checkpoint import answers_of
 from skdgp._progress import tell
 
 
@@ -25,31 +26,47 @@ class Optimum(NamedTuple):
 class _Objective:
     """Negative log likelihood for a minimiser, that remembers its best point and reports on its way."""
 
-    def __init__(self, log_likelihood, theta, stage, stop):
-        self.log_likelihood, self.stage, self.stop = log_likelihood, stage, stop
+    def __init__(self, log_likelihood, theta, stage, stop, answers):
+        self.log_likelihood, self.stage, self.stop, self.answers = log_likelihood, stage, stop, answers
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
         self.values = []
 
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
             raise KeyboardInterrupt
+        known = self.answers.recall(self.n_evaluations, theta)
+        value, gradient = self._evaluate(theta) if known is None else known
         self.n_evaluations += 1
-        try:
-            value, gradient = self.log_likelihood(theta)
-        except np.linalg.LinAlgError:
-            value, gradient = -np.inf, np.zeros_like(theta)
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
             # A wall, finite so that the line search can turn round.
             value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
         self.values.append(self.value)
-        tell(self.stage, self.n_evaluations, self.value)
+        if known is None:
+            tell(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
+
+    def _evaluate(self, theta):
+        try:
+            value, gradient = self.log_likelihood(theta)
+        except np.linalg.LinAlgError:
+            value, gradient = -np.inf, np.zeros_like(theta)
+        self.answers.add(self.n_evaluations, theta, value, gradient)
+        return value, gradient
 
 
 def maximize(
-    log_likelihood, theta, bounds, *, optimizer="fmin_l_bfgs_b", max_iter=100, tolerance=1e-5, stage="fit", stop=None
+    log_likelihood,
+    theta,
+    bounds,
+    *,
+    optimizer="fmin_l_bfgs_b",
+    max_iter=100,
+    tolerance=1e-5,
+    stage="fit",
+    name=None,
+    stop=None,
 ):
     """Return the best point found from ``theta`` on.
 
@@ -67,6 +84,8 @@ def maximize(
         Stop when the likelihood rises by less than this fraction of itself in one iteration.
     stage : str
         What the progress listeners are told.
+    name : str or None
+        What this maximisation is called in a checkpoint, once in each part of a fit; None: as the stage.
     stop : threading.Event or None
         Set by Ctrl-C, and as good as it: looked at before every evaluation.
 
@@ -75,10 +94,13 @@ def maximize(
     Optimum
         Ctrl-C ends the search and is kept in ``interrupted``; the caller says so.
     """
-    theta = np.clip(theta, bounds[:, 0], bounds[:, 1])
+    answers = answers_of(name or stage)
+    if answers.end is not None:
+        return Optimum(*answers.end)
+    theta = answers.start(np.clip(theta, bounds[:, 0], bounds[:, 1]))
     if stop is not None and stop.is_set():
         return Optimum(theta, -np.inf, 0, 0, True, False, False)
-    objective = _Objective(log_likelihood, theta, stage, stop)
+    objective = _Objective(log_likelihood, theta, stage, stop, answers)
     n_iter, interrupted, converged = 0, False, False
     try:
         if callable(optimizer):
@@ -93,5 +115,8 @@ def maximize(
         if stop is not None:
             stop.set()
     gain = objective.value - objective.values[-min(5, len(objective.values))] if objective.values else 0.0
-    rising = n_iter >= max_iter and gain > 0.05 * abs(objective.value)
-    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising, converged)
+    rising = bool(n_iter >= max_iter and gain > 0.05 * abs(objective.value))
+    end = Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising, converged)
+    if not interrupted:
+        answers.finish(end)
+    return end

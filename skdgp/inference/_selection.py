@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp.inference._fit import fit_exact, some_rows
+from skdgp._checkpoint import Record, kept_in
+from skdgp.inference._fit import Found, fit_exact, some_rows
 
 
 class Choice(NamedTuple):
-    """Which kernel was chosen, and the criterion in nats of those that were tried, the first ones."""
+    """Which kernel was chosen, and the criterion in nats of those that were tried, the first ones.
+
+    ``found`` are its hyperparameters where Ctrl-C ended the search: the best that there are.
+    """
 
     index: int
     scores: list[float]
+    found: Found | None = None
 
 
-def choose_kernel(kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None) -> Choice:
+def choose_kernel(
+    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: Record | None = None
+) -> Choice:
     r"""Choose among kernels, from few hyperparameters to many, by the Bayesian information criterion.
 
     With L the marginal likelihood at its maximum over the q hyperparameters, noise variances among them, and N observed
@@ -37,26 +45,25 @@ def choose_kernel(kernels, X, Y, *, optimizer, max_iter, random_state, input_noi
         NaN where an output was not observed. Where more than 2400 values were, rows spread over them are used.
     optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
+    record : Record or None
+        Where the fits are kept, if they are.
 
     Returns
     -------
     Choice
-
-    Raises
-    ------
-    KeyboardInterrupt
-        At Ctrl-C: there is nothing yet to keep.
+        At Ctrl-C the best of the kernels that were done; of the first, if none was.
     """
     rows = some_rows(Y, check_random_state(random_state))
     X, Y = X[rows], Y[rows]
     options = {"optimizer": optimizer, "max_iter": max_iter, "random_state": random_state, "input_noise": input_noise}
-    scores = []
-    for kernel in kernels:
-        fit = fit_exact(kernel, X, Y, **options)
+    scores, best = [], None
+    for k, kernel in enumerate(kernels):
+        fit = kept_in(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
         if fit.interrupted:
-            raise KeyboardInterrupt
+            return Choice(max(k - 1, 0), scores, (best or fit).found(interrupted=True))
         n_hyperparameters = fit.posterior.kernel.n_dims + Y.shape[1]
         scores.append(fit.value - 0.5 * n_hyperparameters * np.log(np.isfinite(Y).sum()))
-        if len(scores) > 1 and scores[-1] <= scores[-2]:
-            return Choice(len(scores) - 2, scores)
-    return Choice(len(scores) - 1, scores)
+        if best is not None and scores[-1] <= scores[-2]:
+            return Choice(k - 1, scores)
+        best = fit
+    return Choice(k, scores)

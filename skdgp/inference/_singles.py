@@ -33,17 +33,18 @@ class _Output:
         self.noise, self.noise_bounds = noise[i], noise_bounds[i : i + 1]
         self.search = partial(search, stage=f"output {i + 1}")
 
-    def climb(self, kernel, theta, step, max_iter):
+    def climb(self, kernel, theta, step, max_iter, name=None):
         """Return the kernel without values and the Optimum from theta on, of every step-th value."""
         data = Data.from_table(self.x[::step], self.y[::step])
         bounds = bounds_of(kernel, self.noise_bounds)
-        return kernel, self.search(likelihood_of(kernel, data, 1), theta, bounds, max_iter=max_iter)
+        return kernel, self.search(likelihood_of(kernel, data, 1), theta, bounds, max_iter=max_iter, name=name)
 
     def attempt(self, kernel, stretch):
         """Return where a few of the values lead from one width."""
         start = kernel.single().initialize(self.x, self.y, np.random.RandomState(self.seed), stretch=stretch)
         theta = np.append(start.theta, np.log(self.noise))
-        return self.climb(start, theta, max(1, len(self.x) // TRY_VALUES), TRY_ITERATIONS)
+        name = f"{self.search.keywords['stage']} from {stretch}"
+        return self.climb(start, theta, max(1, len(self.x) // TRY_VALUES), TRY_ITERATIONS, name)
 
 
 def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop: Event) -> Singles:

@@ -11,11 +11,12 @@ from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin, _fit_context
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
+from skdgp._callbacks import CallbackSupportMixin, FitTask
 from skdgp._validation import check_table
 from skdgp._vocabulary import CHANNELS
 
 
-class TableTransformer(TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None):
+class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None):
     """Base of transformers that read named columns of a flight table and add or choose others.
 
     A table may hold any other columns, in any order, and other ones at ``transform`` than at ``fit``: only those
@@ -40,7 +41,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC, auto_wrap_output_ke
         -------
         self
         """
-        self._passes = not self._recognises(X)
+        task, self._passes = FitTask(self, X, y), not self._recognises(X)
         if self._passes:
             self._checked_stranger(X, reset=True)
             warnings.warn(
@@ -49,10 +50,11 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC, auto_wrap_output_ke
                 UserWarning,
                 stacklevel=2,
             )
-            return self
-        check_table(X)
-        validate_data(self, X, skip_check_array=True)
-        self._fit_table(X)
+        else:
+            check_table(X)
+            validate_data(self, X, skip_check_array=True)
+            self._fit_table(X)
+        task.end()
         return self
 
     def transform(self, X):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor
 from skdgp._progress import listening
@@ -90,9 +91,46 @@ def test_regressors_may_be_noisy_and_inference_sparse():
     assert np.isfinite(list(model.n_latent_scores_.values())).all()
 
 
-def test_an_interruption_before_anything_is_known_ends_the_fit():
-    def interrupt(*_):
-        raise KeyboardInterrupt
+class TestInterrupt:
+    """Ctrl-C while candidates are tried: the best so far, as from any other fit."""
 
-    with listening(interrupt), pytest.raises(KeyboardInterrupt):
-        fitted(drawn(0.9)[1])
+    @staticmethod
+    def interrupted(at, Y, **parameters):
+        """Return a model whose search was interrupted after so many evaluations, and the values told until then."""
+        told = []
+
+        def interrupt(stage, n_evaluations, log_likelihood):
+            told.append((stage, n_evaluations, log_likelihood))
+            if len(told) == at:
+                raise KeyboardInterrupt
+
+        with listening(interrupt), pytest.warns(ConvergenceWarning, match="interrupted"):
+            return fitted(Y, **parameters), told
+
+    def test_before_anything_is_known(self):
+        model, _ = self.interrupted(1, drawn(0.9)[1])
+        assert (model.n_latent_, model.n_latent_scores_) == (0, {})
+        assert np.isfinite(model.predict(X, return_std=True)).all()
+
+    def test_within_the_first_candidate(self):
+        _, Y = drawn(0.9)
+        model, told = self.interrupted(self.evaluations(Y), Y)
+        assert told[-1][0] == "fit"
+        assert model.log_marginal_likelihood_value_ == pytest.approx(told[-1][-1])  # the last point it heard of
+        assert (model.n_latent_, model.n_latent_scores_) == (0, {})
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_later_the_best_that_was_done_is_kept(self, inference):
+        _, Y = drawn(0.9)
+        model, _ = self.interrupted(self.evaluations(Y) + 5, Y, inference=inference, n_inducing=N)
+        assert (model.n_latent_, model.inference_) == (0, inference)
+        assert list(model.n_latent_scores_) == [0]
+        np.testing.assert_allclose(model.predict(X), fitted(Y, n_latent=0).predict(X), atol=0.2)
+
+    @staticmethod
+    def evaluations(Y):
+        """Return how many the first candidate takes."""
+        told = []
+        with listening(lambda *news: told.append(news)):
+            fitted(Y, n_latent=0)
+        return len(told)

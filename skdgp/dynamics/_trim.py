@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from skdgp._validation import check_names
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._vocabulary import CHANNELS, COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._frames import air_velocity, euler_to_quaternion, gravity_in_body_axes
 from skdgp.dynamics._motion import Instant, Motion
@@ -20,11 +20,14 @@ from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCI
 
 __all__ = ["Trim", "trim"]
 
+SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right")
 ENGINE = ("thrust", "throttle", "propeller_speed")
 ANGLES = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
 OTHERS = {"climb": (-1.4, 1.4), "turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
 DEFLECTION = np.pi / 4
 """Largest one of a control of a model that does not say what it was learned from."""
+REACH = 0.1
+"""Least distance by which a control or alpha may leave what a model was learned from [rad]."""
 ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
 TOLERANCE = 1e-6
 """Largest acceleration of a trim [m/s^2, rad/s^2]."""
@@ -77,6 +80,10 @@ class Trim:
     solved: tuple[str, ...]
     residual: float
     beyond: dict
+
+    def __repr__(self):
+        named = {name: getattr(self, name) for name in ("climb", "turn_rate", "alpha", "beta", "phi", "theta")}
+        return f"Trim({self.airspeed:g} m/s, {', '.join(f'{n} {v:.4g}' for n, v in (named | self.controls).items())})"
 
     def to_frame(self) -> pd.DataFrame:
         """Return the trim as a table of one row; ``beyond`` lists names."""
@@ -137,8 +144,9 @@ def trim(
         without a propeller) is otherwise in the middle of what was flown.
     limits : mapping of str to pair of float, optional
         Of controls, alpha, beta, phi, theta. By default controls and alpha may leave what the model was learned from
-        by the width of it on either side: a model knows nothing of stops, and beyond knows nothing at all. Where a
-        model does not say what it was learned from, surfaces reach 45 degrees. ``throttle`` is 0 to 1, ``thrust`` > 0.
+        by the width of it on either side, or 0.1 rad: a model knows nothing of stops, and beyond knows nothing at all.
+        Where a model does not say what it was learned from, surfaces reach 45 degrees. ``throttle`` is 0 to 1,
+        ``thrust`` > 0.
     thrust, gravity, density
         As for :func:`skdgp.dynamics.simulate`.
 
@@ -221,9 +229,12 @@ class _Problem:
                 self.fixed[name] = float(np.mean(self.flown[name]))
         free = [name for name in needed if name not in self.fixed]
         lacking = [name for name in free if controls is not None and name not in controls]
-        lacking += [name for name in free if name in ENGINE and name != engine]
+        lacking += [n for n in free if n != engine and (n in ENGINE or (n in CHANNELS and n not in SURFACES))]
         if lacking:
-            raise ValueError(f"The trim lacks values of {lacking}: give fixed={{{lacking[0]!r}: value}}.")
+            raise ValueError(
+                f"The trim lacks values of {lacking}, which no steady flight determines: give fixed="
+                f"{{{lacking[0]!r}: value}}."
+            )
         return tuple(free)
 
     def _limits(self, name: str) -> tuple[float, float]:
@@ -235,7 +246,8 @@ class _Problem:
         if name in ("theta", "phi", "beta") or name not in self.flown:
             return ANGLES.get(name, (-DEFLECTION, DEFLECTION))
         low, high = self.flown[name]
-        return 2 * low - high, 2 * high - low
+        reach = max(high - low, REACH)
+        return low - reach, high + reach
 
     def solve(self, airspeed: float, near=None) -> tuple[np.ndarray, Trim]:
         """Return the unknowns and the trim they make, starting ``near`` those of another one, and elsewhere."""

@@ -127,9 +127,10 @@ def main(words=None):
     data = load_example_flights(random_state=options.seed, turbulence=options.turbulence)
     model, n_paths = make_identification_pipeline(data.aircraft, regressors=options.regressors), 200
     if options.smoke:
-        options.samples, n_paths = 60, 10
-        data.train = data.train.groupby("flight", observed=True).head(800)
-        model.set_params(flightpathreconstruction="passthrough", dependentgpregressor=DependentGPRegressor(max_iter=2))
+        options.samples, n_paths = 30, 10
+        data.train = data.train.groupby("flight", observed=True).head(400)
+        regressor = DependentGPRegressor(max_iter=2, n_latent=1)
+        model.set_params(flightpathreconstruction="passthrough", dependentgpregressor=regressor)
     Y = aerodynamic_coefficients(data.train, data.aircraft)
     start = time.perf_counter()
     with warnings.catch_warnings():

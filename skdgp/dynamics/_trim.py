@@ -14,6 +14,7 @@ from skdgp._validation import check_names
 from skdgp._vocabulary import CHANNELS, COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._frames import air_velocity, euler_to_quaternion, gravity_in_body_axes
+from skdgp.dynamics._loads import FORCE_AXES, MOMENT_AXES
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._propulsion import thrust_control
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY
@@ -22,6 +23,8 @@ __all__ = ["Trim", "trim"]
 
 SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right")
 ENGINE = ("thrust", "throttle", "propeller_speed")
+THRUSTS = ("thrust", "propeller_speed", *(f"thrust_{axis}" for axis in (*FORCE_AXES, *MOMENT_AXES)))
+"""Controls that tell the thrust whatever the engine's own one is."""
 ANGLES = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
 OTHERS = {"climb": (-1.4, 1.4), "turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
 DEFLECTION = np.pi / 4
@@ -221,9 +224,11 @@ class _Problem:
         motion, engine = self.motion, thrust_control(self.motion.aircraft, self.motion.thrust)
         if engine is not None and motion.aircraft.propeller is not None and "propeller_speed" in motion.controls:
             engine = "propeller_speed"
+        if motion.thrust == "auto" and any(name in self.fixed for name in THRUSTS):
+            engine = None
         needed = dict.fromkeys([*motion.controls, *([] if engine is None else [engine])])
-        if controls is not None:
-            check_names(controls, needed, "controls of the model and the engine")
+        check_names(controls or (), needed, "controls of the model and the engine")
+        check_names(self.fixed, (*needed, *THRUSTS), "controls of the model and the engine")
         for name in needed:
             if name in ENGINE and name != engine and name not in self.fixed and name in self.flown:
                 self.fixed[name] = float(np.mean(self.flown[name]))

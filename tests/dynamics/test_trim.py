@@ -175,6 +175,13 @@ class TestShape:
         assert float(thrust) == pytest.approx(trim(TEXTBOOK, glider, 20.0, **AIR).controls["thrust"])
         assert isinstance(propelled.propeller, Propeller)
 
+    def test_thrust_may_be_given_along_the_axes(self, glider):
+        level = trim(TEXTBOOK, glider, 20.0, **AIR)
+        push = {"thrust_x": level.controls["thrust"], "thrust_z": 0.0}
+        found = trim(TEXTBOOK, glider, 20.0, fixed=push, climb=None, **AIR)
+        assert found.climb == pytest.approx(0.0, abs=1e-9)
+        assert set(found.controls) == {"elevator", "aileron", "rudder", *push}
+
     def test_elevons_are_controls_as_others_are(self, glider):
         def by_elevons(X):
             left, right = X[:, 5], X[:, 6]
@@ -237,6 +244,8 @@ class TestNoSuchFlight:
     def test_names_that_nobody_knows(self, glider):
         with pytest.raises(ValueError, match="'elevatr'"):
             trim(TEXTBOOK, glider, 20.0, controls=["elevatr"])
+        with pytest.raises(ValueError, match=r"'ruder' \(nearest: 'rudder'\)"):
+            trim(TEXTBOOK, glider, 20.0, fixed={"ruder": 0.0})
         with pytest.raises(ValueError, match="'gear'"):
             trim(TEXTBOOK, glider, 20.0, limits={"gear": (0, 1)})
         with pytest.raises(ValueError, match="smallest < largest"):

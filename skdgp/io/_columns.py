@@ -99,7 +99,6 @@ def to_table(sources: list[Source], clock: np.ndarray, rate: float) -> tuple[pd.
         if source.columns == QUATERNION:
             values = without_sign_changes(values)
         values = resample(source.time, values, clock, rate)
-        values[~np.isfinite(values)] = np.nan
         names = source.columns
         if names == QUATERNION:
             names, values = ATTITUDE, to_angles(values)
@@ -108,6 +107,7 @@ def to_table(sources: list[Source], clock: np.ndarray, rate: float) -> tuple[pd.
             origin[name] = Origin(source.name + (f" ({source.note})" if source.note else ""), source.rate)
     _complete(columns, origin)
     table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
+    table = table.where(np.isfinite(table))
     return table, {name: origin[name] for name in table.columns if name in origin}
 
 
@@ -167,7 +167,14 @@ def _surface(log, name, servo: Servo) -> Source | None:
     return Source((name,), servo.channel, topic.time[known], values[known][:, None], "by the servo file")
 
 
-CHANNEL_TOPICS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuator_controls_0", "RCOU")
+CHANNEL_TOPICS = (
+    "actuator_servos",
+    "actuator_outputs",
+    "actuator_outputs#1",
+    "actuator_controls_0",
+    "actuator_controls_1",
+    "RCOU",
+)
 
 
 def _preferred(sources):

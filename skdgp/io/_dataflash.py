@@ -72,9 +72,8 @@ class _Format:
         if self.dtype.itemsize != length - HEAD:
             raise ValueError(f"Got {name} of {length} bytes, whose fields take {self.dtype.itemsize}.")
         self.scale = {column: SCALE[code] for column, code in zip(columns, codes, strict=True) if code in SCALE}
-        self.instance = next(
-            (column for column in columns if column in INSTANCES and self.dtype[column].kind in "iu"), None
-        )
+        small = [column for column in columns if self.dtype[column] == np.uint8]
+        self.instance = next((column for column in small if column in INSTANCES), None)
         self.starts = []
 
 

@@ -2,48 +2,48 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.io import loadmat
 
 from skdgp._vocabulary import CHANNELS
 from skdgp.io._errors import FlightReadError
+from skdgp.io._mat5 import parse_mat5
 from skdgp.io._units import base_name
 
 HDF5 = b"MATLAB 7.3"
 
 
 def read_mat(path: Path) -> pd.DataFrame:
-    """Read a MATLAB file of version 4 to 7.
+    """Read a MATLAB file of version 5 to 7.
 
     Raises
     ------
     FlightReadError
-        If it is damaged, of version 7.3, holds no vector ``time``, or vectors of the vocabulary differ in length.
+        If it is damaged, of another version, holds no vector ``time``, or vectors of the vocabulary differ in length.
     """
-    with open(path, "rb") as file:
-        if file.read(len(HDF5)) == HDF5:
-            raise FlightReadError(
-                f"Got {path} of MATLAB's version 7.3 (HDF5), but expected version 7 or earlier: save('flight.mat', "
-                "'-v7', ...) in MATLAB, or writetable(..., 'flight.csv')."
-            )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of variables that are no numbers
-            content = loadmat(path, simplify_cells=True)
-    except Exception as error:  # the parser raises whatever it stumbles on
+    data = path.read_bytes()
+    if data.startswith(HDF5):
         raise FlightReadError(
-            f"Got {path}, which is not a whole MATLAB file ({str(error) or type(error).__name__}), but expected one of "
-            "version 7 or earlier: save it again."
+            f"Got {path} of MATLAB's version 7.3 (HDF5), but expected version 7 or earlier: save('flight.mat', "
+            "'-v7', ...) in MATLAB, or writetable(..., 'flight.csv')."
+        )
+    try:
+        content = parse_mat5(data)
+    except ValueError as error:
+        raise FlightReadError(
+            f"Got {path}, which is not a whole MATLAB file ({error}), but expected one of version 5 to 7: save it "
+            "again, with '-v7'."
         ) from error
     tables = {name: vectors for name, vectors in _structs("", content) if "time" in vectors}
     if len(tables) != 1:
         found = [name or "loose vectors" for name in tables]
         told = f"several tables, {found}" if found else f"no vector 'time' among {sorted(content)[:12]}"
-        raise FlightReadError(f"Got {told}, but expected one: vectors of equal length, loose or in one struct.")
+        raise FlightReadError(
+            f"Got {told}, but expected one: vectors of equal length, loose or in one struct (of a MATLAB table: "
+            "table2struct(T, 'ToScalar', true))."
+        )
     (vectors,) = tables.values()
     n = len(vectors["time"])
     uneven = {name: len(each) for name, each in vectors.items() if len(each) != n and base_name(name) in CHANNELS}
@@ -54,7 +54,8 @@ def read_mat(path: Path) -> pd.DataFrame:
 
 def _structs(name, content):
     """Yield the struct's own vectors, then those of the structs in it."""
-    yield name, {key: _vector(value) for key, value in content.items() if _vector(value) is not None}
+    vectors = {key: _vector(value) for key, value in content.items()}
+    yield name, {key: vector for key, vector in vectors.items() if vector is not None}
     for key, value in content.items():
         if isinstance(value, dict):
             yield from _structs(f"{name}.{key}".lstrip("."), value)
@@ -62,7 +63,8 @@ def _structs(name, content):
 
 def _vector(value):
     """Return numbers or texts as a vector, or None if they are none."""
-    value = np.asarray(value)
-    if value.ndim == 1 and value.dtype.kind in "iufbUO":
-        return value.astype(float) if value.dtype.kind in "iufb" else value.astype(str)
+    if isinstance(value, list):
+        return np.array(value, dtype=str)
+    if isinstance(value, np.ndarray) and value.size and value.size == max(value.shape):
+        return value.astype(float).ravel()
     return None

@@ -37,7 +37,7 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
     Parameters
     ----------
     path : str or path, or several
-        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``), ``.mat`` (MATLAB up to v7: vectors
+        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``), ``.mat`` (MATLAB v5 to v7: vectors
         named as in the vocabulary, loose or in one struct), ``.ulg`` (PX4), ``.bin`` (ArduPilot). Several: as
         :func:`read_flights`.
     flight : str, optional

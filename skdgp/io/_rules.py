@@ -103,6 +103,7 @@ PX4 = (
     Rule(("density",), "vehicle_air_data", ("rho",)),
     Rule(WIND, "wind", ("windspeed_north", "windspeed_east")),
     Rule(WIND, "wind_estimate", ("windspeed_north", "windspeed_east")),
+    Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
     Rule(("throttle",), "actuator_motors", ("control[0]",)),

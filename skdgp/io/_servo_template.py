@@ -78,10 +78,7 @@ def _px4_entries(log):
                 found[surface] = _entry(f"actuator_servos.control[{n}]", -1, 0, 1, False)
         if found:
             return found
-    controls = log.topics.get("actuator_controls_0")
-    if controls is None or "control[2]" not in controls:
+    name = "actuator_controls_1" if "actuator_controls_1" in log.topics else "actuator_controls_0"  # 1: a VTOL's wings
+    if name not in log.topics or "control[2]" not in log.topics[name]:
         return {}
-    return {
-        surface: _entry(f"actuator_controls_0.control[{n}]", -1, 0, 1, turned)
-        for surface, (n, turned) in PX4_CONTROLS.items()
-    }
+    return {surface: _entry(f"{name}.control[{n}]", -1, 0, 1, turned) for surface, (n, turned) in PX4_CONTROLS.items()}

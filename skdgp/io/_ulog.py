@@ -16,9 +16,12 @@ from skdgp.io._errors import FlightReadError
 from skdgp.io._topics import Log, Topic, instance_name, whole
 
 HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
+SYNC = bytes.fromhex("2f731320250cbb12")
 KINDS = b"BFIMPQARDLCSO"
 HEAD = struct.Struct("<HB")
 NEXT = re.compile(rb"(?=..[" + KINDS + rb"])", re.DOTALL)
+NAME, FORMAT = re.compile(rb"[\w/]+"), re.compile(rb"([\w/]+):([\w\[\] ;]*)")
+KEY = re.compile(rb"(\w+)(?:\[(\d{1,5})\])? ([\w.\-/]+)")
 FIELD = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
 TYPES = {
     **{f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
@@ -26,6 +29,7 @@ TYPES = {
 }  # fmt: skip
 LARGEST = 2**16
 """A message cannot be longer [bytes]: its length is 16 bits."""
+LONGEST_TEXT = 2000
 DEEPEST = 8
 """Levels of nested messages."""
 RELEASED = 64
@@ -87,9 +91,10 @@ class _Reader:
         self.formats, self.subscriptions, self.finished = {}, {}, []
         self.parameters, self.information = {}, {}
         self.appended, self.skipped, self.lost, self.cut = [], 0, 0, False
-        self.take = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum}
-        self.take |= {"I": self._information, "P": self._parameter, "O": self._dropout}
-        self.take = {ord(kind): take for kind, take in self.take.items()}
+        take = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum, "S": self._sync}
+        take |= {"I": self._information, "P": self._parameter, "M": self._after_a_byte, "Q": self._after_a_byte}
+        take |= {"O": self._two_bytes, "R": self._two_bytes, "L": self._text, "C": self._text}
+        self.take = {ord(kind): method for kind, method in take.items()}
 
     def read(self):
         """Go through the file."""
@@ -99,27 +104,23 @@ class _Reader:
             start, end = position + HEAD.size, position + HEAD.size + size
             if self.appended and end > self.appended[0]:  # a crash report was appended there, perhaps to half a message
                 position = max(position, self.appended.pop(0))
-            elif self._believable(position, size, kind) and self._taken(kind, start, end):
+            elif self._taken(kind, start, end):
                 position = end
-            elif end > len(data) and kind in KINDS and size:
-                found = self._next(position + 1)
-                self.cut = self.cut or found == len(data)
-                position = found
             else:
                 found = self._next(position + 1)
-                self.skipped += found - position
+                whole = end <= len(data) or kind not in KINDS
+                self.cut = self.cut or (found == len(data) and not whole)
+                self.skipped += found - position if whole else 0
                 position = found
 
-    def _taken(self, kind, start, end):
-        take = self.take.get(kind)
-        return take is None or take(start, end) is not False
-
-    def _believable(self, position, size, kind):
-        """Whether a message stands here: of a known kind, or of a new one between known ones."""
-        end = position + HEAD.size + size
-        return size > 0 and end <= len(self.data) and (kind in KINDS or self._chain(end, 3))
+    def _taken(self, kind, start, end) -> bool:
+        """Take a message, if there is one: of a known kind that makes sense, or of a new kind between known ones."""
+        if start == end or end > len(self.data):
+            return False
+        return self.take[kind](start, end) if kind in self.take else self._chain(end, 3)
 
     def _chain(self, position, n):
+        """Whether n messages of known kinds follow each other, or fewer up to the end of the file."""
         for _ in range(n):
             if position == len(self.data):
                 return True
@@ -135,11 +136,13 @@ class _Reader:
         found = (match.start() for match in NEXT.finditer(self.data, position))
         return next((start for start in found if self._chain(start, 3)), len(self.data))
 
+    # Each of these takes the bytes of one message from start to end, and returns whether they make sense.
+
     def _flags(self, start, end):
-        if end - start < 40:
+        if start != HEADER_SIZE + HEAD.size or end - start < 40:
             return False
         incompatible = self.data[start + 8 : start + 16]
-        if start == HEADER_SIZE + HEAD.size and (incompatible[0] & ~1 or any(incompatible[1:])):
+        if incompatible[0] & ~1 or any(incompatible[1:]):
             raise FlightReadError(
                 f"Got a ULog with incompatible flags {incompatible.hex()}, but expected none but 'data appended': "
                 "it is of a later format than this reader."
@@ -149,23 +152,26 @@ class _Reader:
         return True
 
     def _format(self, start, end):
-        name, _, fields = self.data[start:end].decode("utf-8", "replace").partition(":")
-        self.formats.setdefault(name, fields)
+        match = FORMAT.fullmatch(self.data, start, end)
+        if match is None:
+            return False
+        self.formats.setdefault(match[1].decode(), match[2].decode())
+        return True
 
     def _subscribe(self, start, end):
-        if end - start < 4:
+        match = NAME.fullmatch(self.data, start + 3, end)
+        if match is None:
             return False
         instance, number = struct.unpack_from("<BH", self.data, start)
-        name = self.data[start + 3 : end].decode("utf-8", "replace")
+        name = match[0].decode()
         try:
             subscription = _Subscription(name, instance, self._dtype(name))
-        except (KeyError, ValueError, TypeError):  # a definition that makes no sense
-            return name in self.formats
-        if "timestamp" not in subscription.dtype.names or subscription.dtype["timestamp"] != np.dtype("<u8"):
+        except (KeyError, ValueError, TypeError):  # a definition that is lost, or makes no sense
             return True
-        if number in self.subscriptions:
-            self.finished.append(self.subscriptions[number])
-        self.subscriptions[number] = subscription
+        if subscription.dtype.names and subscription.dtype.fields.get("timestamp", (None,))[0] == np.dtype("<u8"):
+            if number in self.subscriptions:
+                self.finished.append(self.subscriptions[number])
+            self.subscriptions[number] = subscription
         return True
 
     def _dtype(self, name, depth=0):
@@ -187,33 +193,50 @@ class _Reader:
             return False
         subscription = self.subscriptions.get(int.from_bytes(self.data[start : start + 2], "little"))
         if subscription is None:
-            self.lost += 1
-            return True
+            known = self._chain(end, 1)
+            self.lost += known
+            return known
         if not subscription.dtype.itemsize <= end - start - 2 <= subscription.largest:
             return False
         subscription.starts.append(start + 2)
         return True
 
     def _keyed(self, start, end):
-        """Return type, key and where the value stands."""
-        middle = start + 1 + self.data[start]
-        kind, _, key = self.data[start + 1 : middle].decode("utf-8", "replace").partition(" ")
-        return kind, key, self.data[middle:end]
+        """Return type, key and value, or None where the length is not that of the type."""
+        match = KEY.fullmatch(self.data, start + 1, min(start + 1 + self.data[start], end))
+        if match is None:
+            return None
+        kind, length, key = (group and group.decode() for group in match.groups())
+        value = self.data[match.end() : end]
+        sound = kind in TYPES and len(value) == np.dtype(TYPES[kind]).itemsize * int(length or 1)
+        return (kind, key, value) if sound else None
 
     def _information(self, start, end):
-        kind, key, value = self._keyed(start, end)
-        if kind.startswith("char["):
-            self.information[key] = value.decode("utf-8", "replace")
-        elif kind in TYPES and len(value) == np.dtype(TYPES[kind]).itemsize:
-            self.information[key] = int(np.frombuffer(value, TYPES[kind])[0]) if "int" in kind else None
+        keyed = self._keyed(start, end)
+        if keyed is not None:
+            kind, key, value = keyed
+            scalar = "int" in kind and len(value) == np.dtype(TYPES[kind]).itemsize
+            text = value.decode("utf-8", "replace").strip("\x00")
+            self.information[key] = int(np.frombuffer(value, TYPES[kind])[0]) if scalar else text
+        return keyed is not None
+
+    def _after_a_byte(self, start, end):
+        return end - start > 1 and self._keyed(start + 1, end) is not None
 
     def _parameter(self, start, end):
-        kind, key, value = self._keyed(start, end)
-        if kind in ("int32_t", "float") and len(value) == 4:
-            self.parameters[key] = float(np.frombuffer(value, TYPES[kind])[0])
+        keyed = self._keyed(start, end)
+        if keyed is not None and len(keyed[2]) == np.dtype(TYPES[keyed[0]]).itemsize:
+            self.parameters[keyed[1]] = float(np.frombuffer(keyed[2], TYPES[keyed[0]])[0])
+        return keyed is not None
 
-    def _dropout(self, start, end):
+    def _sync(self, start, end):
+        return self.data[start:end] == SYNC
+
+    def _two_bytes(self, start, end):
         return end - start == 2
+
+    def _text(self, start, end):
+        return 9 <= end - start <= LONGEST_TEXT
 
     def topics(self) -> dict[str, Topic]:
         found = {}

@@ -1,0 +1,160 @@
+"""DataFlash: what is written is read, as pymavlink reads it; what is damaged costs only itself."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from skdgp.io import FlightReadError
+from skdgp.io._dataflash import DEFINITIONS, read_dataflash
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read a log."""
+
+    def of(content):
+        path = tmp_path / "log.bin"
+        path.write_bytes(bytes(content))
+        return read_dataflash(path)
+
+    return of
+
+
+def assert_as_pymavlink(path):
+    """Every number of every message is the one that pymavlink reads."""
+    reader = pytest.importorskip("pymavlink.DFReader").DFReader_binary(str(path), zero_time_base=True)
+    theirs = {}
+    with reader:
+        while (message := reader.recv_msg()) is not None:
+            name, fields = message.get_type(), message.to_dict()
+            if name not in DEFINITIONS and "TimeUS" in fields:
+                of = message.fmt.instance_field
+                theirs.setdefault((name, fields[of] if of else 0), []).append(fields)
+        ours = read_dataflash(path)
+        assert len(ours.topics) == len(theirs) > 0
+        assert ours.parameters == reader.params
+    for (name, instance), messages in theirs.items():
+        topic = ours.topics[f"{name}#{instance}" if instance else name]
+        for field in messages[0]:
+            if field in topic:
+                expected = [fields[field] for fields in messages]
+                np.testing.assert_allclose(topic[field], expected, rtol=1e-14, equal_nan=True)
+
+
+class TestAsPymavlink:
+    def test_a_log_of_every_column(self, tmp_path, ardupilot):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        assert_as_pymavlink(tmp_path / "log.bin")
+
+    @pytest.mark.shared
+    def test_shared_log(self, shared_data, tmp_path):
+        """Its first quarter: pymavlink takes its time."""
+        content = (shared_data / "logs" / "pyflightcoach_elevator_bench.BIN").read_bytes()
+        (tmp_path / "log.bin").write_bytes(content[:600_000])
+        assert_as_pymavlink(tmp_path / "log.bin")
+
+
+def ticks(log, *times):
+    return log.topic("TICK", [t * 1e-6 for t in times], X=("f", [0.5 * t for t in times]))
+
+
+def times(log):
+    return (log.topics["TICK"].time * 1e6).round().astype(int).tolist()
+
+
+class TestWhatTheLogSaysOfItself:
+    @pytest.mark.parametrize(
+        ("text", "parameters", "vehicle"),
+        [
+            ("ArduPlane V4.5.1 (abcdef01)", {}, "fixed wing"),
+            ("ArduPlane V4.5.1 (abcdef01)", {"Q_ENABLE": 1.0}, "VTOL"),
+            ("ArduCopter V4.3.0", {}, "multicopter"),
+            ("hello", {}, None),
+        ],
+    )
+    def test_vehicle(self, read, dataflash, text, parameters, vehicle):
+        log = read(ticks(dataflash(text, **parameters), 1, 2))
+        assert log.vehicle == vehicle
+        assert log.parameters == parameters
+        assert log.firmware == (text if vehicle else "ArduPilot")
+
+    def test_instances(self, read, dataflash):
+        log = dataflash()
+        for n in (0, 1, 2):
+            log.topic("BARO", [0.1 * (3 * k + n) for k in range(4)], I=("B", n), Alt=("f", 10.0 * n))
+        topics = read(log).topics
+        assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
+        np.testing.assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
+
+    def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
+        log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=("f", [1, 2, 3, 4]))
+        kind = log.types["ABC"][0]
+        log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
+        np.testing.assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
+
+    def test_scaled_integers(self, read, dataflash):
+        log = dataflash().topic(
+            "S", [0.1, 0.2], c=("c", [-1.25, 1.25]), C=("C", [3.5, 350.25]), L=("L", [48.1234567, -9.0])
+        )
+        topic = read(log).topics["S"]
+        np.testing.assert_allclose(topic["c"], [-1.25, 1.25])
+        np.testing.assert_allclose(topic["C"], [3.5, 350.25])
+        np.testing.assert_allclose(topic["L"], [48.1234567, -9.0], rtol=1e-12)
+
+
+class TestDamage:
+    def test_bytes_between_messages(self, read, dataflash):
+        parts = ticks(dataflash(), 1, 2, 3, 4).parts()
+        log = read(b"".join([*parts[:-2], b"\xa3garbage\xa3\x95\xee", *parts[-2:]]))
+        assert times(log) == [1, 2, 3, 4]
+        assert log.remarks == ("11 bytes could not be read and were skipped",)
+
+    def test_pages_that_are_filled_up(self, read, dataflash):
+        parts = ticks(dataflash(), 1, 2, 3).parts()
+        log = read(b"".join([*parts[:-1], b"\xff" * 40, parts[-1], b"\x00" * 300]))
+        assert times(log) == [1, 2, 3]
+        assert log.remarks == ()
+
+    def test_cut_off_anywhere(self, read, dataflash):
+        parts = ticks(dataflash(), 1, 2, 3).parts()
+        whole, first = b"".join(parts), len(b"".join(parts[:-2]))
+        for length in range(first, len(whole)):
+            assert times(read(whole[:length])) == list(range(1, 2 + (length - first) // len(parts[-1])))
+        for length in range(2, first - len(parts[-1])):
+            with pytest.raises(FlightReadError, match="no message has a TimeUS"):
+                read(whole[:length])
+        assert "cut off" in read(whole[:-3]).remarks[0]
+
+    @pytest.mark.parametrize(
+        ("length", "codes", "columns"),
+        [
+            (0, "Qf", "TimeUS,X"),
+            (255, "Qf", "TimeUS,X"),
+            (15, "Q?", "TimeUS,X"),
+            (15, "Qf", "TimeUS"),
+            (15, "Qf", "X,X"),
+        ],
+    )
+    def test_formats_that_make_no_sense(self, read, dataflash, length, codes, columns):
+        log = ticks(dataflash(), 1, 2, 3)
+        body = struct.pack("<BB4s16s64s", 200, length, b"BAD", codes.encode(), columns.encode())
+        bad = b"\xa3\x95\x80" + body + b"\xa3\x95\xc8" + bytes(12)
+        parts = log.parts()
+        assert times(read(b"".join([parts[0], bad, *parts[1:]]))) == [1, 2, 3]
+
+    def test_a_format_that_comes_again(self, read, dataflash):
+        parts = ticks(dataflash(), 1, 2, 3).parts()
+        assert times(read(b"".join([*parts[:-1], parts[1], parts[-1]]))) == [1, 2, 3]
+
+    def test_unknown_messages(self, read, dataflash):
+        log = ticks(dataflash(), 1, 2)
+        parts = log.topic("NEW", [3e-6], Y=("f", [1.0])).parts()
+        without = [part for part in parts if b"NEW" not in part]
+        assert times(read(b"".join(without))) == [1, 2]
+
+
+@pytest.mark.parametrize("content", [b"", b"\xa3", b"ULog", b"TimeUS,X\n"])
+def test_what_is_no_dataflash_log(read, content):
+    with pytest.raises(FlightReadError, match="does not begin as a DataFlash log does"):
+        read(content)

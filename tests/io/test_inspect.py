@@ -1,0 +1,190 @@
+"""What is said of a log: what it holds, where from, and what it lacks for which step."""
+
+import json
+
+import numpy as np
+import pytest
+
+from skdgp._cli import main
+from skdgp.dynamics import _inverse
+from skdgp.io import FlightReadError, inspect_log
+from skdgp.io._inspect import NEEDS
+from skdgp.preprocessing import _flight_log
+from skdgp.preprocessing._selector import REGRESSOR_SETS
+
+SERVOS = {
+    name: {"channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]]}
+    for n, name in enumerate(("aileron", "elevator", "rudder"))
+}
+
+
+@pytest.fixture
+def whole(tmp_path, px4):
+    (tmp_path / "whole.ulg").write_bytes(px4)
+    return tmp_path / "whole.ulg"
+
+
+@pytest.fixture
+def quad(tmp_path, ulog):
+    t = np.arange(0, 20, 0.02)
+    log = ulog(MAV_TYPE=2).topic("vehicle_angular_velocity", t, xyz=("float[3]", np.sin(np.column_stack([t, t, t]))))
+    (tmp_path / "quad.ulg").write_bytes(bytes(log))
+    return tmp_path / "quad.ulg"
+
+
+class TestNeeds:
+    """What each step needs is what its own code asks for."""
+
+    def alternatives(self, step):
+        return {word for need in NEEDS[step] for word in need.split(" or ")}
+
+    def test_coefficients(self):
+        assert self.alternatives("coefficients") == {*_inverse.NEEDED, "thrust_x", "propeller_speed"}
+
+    def test_reconstruction(self):
+        assert set(NEEDS["reconstruction"]) == set(_flight_log.NEEDED)
+
+    def test_regressors(self):
+        made = {"airspeed", "elevon_left", "elevon_right", "reconstruction"}
+        assert self.alternatives("regressors") - made == set(REGRESSOR_SETS["quasi-steady"])
+
+
+class TestSummary:
+    def test_a_log_that_lacks_nothing(self, whole):
+        summary = inspect_log(whole, servos=SERVOS)
+        assert (summary.format, summary.vehicle) == ("PX4 ULog", "fixed wing")
+        assert summary.missing == dict.fromkeys(NEEDS, ())
+        assert summary.duration == pytest.approx(30, abs=0.1)
+        assert summary.remarks == ()
+        (flight,) = summary.flights
+        assert flight.end - flight.begin == pytest.approx(30, abs=0.3)
+        assert flight.airspeed == pytest.approx(18, abs=1)
+        rates = {column.name: column.rate for column in summary.columns}
+        assert rates["p"] == pytest.approx(200, rel=1e-3)
+        assert rates["altitude"] == pytest.approx(10, rel=1e-3)
+        topics = {topic.name: topic for topic in summary.topics}
+        assert topics["vehicle_acceleration"].rate == pytest.approx(100, rel=1e-3)
+        assert topics["vehicle_acceleration"].gaps == 0
+
+    def test_what_is_missing_for_which_step(self, whole, quad):
+        assert inspect_log(whole).missing["regressors"] == (
+            "elevator or elevon_left", "aileron or elevon_right", "rudder",
+        )  # fmt: skip
+        missing = inspect_log(quad).missing
+        assert {"airspeed", "density", "ax"} <= set(missing["coefficients"])
+        assert "p" not in missing["coefficients"]
+        assert "alpha or reconstruction" in missing["regressors"]
+
+    def test_a_multicopter_is_called_one(self, quad):
+        assert inspect_log(quad).no_flight == "the vehicle is a multicopter, there is no valid airspeed"
+
+    def test_a_sensor_that_never_changes_is_missing(self, tmp_path, ulog):
+        t = np.arange(0, 20, 0.02)
+        log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        summary = inspect_log(tmp_path / "log.ulg")
+        assert set("pqr") <= set(summary.missing["coefficients"])
+        assert "p q r" in str(summary)
+        assert "(never changes)" in str(summary)
+
+    def test_gaps(self, tmp_path, ulog):
+        t = np.arange(0, 20, 0.02)
+        t = t[(t < 5) | (t > 7)]
+        log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.sin(np.column_stack([t, t, t]))))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        summary = inspect_log(tmp_path / "log.ulg")
+        (topic,) = summary.topics
+        assert (topic.gaps, topic.longest_gap) == (1, pytest.approx(2.04))
+        assert "1 gaps, the longest of 2.04 s at 4.98 s" in summary.remarks[0]
+
+    def test_dict_is_json(self, whole, quad):
+        for path in (whole, quad):
+            content = json.loads(json.dumps(inspect_log(path).to_dict(), allow_nan=False))
+            assert set(content) >= {"format", "topics", "columns", "missing", "flights", "remarks"}
+
+    def test_text_names_everything(self, whole):
+        summary = inspect_log(whole)
+        text = str(summary)
+        for column in summary.columns:
+            assert column.name in text
+            assert column.source in text
+        for topic in summary.topics:
+            assert topic.name in text
+
+    def test_a_table(self, tmp_path):
+        (tmp_path / "a.csv").write_text("time,flight,airspeed,my\n0,x,20,1\n0.5,x,21,1\n0,y,20,1\n0.5,y,21,1\n")
+        summary = inspect_log(tmp_path / "a.csv")
+        assert [(flight.begin, flight.end) for flight in summary.flights] == [(0.0, 0.5), (0.0, 0.5)]
+        assert summary.columns[0].rate == pytest.approx(2.0)
+        assert summary.remarks == ("column 'my' is not of the vocabulary",)
+        assert "airspeed" in str(summary)
+
+
+class TestCommand:
+    def test_text(self, whole, capsys):
+        assert main(["inspect", str(whole)]) == 0
+        assert "vehicle_angular_velocity.xyz[0..2]" in capsys.readouterr().out
+
+    def test_json(self, whole, capsys):
+        assert main(["inspect", str(whole), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["vehicle"] == "fixed wing"
+
+    def test_servo_template_to_table(self, whole, tmp_path, ulog, capsys):
+        t = np.arange(0, 20, 0.02)
+        log = ulog().topic("actuator_controls_0", t, control=("float[4]", np.column_stack([np.sin(t) ** 2] * 4)))
+        path, servo = tmp_path / "log.ulg", tmp_path / "servo.toml"
+        path.write_bytes(bytes(log))
+        assert main(["inspect", str(path), "--servo-template", str(servo)]) == 0
+        servo.write_text(servo.read_text().replace("nan", "0.3"))
+        capsys.readouterr()
+        assert main(["inspect", str(path), "--servos", str(servo)]) == 0
+        assert "elevator" in capsys.readouterr().out
+        assert main(["inspect", str(path), "--servo-template", str(servo)]) == 1
+        assert "there already" in capsys.readouterr().err
+        assert "0.3" in servo.read_text()
+
+    @pytest.mark.parametrize(
+        ("name", "content", "message"),
+        [
+            ("a.ulg", b"", "does not begin as a ULog"),
+            ("a.bin", b"\xa3\x95\x80", "no message has a TimeUS"),
+            ("a.txt", b"", "suffix '.txt'"),
+            ("a.csv", b"alpha\n0\n", "no column 'time'"),
+        ],
+    )
+    def test_one_message_and_an_exit_code(self, tmp_path, capsys, name, content, message):
+        (tmp_path / name).write_bytes(content)
+        assert main(["inspect", str(tmp_path / name), "--servo-template", str(tmp_path / "servo.toml")]) == 1
+        out, err = capsys.readouterr()
+        assert message in err
+        assert len(err.splitlines()) == 1
+        assert out == ""
+        assert not (tmp_path / "servo.toml").exists()
+
+    def test_no_such_file(self, capsys):
+        assert main(["inspect", "nowhere.ulg"]) == 1
+        assert "no such file" in capsys.readouterr().err
+
+
+@pytest.mark.shared
+class TestSharedLogs:
+    def test_a_flight_without_accelerometer(self, shared_data):
+        summary = inspect_log(shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg")
+        assert len(summary.flights) == 1
+        assert summary.missing["coefficients"] == ("ax", "ay", "az", "thrust_x or propeller_speed")
+        assert any("sensor_accel.x y z cannot be ax, ay, az" in remark for remark in summary.remarks)
+
+    def test_benches(self, shared_data):
+        summary = inspect_log(shared_data / "logs" / "pyulog_sample_log_small_vtol_bench.ulg")
+        assert summary.vehicle == "VTOL"
+        assert "never stays above 13.3 m/s" in summary.no_flight
+        summary = inspect_log(shared_data / "logs" / "pyflightcoach_elevator_bench.BIN")
+        assert summary.firmware.startswith("ArduPlane V4.0.6")
+        assert "no valid airspeed" in summary.no_flight
+        assert any("ARSP.Airspeed is never valid" in remark for remark in summary.remarks)
+
+
+def test_a_missing_channel_names_the_others(whole):
+    servos = {"rudder": {"channel": "actuator_outputs.output[9]", "points": [[1000, -0.5], [2000, 0.5]]}}
+    with pytest.raises(FlightReadError, match=r"expected one of \['actuator_outputs.output\[0\]'"):
+        inspect_log(whole, servos=servos)

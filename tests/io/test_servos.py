@@ -1,0 +1,126 @@
+"""Servo files: from pulses to radians, templates, and what makes no sense."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from skdgp.io import FlightReadError, read_flight, servo_template
+from skdgp.io._servos import read_servos
+
+ENDS = {"channel": "RCOU.C2", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.4}
+
+
+def deflection(values, **entry):
+    return read_servos({"elevator": entry})["elevator"].deflection(np.array(values, float))
+
+
+class TestAngles:
+    def test_ends(self):
+        np.testing.assert_allclose(deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4])
+
+    def test_two_deflections(self):
+        np.testing.assert_allclose(
+            deflection([1100, 1500, 1700], **ENDS | {"deflection": [-0.2, 0.3]}), [-0.2, 0, 0.15]
+        )
+
+    def test_reversed(self):
+        np.testing.assert_allclose(deflection([1100, 1900], **ENDS, reversed=True), [0.4, -0.4])
+
+    def test_points_in_any_order_and_lines_beyond(self):
+        points = [[1, 0.3], [-1, -0.5], [0, 0.1]]
+        found = deflection([-1.5, -1, -0.5, 0.5, 1, 1.5], channel="a.b", points=points)
+        np.testing.assert_allclose(found, [-0.8, -0.5, -0.2, 0.2, 0.3, 0.4])
+
+    def test_no_pulse_is_no_angle(self):
+        assert np.isnan(deflection([0.0, 65.0], **ENDS)).all()
+        assert np.isfinite(deflection([0.0], channel="a.b", points=[[-1, -0.4], [1, 0.4]])).all()
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("name", "entry", "message"),
+        [
+            ("flap", ENDS, "Got 'flap' in the servo file, but expected one of"),
+            ("rudder", {}, 'without a channel, but expected one, as in channel = "RCOU.C2"'),
+            ("rudder", 7, "without a channel"),
+            ("rudder", ENDS | {"trimm": 1}, r"Got \['trimm'\] for rudder"),
+            ("rudder", ENDS | {"deflection": float("nan")}, "measure the angle of the surface"),
+            ("rudder", ENDS | {"deflection": "big"}, "expected numbers min, trim, max and deflection"),
+            ("rudder", ENDS | {"deflection": [0.1]}, "one number, or two"),
+            ("rudder", ENDS | {"deflection": 20.0}, "expected radians, at most pi/2"),
+            ("rudder", ENDS | {"max": 1500}, "each value of the channel once"),
+            ("rudder", ENDS | {"reversed": "yes"}, "expected true or false"),
+            ("rudder", {"channel": "a.b", "points": [[1100, 0.1]]}, "expected pairs of numbers"),
+            ("rudder", {"channel": "a.b", "points": [[1100, 0.1], [1200, True]]}, "expected pairs of numbers"),
+        ],
+    )
+    def test_entries(self, name, entry, message):
+        with pytest.raises(FlightReadError, match=message):
+            read_servos({name: entry})
+
+    def test_files(self, tmp_path):
+        (tmp_path / "servo.toml").write_text("[elevator\n")
+        with pytest.raises(FlightReadError, match="expected TOML"):
+            read_servos(tmp_path / "servo.toml")
+        with pytest.raises(FileNotFoundError):
+            read_servos(tmp_path / "nowhere.toml")
+
+
+class TestTemplates:
+    """A template asks for the angles and for nothing else."""
+
+    def filled(self, template, tmp_path):
+        text = template.replace("deflection = nan", "deflection = 0.5")
+        (tmp_path / "servo.toml").write_text(text)
+        return tmp_path / "servo.toml"
+
+    def test_of_ardupilot(self, tmp_path, ardupilot, flight):
+        path = tmp_path / "log.bin"
+        path.write_bytes(ardupilot)
+        template = servo_template(path)
+        entries = tomllib.loads(template)
+        assert {name: entry["channel"] for name, entry in entries.items()} == {
+            "aileron": "RCOU.C1", "elevator": "RCOU.C2", "rudder": "RCOU.C4",
+        }  # fmt: skip
+        with pytest.raises(FlightReadError, match="measure the angle"):
+            read_servos(entries)
+        table = read_flight(path, servos=self.filled(template, tmp_path))
+        # More pulse pitches up, rolls right, yaws right: of these the house's sign is that of roll alone.
+        for name, sign in (("aileron", 1), ("elevator", -1), ("rudder", -1)):
+            assert (
+                np.corrcoef(table[name][20:-20], (sign * PULSE[name] * flight[name](table.time))[20:-20])[0, 1] > 0.999
+            )
+
+    def test_reversed_outputs(self, tmp_path, dataflash):
+        log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0, SERVO2_TRIM=1480.0)
+        log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
+        (tmp_path / "log.bin").write_bytes(bytes(log))
+        entries = tomllib.loads(servo_template(tmp_path / "log.bin"))
+        assert entries["elevon_left"]["reversed"] is False
+        assert entries["elevon_right"]["reversed"] is True
+        assert entries["elevon_right"]["trim"] == 1480
+
+    @pytest.mark.parametrize(
+        ("topic", "parameters", "channel"),
+        [
+            ("actuator_controls_0", {}, "actuator_controls_0.control[1]"),
+            ("actuator_servos", {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3}, "actuator_servos.control[1]"),
+        ],
+    )
+    def test_of_px4(self, tmp_path, ulog, topic, parameters, channel):
+        log = ulog(**parameters).topic(topic, [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        assert tomllib.loads(servo_template(tmp_path / "log.ulg"))["elevator"]["channel"] == channel
+
+    def test_nothing_to_make_one_of(self, tmp_path, ulog):
+        log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=("float", [1, 2]))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        with pytest.raises(FlightReadError, match="without servo outputs"):
+            servo_template(tmp_path / "log.ulg")
+        with pytest.raises(FlightReadError, match=r"expected a log of an autopilot: \.ulg"):
+            servo_template(tmp_path / "log.csv")
+
+
+PULSE = {"aileron": 1, "elevator": -1, "rudder": 1}
+"""Signs of the pulses of the log that every column comes from."""

@@ -29,7 +29,6 @@ def mode_table(A: np.ndarray, states: Sequence[str], paths: np.ndarray | None = 
     share = np.abs(left.conj() * right)
     named = _named(_units(eigenvalues), share / share.sum(axis=0), core, eigenvalues)
     table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in named.values()], index=list(named))
-    table["eigenvalue"] = table["eigenvalue"].astype(object)  # lest a row be complex throughout
     if paths is None:
         return table
     spread = [_matched(np.linalg.eigvals(path), eigenvalues) for path in paths[:, rows][:, :, rows]]

@@ -101,19 +101,18 @@ def modes(model, truth, data, n_paths):
             linearize(one, data.aircraft, trim(one, data.aircraft, airspeed, altitude=ALTITUDE), n_paths=n).modes()
             for one, n in ((model, n_paths), (truth, 0))
         )
-        for name, row in known.iterrows():
-            line = {"V, m/s": airspeed, "mode": name, "known": _root(row), "learned": None}
-            line |= {"frequency std": None, "damping std": None, "error, %": None}
+        for name, root in known["eigenvalue"].items():
+            row = {"V, m/s": airspeed, "mode": name, "known": _text(root), "learned": None, "error, %": None}
+            row |= {"frequency std": None, "damping std": None}
             if name in found.index:
-                one = found.loc[name]
-                line |= {"learned": _root(one), "error, %": 100 * abs(one["eigenvalue"] / row["eigenvalue"] - 1)}
-                line |= {f"{column} std": one[f"{column}_std"] for column in ("frequency", "damping")}
-            rows.append({name: float(v) if isinstance(v, np.floating) else v for name, v in line.items()})
+                one = found.loc[name, "eigenvalue"]
+                row |= {"learned": _text(one), "error, %": float(100 * abs(one / root - 1))}
+                row |= {f"{kind} std": float(found.loc[name, f"{kind}_std"]) for kind in ("frequency", "damping")}
+            rows.append(row)
     return rows
 
 
-def _root(row):
-    root = row["eigenvalue"]
+def _text(root):
     return f"{root.real:.3f} +- {root.imag:.3f}i" if root.imag else f"{root.real:.4f}"
 
 

@@ -73,6 +73,13 @@ def test_moments_are_those_of_predict(inference, trend, few_waves):
     assert (np.abs(paths.gradient(new).mean(axis=0) - slope) < 5 * of_slope / np.sqrt(n_paths)).all()
 
 
+def test_no_points_and_no_paths_have_no_values(model):
+    paths = model.sample_paths(3)
+    assert paths(np.empty((0, 2))).shape == (3, 0, 2)
+    assert paths.gradient(np.empty((0, 2))).shape == (3, 0, 2, 2)
+    assert paths[3:].each(np.empty((0, 4, 2))).shape == (0, 4, 2)
+
+
 def test_one_output_has_no_axis_of_outputs():
     model = fitted(y=0)
     paths, X = model.sample_paths(3), table()[0]

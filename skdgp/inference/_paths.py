@@ -40,7 +40,7 @@ class Paths(Sequence):
 
     ``paths[k]`` is one of them, ``paths[a:b]`` are some, ``paths(X)`` has the values of all at the same points,
     ``paths.each(X)`` of each at its own, ``paths.gradient(X)`` the slopes. They can be pickled; at the same point a
-    path has the same values, in whatever order and company it is asked for them.
+    path has the same values to rounding, in whatever order and company it is asked for them.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ class PathBundle(ABC):
 
 def _in_chunks(function, X, doubles):
     """Return a function of X (S, n, d) along its second axis, of which each n takes so many doubles meanwhile."""
-    step = max(1, CHUNK_BYTES // (8 * doubles))
+    step = max(1, CHUNK_BYTES // max(1, 8 * doubles))
     if X.shape[1] <= step:
         return function(X)
     return np.concatenate([function(X[:, a : a + step]) for a in range(0, X.shape[1], step)], axis=1)
@@ -97,15 +97,15 @@ class TrendPaths(PathBundle):
         return self.weights[:1].size if alike else self.weights.size
 
     def each(self, X):
-        columns = self.kernel.columns(X.reshape(-1, X.shape[-1])) - self._center
-        values = columns.reshape(*X.shape[:2], -1) @ self._slope
+        columns = self.kernel.columns(_rows_of(X)) - self._center
+        values = _over_points(columns, X) @ self._slope
         values += self._intercept
         return values
 
     def gradient(self, X):
-        slopes = self.kernel.column_slopes(X.reshape(-1, X.shape[-1]))  # (d, S n, K), or the same everywhere
+        slopes = self.kernel.column_slopes(_rows_of(X))  # (d, S n, K), or the same everywhere
         slopes = np.broadcast_to(slopes, (len(slopes), X.shape[0] * X.shape[1], slopes.shape[2]))
-        return np.moveaxis(slopes.reshape(-1, *X.shape[:2], slopes.shape[2]) @ self._slope, 0, -1)
+        return np.moveaxis(_over_points(slopes, X) @ self._slope, 0, -1)
 
 
 class FeaturePaths(PathBundle):
@@ -124,15 +124,15 @@ class FeaturePaths(PathBundle):
         return (1 if alike else len(self.coefficients)) * self._own[-1].stop
 
     def each(self, X):
-        A = self._rows(X.reshape(-1, X.shape[-1])).reshape(*X.shape[:2], -1)
+        A = _over_points(self._rows(_rows_of(X)), X)
         values = [contract(A[..., own], c) for own, c in zip(self._own, self._weights, strict=True)]
         return np.stack(values, axis=-1)
 
     def gradient(self, X):
         slopes = []
         for i, c in enumerate(self._weights):
-            D = self.features.Kfu_derivative(i, X.reshape(-1, X.shape[-1]))
-            slopes.append(np.moveaxis(contract(D.reshape(len(D), *X.shape[:2], -1), c), 0, -1))
+            D = _over_points(self.features.Kfu_derivative(i, _rows_of(X)), X)
+            slopes.append(np.moveaxis(contract(D, c), 0, -1))
         return np.stack(slopes, axis=2)
 
 
@@ -158,15 +158,25 @@ class KernelPaths(PathBundle):
         return self._summed(self.kernel.block_derivative, X, X.shape[-1:])
 
     def _summed(self, block, X, slopes):
-        P, points = self.kernel.n_outputs, X.reshape(-1, X.shape[-1])
+        P, points = self.kernel.n_outputs, _rows_of(X)
         values = np.zeros((*slopes, P, len(self.coefficients[0]), X.shape[1]))
         for i, j in product(range(P), repeat=2):
             if self.kernel.couples(i, j):
                 for a in range(0, len(self.X[j]), TILE):
                     some = slice(a, a + TILE)
-                    A = block(i, j, points, self.X[j][some]).reshape(*slopes, *X.shape[:2], -1)
+                    A = _over_points(block(i, j, points, self.X[j][some]), X)
                     values[..., i, :, :] += contract(A, self.coefficients[j][:, some])
         return values.T.swapaxes(0, 1)
+
+
+def _rows_of(X):
+    """Return the points of X (S, n, d) one after another, (S n, d)."""
+    return X.reshape(-1, X.shape[-1])
+
+
+def _over_points(A, X):
+    """Return what was made of the rows of X, (..., S n, C), as (..., S, n, C)."""
+    return A.reshape(*A.shape[:-2], *X.shape[:2], A.shape[-1])
 
 
 def contract(A, c):

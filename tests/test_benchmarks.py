@@ -23,6 +23,7 @@ SCRIPTS = (
     "structure",
     "derivatives",
     "referee",
+    "freeflight",
 )
 
 

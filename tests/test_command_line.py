@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,7 +18,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _evaluation, _job, _outputs, main
+from skdgp import checkpointing
+from skdgp._cli import _evaluation, _job, _main, _outputs, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._parser import build_parser
@@ -463,6 +465,54 @@ class TestInterrupt:
         assert b"evaluations" in seen
 
 
+class TestKilled:
+    """The same command goes on where it was, and leaves nothing but its outputs."""
+
+    class Killed(BaseException):
+        pass
+
+    @pytest.fixture(autouse=True)
+    def _at_once(self, monkeypatch):
+        monkeypatch.setattr(_main, "checkpointing", partial(checkpointing, every=0.0))
+
+    def identify(self, monkeypatch, output, die_at=None):
+        """Return how many evaluations it took; or be killed at one of them."""
+        heard = []
+
+        def progress(console, *news):
+            heard.append(news)
+            if len(heard) == die_at:
+                raise self.Killed
+
+        monkeypatch.setattr(Console, "progress", progress)
+        assert identify("--test", "test.csv", output=output) == 0
+        return len(heard)
+
+    def test_within_the_fit_or_after_it(self, tmp_path, monkeypatch):
+        n = self.identify(monkeypatch, tmp_path / "whole")
+        for die_at in (n // 3, n // 2):
+            with pytest.raises(self.Killed):
+                self.identify(monkeypatch, tmp_path / "killed", die_at)
+        with monkeypatch.context() as patch, pytest.raises(self.Killed):
+            patch.setattr(_outputs, "render_report", lambda content: (_ for _ in ()).throw(self.Killed))
+            self.identify(monkeypatch, tmp_path / "killed")
+        assert {path.name for path in (tmp_path / "killed").iterdir()} == {"checkpoint"}
+        assert self.identify(monkeypatch, tmp_path / "killed") == 0
+        assert {path.name for path in (tmp_path / "killed").iterdir()} == OUTPUTS
+        whole, killed = (json.loads((tmp_path / name / "metrics.json").read_text()) for name in ("whole", "killed"))
+        assert killed["fit"]["evaluations"] == whole["fit"]["evaluations"]
+        assert killed["test_together"] == whole["test_together"]
+
+    def test_stopped_it_says_that_the_fit_goes_on(self, tmp_path, monkeypatch, capsys):
+        def render(content):
+            signal.raise_signal(signal.SIGINT)
+
+        monkeypatch.setattr(_outputs, "render_report", render)
+        monkeypatch.setattr(Console, "progress", lambda *_: None)
+        assert identify("--test", "test.csv", output=tmp_path / "new") == 130
+        assert "no output was written; run again, the fit goes on where it was" in capsys.readouterr().err
+
+
 def interrupting(original, stage, n):
     """Return a progress listener that is pressed Ctrl-C at the n-th evaluation of a stage."""
 
@@ -612,8 +662,10 @@ def test_demo_is_honest(tmp_path, capsys):
         ("identify_example_flights", ["--samples", "50"]),
         ("grid_search_flights", ["--samples", "48", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
         ("compare_methods", ["--samples", "90"]),
+        ("fly_the_model", ["--samples", "60", "--paths", "5"]),
     ],
 )
+@pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
 def test_examples_draw(name, arguments, tmp_path, capsys):
     if not EXAMPLES.is_dir():
         pytest.skip("the examples are not beside the tests")

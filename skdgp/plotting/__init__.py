@@ -12,6 +12,7 @@ from skdgp.plotting._derivatives import DerivativeDisplay
 from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._learning_curve import FlightLearningCurveDisplay
 from skdgp.plotting._states import StateDisplay
+from skdgp.plotting._trajectory import TrajectoryDisplay
 
 __all__ = [
     "CalibrationDisplay",
@@ -21,4 +22,5 @@ __all__ = [
     "FlightDisplay",
     "FlightLearningCurveDisplay",
     "StateDisplay",
+    "TrajectoryDisplay",
 ]

@@ -32,6 +32,7 @@ _SYMBOLS = {
     "v_east": "v_E",
     "v_down": "v_D",
     "airspeed": "V",
+    "altitude": "h",
 }
 
 

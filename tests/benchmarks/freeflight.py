@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 import joblib
@@ -25,7 +26,7 @@ import pandas as pd
 from _common import finish, parser_of
 from sklearn.linear_model import LinearRegression
 
-from skdgp import make_identification_pipeline
+from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._vocabulary import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
@@ -40,6 +41,7 @@ from skdgp.dynamics import (
 )
 from skdgp.identification import predict_flight
 from skdgp.io import read_flight
+from skdgp.model_selection import thin_targets
 
 PAIRS = [("c172p", "train_latlon", "test_calm"), ("viggen_uav", "train_latlon", "test_twoalt")]
 SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
@@ -164,6 +166,11 @@ def timed(model, aircraft, n_paths, duration=60.0):
     return rows
 
 
+def fitted(pipeline, flight, aircraft):
+    """Return the pipeline, which learned from the flight."""
+    return pipeline.fit(flight, aerodynamic_coefficients(flight, aircraft))
+
+
 def learned(folder, name, make):
     """Return a fitted pipeline, from the folder where it is there."""
     path = folder / f"{name}.joblib" if folder else None
@@ -201,7 +208,7 @@ def main(words=None):
         Y = aerodynamic_coefficients(log, aircraft)
         models = {
             "ours": learned(
-                options.models, airframe, lambda a=aircraft, f=log, y=Y: make_identification_pipeline(a).fit(f, y)
+                options.models, airframe, partial(fitted, make_identification_pipeline(aircraft), log, aircraft)
             ),
             "least squares": make_identification_pipeline(aircraft, regressor=LinearRegression()).fit(log, Y),
         }
@@ -209,13 +216,15 @@ def main(words=None):
         errors, coverage = errors + found[0], coverage + found[1]
         replays += replayed(f"{airframe} {test}", models["ours"], aircraft, flight)
     example = load_example_flights()
-    log = example.train if not options.smoke else example.train.iloc[:1200]
-
-    def fit():
-        return make_identification_pipeline(example.aircraft).fit(log, aerodynamic_coefficients(log, example.aircraft))
-
-    model = learned(None if options.smoke else options.models, "example", fit)
-    times = timed(model, example.aircraft, 3, 0.2) if options.smoke else timed(model, example.aircraft, options.paths)
+    log, aircraft = example.train, example.aircraft
+    if options.smoke:
+        regressor = DependentGPRegressor(n_latent=0, optimizer=None)
+        small = make_identification_pipeline(aircraft, reconstruction="passthrough", cutoff=6.0, regressor=regressor)
+        model = small.fit(log, thin_targets(aerodynamic_coefficients(log, aircraft, cutoff=6.0), 100))
+    else:
+        fit = partial(fitted, make_identification_pipeline(aircraft), log, aircraft)
+        model = learned(options.models, "example", fit)
+    times = timed(model, aircraft, 3, 0.2) if options.smoke else timed(model, aircraft, options.paths)
     finish(options, "freeflight", errors=errors, coverage=coverage, replay=replays, times=times)
 
 

@@ -1,0 +1,60 @@
+"""A learned aircraft flown: free from the state of another flight, with the band of what the model believes.
+
+    python examples/fly_the_model.py
+
+Learns the example aircraft from two flights, takes one moment of a third, and flies on from there with the surfaces,
+the throttle and the wind of the log alone: nothing else enters after the start. Then a trim, its modes, derivatives.
+Needs matplotlib: pip install "skdgp[plot]".
+"""
+
+import argparse
+
+from matplotlib.figure import Figure
+
+from skdgp import make_identification_pipeline
+from skdgp.datasets import load_example_flights
+from skdgp.dynamics import aerodynamic_coefficients, linearize, simulate, stability_derivatives, trim
+from skdgp.model_selection import thin_targets
+from skdgp.plotting import TrajectoryDisplay
+
+START, SECONDS = 24.0, 10.0
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=None, help="rows to learn from (default: all)")
+    parser.add_argument("--paths", type=int, default=60, help="posterior functions to fly (default: %(default)s)")
+    parser.add_argument("--output", default="flown.png", help="the picture (default: %(default)s)")
+    options = parser.parse_args(arguments)
+
+    flights = load_example_flights()
+    train, test, aircraft = flights.train, flights.test, flights.aircraft
+    Y = aerodynamic_coefficients(train, aircraft)
+    model = make_identification_pipeline(aircraft)
+    model.set_params(dependentgpregressor__random_state=0)
+    model.fit(train, Y if options.samples is None else thin_targets(Y, options.samples))
+
+    # The flight as it truly was, from START on; of a real one, as FlightPathReconstruction makes it.
+    part = test[(test["time"] >= START) & (test["time"] <= START + SECONDS)]
+    names = [name.removesuffix("_true") for name in test if name.endswith("_true")]
+    flown = part.assign(**{name: part[f"{name}_true"] for name in names})
+    wind = flown[["time", "wind_north", "wind_east", "wind_down"]]
+
+    paths = simulate(model, aircraft, flown.iloc[0], flown, wind=wind, n_paths=options.paths)
+    figure = Figure(figsize=(10, 6.5), layout="constrained")
+    columns = ["airspeed", "altitude", "phi", "theta", "p", "q"]
+    TrajectoryDisplay.from_trajectories(paths, truth=flown, columns=columns, ax=figure)
+    figure.suptitle(
+        "Example aircraft: free flight through gusts from one moment of a flight that the model has not seen"
+    )
+    figure.savefig(options.output, dpi=150)
+    print(options.output)
+
+    steady = trim(model, aircraft, airspeed=35.0, altitude=200.0)
+    print(steady)
+    print(linearize(model, aircraft, steady).modes().round(3))
+    print(stability_derivatives(model, aircraft, steady).round(3).head(12))
+
+
+if __name__ == "__main__":
+    main()

@@ -275,7 +275,7 @@ class _Part:
 def _load(path) -> dict | None:
     """Return what a file holds: facts, whether its part is done, and the end or the answers of each stage."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
         facts, done = json.loads(str(arrays.pop("facts"))), bool(arrays.pop("done"))
         stages = {}

@@ -1,4 +1,4 @@
-"""Scikit-learn's callbacks on a fit alone, in a pipeline, in a search: they hear the likelihood rise and may stop it."""
+"""Scikit-learn's callbacks on a fit alone, in a pipeline, in a search: they hear the likelihood and may stop it."""
 
 import io
 from contextlib import redirect_stdout

@@ -8,6 +8,7 @@ import sys
 import traceback
 from contextlib import nullcontext
 
+from skdgp._checkpoint import checkpointing
 from skdgp._cli._console import Console
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._inspect import inspect
@@ -16,6 +17,7 @@ from skdgp._cli._parser import build_parser
 from skdgp._cli._source import example_source, file_source
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
+CHECKPOINT = "checkpoint"  # in the folder of the outputs, while these are made
 OPTIONS = {
     "thrust=None": "--thrust none",
     "thin_targets(": "--samples 755",
@@ -38,9 +40,10 @@ def main(argv=None) -> int:
                 return DONE
             console.stage("flying the example flights" if options.command == "demo" else "reading")
             source = example_source() if options.command == "demo" else file_source(options)
-            run(source, options, folder, console, command=shlex.join(["python", "-m", "skdgp", *argv]))
+            with checkpointing(folder.path / CHECKPOINT):
+                run(source, options, folder, console, command=shlex.join(["python", "-m", "skdgp", *argv]))
     except KeyboardInterrupt:
-        print("stopped" if getattr(folder, "written", True) else "stopped: no output was written", file=sys.stderr)
+        print(_stopped(folder), file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output is gone; our files are written
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -51,6 +54,14 @@ def main(argv=None) -> int:
         print(f"error: {_words(error)}", file=sys.stderr)
         return FAILED
     return DONE
+
+
+def _stopped(folder) -> str:
+    """Return what is said at the end by Ctrl-C."""
+    if getattr(folder, "written", True):
+        return "stopped"
+    words = "stopped: no output was written"
+    return f"{words}; run again, the fit goes on where it was" if (folder.path / CHECKPOINT).exists() else words
 
 
 def _words(error: Exception) -> str:

@@ -52,6 +52,7 @@ examples:
   python -m skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
 
 Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing is written.
+A fit that is killed goes on where it was when the same command is run again: DIR/checkpoint holds what it needs.
 """
 
 INSPECT = """\

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from skdgp._vocabulary import CHANNELS, COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._linearize import flight_point
+from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import ACCELERATION_LENGTHS, HAT, LENGTHS, Motion
 from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._trim import Trim
@@ -60,7 +60,7 @@ def stability_derivatives(
         "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
     n_paths : int
         How many functions of the posterior tell the standard deviations, each with a relative error of
-        1 / sqrt(2 n_paths). One function has all its derivatives together, so their sums are told rightly too. A
+        1 / sqrt(2 n_paths); 0: no deviations. One function has all its derivatives together, so their sums are told rightly too. A
         model without a posterior has none.
     random_state : int, RandomState instance or None
         Of these.
@@ -116,7 +116,7 @@ def stability_derivatives(
     if not np.isfinite(values).all():
         raise ValueError("Got coefficients or slopes that are not finite: the model is not defined there.")
     std = None
-    if motion.aerodynamics.is_uncertain:
+    if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
         drawn = motion.aerodynamics.sample(n_paths, random_state)
         each = np.broadcast_to(X, (n_paths, *X.shape))
         std = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)

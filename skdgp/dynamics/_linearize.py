@@ -18,7 +18,7 @@ from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._propulsion import thrust_control
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
 
-__all__ = ["LinearModel", "Matrices", "flight_point", "linearize"]
+__all__ = ["LinearModel", "Matrices", "check_paths", "flight_point", "linearize"]
 
 ALL_STATES = ("north", "east", "down", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r")
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
@@ -256,7 +256,7 @@ def linearize(
     check_names(outputs, (*ALL_STATES, *OUTPUTS), "outputs")
     chosen = list(states), inputs, outputs
     paths = None
-    if n_paths:
+    if check_paths(n_paths):
         drawn = Motion(
             motion.aerodynamics.sample(n_paths, random_state), aircraft, thrust=thrust, gravity=gravity, density=density
         )
@@ -265,6 +265,13 @@ def linearize(
     names = ((states, states), (states, inputs), (outputs, states), (outputs, inputs))
     tables = [pd.DataFrame(t, index=list(a), columns=list(b)) for t, (a, b) in zip(tables, names, strict=True)]
     return LinearModel(*tables, state, controls, paths)
+
+
+def check_paths(n_paths: int) -> int:
+    """Return the number of paths, none or enough to have a spread."""
+    if n_paths < 0 or n_paths == 1:
+        raise ValueError(f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread.")
+    return n_paths
 
 
 def flight_point(motion: Motion, point, controls) -> tuple[np.ndarray, dict]:

@@ -168,6 +168,10 @@ class TestSweep:
 
 
 class TestBadInput:
+    def test_a_single_path(self, state):
+        with pytest.raises(ValueError, match="n_paths=1, but expected 0 or at least 2"):
+            stability_derivatives(MODEL, BRUMBY, state, CONTROLS, n_paths=1)
+
     def test_axes(self, state):
         with pytest.raises(ValueError, match=r"axes='wind'.*\['body', 'stability'\]"):
             stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes="wind")

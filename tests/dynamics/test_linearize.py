@@ -239,6 +239,10 @@ class TestParts:
 
 
 class TestBadInput:
+    def test_a_single_path(self, glider, level):
+        with pytest.raises(ValueError, match="n_paths=1, but expected 0 or at least 2"):
+            linearize(MODEL, glider, level, n_paths=1, **AIR)
+
     def test_names(self, glider, level):
         with pytest.raises(ValueError, match="states lack 'tetha'"):
             linearize(MODEL, glider, level, states=["u", "tetha"], **AIR)

@@ -60,8 +60,8 @@ def stability_derivatives(
         "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
     n_paths : int
         How many functions of the posterior tell the standard deviations, each with a relative error of
-        1 / sqrt(2 n_paths); 0: no deviations. One function has all its derivatives together, so their sums are told rightly too. A
-        model without a posterior has none.
+        1 / sqrt(2 n_paths); 0: no deviations. One function has all its derivatives together, so their sums are told
+        rightly too. A model without a posterior has none.
     random_state : int, RandomState instance or None
         Of these.
     thrust, gravity, density

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from skdgp._vocabulary import CHANNELS, COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._jacobian import check_settled
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import ACCELERATION_LENGTHS, HAT, LENGTHS, Motion
 from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
@@ -106,11 +107,7 @@ def stability_derivatives(
     motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
     states, controls, single = _points(motion, point, controls)
     now = motion.at(states, controls)
-    if not np.all(now.settled):
-        raise ValueError(
-            "The model depends so strongly on what follows from its coefficients that its motion is not determined: "
-            "learn one without accelerations, as RegressorSelector() does."
-        )
+    check_settled(now)
     X, frame = now.regressors, _Frame(motion, now, axes)
     values = frame(now.coefficients, motion.aerodynamics.gradient(X))
     if not np.isfinite(values).all():

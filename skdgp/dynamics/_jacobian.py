@@ -12,7 +12,7 @@ from skdgp.dynamics._frames import quaternion_rate
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
-__all__ = ["ERRORS", "OUTPUTS", "Jacobian", "jacobian"]
+__all__ = ["ERRORS", "OUTPUTS", "Jacobian", "check_settled", "jacobian"]
 
 ERRORS = ("north", "east", "down", "u", "v", "w", "turn_x", "turn_y", "turn_z", "p", "q", "r")
 """What a small error of a state is made of: its attitude is off by a small rotation about body axes."""
@@ -83,6 +83,15 @@ def jacobian(
     rate, output = F[..., :n] + F[..., n:] @ change, H[..., :n] + H[..., n:] @ change
     rate[..., TURN, TURN], rate[..., TURN, SPIN] = -_cross_matrix(state[..., RATES]), np.eye(3)
     return Jacobian(rate[..., :12], rate[..., 12:], F[..., n:] @ gain, output[..., :12], output[..., 12:], instant)
+
+
+def check_settled(instant: Instant) -> None:
+    """Raise a ValueError if the regressors that follow from the loads were not found."""
+    if not np.all(instant.settled):
+        raise ValueError(
+            "The model depends so strongly on what follows from its coefficients that its motion is not determined: "
+            "learn one without accelerations, as RegressorSelector() does."
+        )
 
 
 def _mechanics(motion, state, controls, inputs, instant, wind, wind_rate):

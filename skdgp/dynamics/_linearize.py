@@ -12,9 +12,9 @@ import pandas as pd
 from skdgp._validation import check_names
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._frames import quaternion_to_euler
-from skdgp.dynamics._jacobian import OUTPUTS, jacobian
+from skdgp.dynamics._jacobian import OUTPUTS, check_settled, jacobian
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._propulsion import thrust_control
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
 
@@ -292,7 +292,9 @@ def flight_point(motion: Motion, point, controls) -> tuple[np.ndarray, dict]:
 
 def _matrices(motion: Motion, state, controls, states, inputs, outputs) -> Matrices:
     found = jacobian(motion, state, controls, inputs=inputs)
-    _check(found.instant, found.state)
+    check_settled(found.instant)
+    if not np.isfinite(found.state).all():
+        raise ValueError("Got slopes of the model that are not finite at this point: it is not defined there.")
     rate, change = _in_euler_angles(found.state, state)
     rows, all_outputs = [ALL_STATES.index(name) for name in states], (*ALL_STATES, *OUTPUTS)
     seen = [all_outputs.index(name) for name in outputs]
@@ -321,13 +323,3 @@ def _in_euler_angles(rate, state) -> tuple[np.ndarray, np.ndarray]:
     rate[..., 7, 10], rate[..., 7, 11] = cos, -sin
     rate[..., 8, 10], rate[..., 8, 11] = sin * sec, cos * sec
     return rate, change
-
-
-def _check(instant: Instant, rate) -> None:
-    if not np.all(instant.settled):
-        raise ValueError(
-            "The model depends so strongly on what follows from its coefficients that its motion is not determined: "
-            "learn one without accelerations, as RegressorSelector() does."
-        )
-    if not np.isfinite(rate).all():
-        raise ValueError("Got slopes of the model that are not finite at this point: it is not defined there.")

@@ -169,7 +169,7 @@ def _read_parquet(path):
         ) from error
 
 
-READERS = {".csv": read_csv, ".parquet": _read_parquet, ".pq": _read_parquet, ".mat": read_mat, **AUTOPILOTS}
+TABLES = {".csv": read_csv, ".parquet": _read_parquet, ".pq": _read_parquet, ".mat": read_mat}
 DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None}
 
 
@@ -184,11 +184,12 @@ def _from_autopilot(path, flight, options):
 
 
 def _reader(path):
-    if path.suffix.lower() not in READERS:
+    readers = TABLES | AUTOPILOTS
+    if path.suffix.lower() not in readers:
         raise FlightReadError(
-            f"Got {path} with suffix {path.suffix!r}, but expected one of {sorted(READERS)}: convert or rename it."
+            f"Got {path} with suffix {path.suffix!r}, but expected one of {sorted(readers)}: convert or rename it."
         )
-    return READERS[path.suffix.lower()]
+    return readers[path.suffix.lower()]
 
 
 def _as_flight(table, flight, *, overrides):

@@ -19,7 +19,7 @@ def threshold(log: Log, airborne) -> float:
     """Return the airspeed [m/s] above which the aircraft is airborne."""
     if airborne is not True:
         return float(airborne)
-    speeds = [log.parameters.get(name, np.nan) for name in SLOWEST_AIRSPEED[log.kind]]
+    speeds = [log.parameters.get(name, np.nan) for name in SLOWEST_AIRSPEED.get(log.kind, ())]
     return next((SHARE * speed for speed in speeds if 0 < speed < 200), USUAL)
 
 
@@ -68,7 +68,7 @@ def _speed(table, log):
 
 def _landed(time, log, topics):
     """Return whether the autopilot took itself for landed, (n,), or None where it does not tell."""
-    name, field, value = LANDED[log.kind]
+    name, field, value = LANDED.get(log.kind, ("", "", 0.0))
     topic = topics.get(name)
     if topic is None or field not in topic:
         return None

@@ -19,7 +19,7 @@ class Topic:
     time : ndarray of shape (n,)
         Time stamps [s] in the order of the file, as they were written: perhaps wrong, perhaps out of order.
     order : ndarray of shape (n,)
-        Where in the file each message stands [bytes], which tells the order between topics.
+        Where in the file each message stands (in bytes, say), which tells the order between topics.
     records : structured ndarray of shape (n,)
         The fields. Arrays and nested messages are read as ``q[0]``, ``esc[0].esc_rpm``.
     scale : dict
@@ -30,6 +30,22 @@ class Topic:
     order: np.ndarray
     records: np.ndarray
     scale: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, time, **fields) -> Topic:
+        """Return a topic of vectors (n,) or arrays (n, k), whose messages stand in the order of their times.
+
+        >>> import numpy as np
+        >>> topic = Topic.of([0.0, 0.1], gyro=np.zeros((2, 3)), count=[1, 2])
+        >>> topic.channels()
+        ['gyro[0]', 'gyro[1]', 'gyro[2]', 'count']
+        """
+        time = np.asarray(time, dtype=float)
+        arrays = {name: np.asarray(values, dtype=float) for name, values in fields.items()}
+        records = np.empty(len(time), [(name, float, values.shape[1:]) for name, values in arrays.items()])
+        for name, values in arrays.items():
+            records[name] = values
+        return cls(time, time, records)
 
     def __len__(self) -> int:
         return len(self.time)

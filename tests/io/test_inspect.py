@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from skdgp._cli import main
+from skdgp._cli._source import read_named
 from skdgp.dynamics import _inverse
 from skdgp.io import FlightReadError, inspect_log
 from skdgp.io._inspect import NEEDS
@@ -160,6 +161,12 @@ class TestCommand:
         assert len(err.splitlines()) == 1
         assert out == ""
         assert not (tmp_path / "servo.toml").exists()
+
+    def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
+        (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")
+        flights = read_named([whole, tmp_path / "table.csv"], SERVOS)
+        assert set(SERVOS) <= set(flights["whole"].columns)
+        assert set(flights["table"].columns) == {"time", "flight", "alpha"}
 
     def test_no_such_file(self, capsys):
         assert main(["inspect", "nowhere.ulg"]) == 1

@@ -1,0 +1,60 @@
+"""The page autopilot_logs.md: its code runs on a log that is laid ready, and its table is that of the rules."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from skdgp.io import _autopilot, _rules
+from skdgp.io._servos import read_servos
+
+PAGE = (Path(__file__).parents[2] / "docs" / "autopilot_logs.md").read_text(encoding="utf-8")
+
+
+def blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)
+
+
+def test_the_code_runs(tmp_path, monkeypatch, ulog, flight):
+    t = flight.time(50)
+    log = ulog(MAV_TYPE=1)
+    for name, field, columns in (
+        ("vehicle_angular_velocity", "xyz", "pqr"),
+        ("vehicle_acceleration", "xyz", ("ax", "ay", "az")),
+        ("actuator_controls_0", "control", ("aileron", "elevator", "rudder", "throttle")),
+    ):
+        log.topic(name, t, **{field: (f"float[{len(columns)}]", flight.at(t, *columns))})
+    log.topic("airspeed", t, true_airspeed_m_s=("float", flight["airspeed"](t)))
+    log.topic("vehicle_air_data", t, rho=("float", flight["density"](t)))
+    log.topic("rpm", t, indicated_frequency_rpm=("float", flight["propeller_speed"](t)))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sortie.ulg").write_bytes(bytes(log))
+    monkeypatch.setitem(_autopilot.READERS, ".lines", None)  # taken away again after the test
+    monkeypatch.setitem(_rules.RULES, "Lines", None)
+    names = {}
+    for block in blocks("python"):
+        exec(compile(block, "autopilot_logs.md", "exec"), names)
+
+
+def test_the_servo_file_is_one(tmp_path):
+    (text,) = blocks("toml")
+    (tmp_path / "servo.toml").write_text(text)
+    servos = read_servos(tmp_path / "servo.toml")
+    assert servos["elevator"].angles == (0.35, 0.0, -0.35)
+    assert servos["aileron"].channel == "actuator_outputs.output[0]"
+
+
+@pytest.mark.parametrize("rules", [_rules.PX4, _rules.ARDUPILOT], ids=["px4", "ardupilot"])
+def test_every_rule_stands_in_the_table(rules):
+    table = PAGE.split("## Where each column is from")[1].split("## ")[0]
+    rows = [line.split("|")[1:4] for line in table.splitlines() if line.startswith("| ")]
+    place = 1 if rules is _rules.PX4 else 2
+    told = {name: row[place] for row in rows for name in re.split(r"[ ,]+", row[0].strip())}
+    names = {_rules.EQUIVALENT: "airspeed", **dict.fromkeys(_rules.QUATERNION, "phi")}
+    for rule in rules:
+        for column in rule.columns:
+            assert f"`{rule.topic}`" in told[names.get(column, column)], (column, rule.topic)
+    for name, cell in told.items():
+        sources = {rule.topic for rule in rules for column in rule.columns if names.get(column, column) == name}
+        if sources:
+            assert set(re.findall(r"`(\w+)`", cell)) == sources or name in ("theta", "psi", "alpha", "beta"), name

@@ -183,7 +183,7 @@ class SteadyFlight:
         left = [
             f"{name} = {value:.3g} {'m' if name[0] in 'uvw' else 'rad'}/s^2"
             for name, value in zip(ACCELERATIONS, best.fun[:6], strict=True)
-            if abs(value) > 0.01 * np.abs(best.fun).max()
+            if abs(value) > 0.01 * np.abs(best.fun[:6]).max()
         ]
         at = []
         for name, value in zip(self.unknowns, best.x, strict=True):

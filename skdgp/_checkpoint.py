@@ -247,8 +247,8 @@ class _Part:
                 self.lock.release()
 
     def end(self):
-        """Write the end of the part; what was broken off early, only if it was long enough to be written before."""
-        if self.done or self.path.is_file():
+        """Write the end of the part; of a fit that was broken off early, only if it was long enough to be written."""
+        if self.done or self.record.folder.is_dir():
             with self.lock:
                 self._write()
 

@@ -151,6 +151,20 @@ def test_ctrl_c_keeps_the_best_and_the_next_fit_goes_on(tmp_path):
     assert not folder.exists()
 
 
+def test_ctrl_c_in_a_restart_that_just_began_loses_nothing_of_those_before(tmp_path):
+    model = quick(n_restarts_optimizer=1)
+    n = quick().fit(X, Y[:, 0]).n_evaluations_
+
+    def interrupted():
+        with checkpointing(tmp_path / "checkpoint", every=1000.0):
+            return model.fit(X, Y[:, 0])
+
+    with pytest.warns(ConvergenceWarning, match="interrupted"):
+        evaluated(interrupted, at=n + 2, error=KeyboardInterrupt)
+    _, rest = fit(tmp_path / "checkpoint", model)
+    assert rest == evaluated(lambda: model.fit(X, Y[:, 0]))[1] - n - 2
+
+
 @pytest.mark.parametrize(
     ("targets", "parameters", "said"),
     [

@@ -132,14 +132,15 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
 
 
 def _told_gaps(parts):
-    """Say the longest gap of each source that has some."""
+    """Say the longest gap of each topic that has some."""
     for part in parts:
-        for source in part.sources:
+        for source in {source.name.split(".")[0]: source for source in part.sources}.values():
             found = gaps(source.time)
             if found:
                 begin, length = max(found, key=lambda gap: gap[1])
+                columns = " ".join(source.columns)
                 yield (
-                    f"{source.name} has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s: NaN there"
+                    f"{source.name} ({columns}) has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
                 )
 
 

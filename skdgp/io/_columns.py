@@ -56,15 +56,14 @@ def find_sources(log: Log, topics: dict[str, Topic], rules, servos: dict[str, Se
         if source is None:
             continue
         if len(source.time) < 2:
-            useless.append(f"{source.name} is never valid ({rule.valid or 'no number'})")
+            useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
         elif impossible := _impossible(source):
             useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * impossible:.0f} % is impossible")
         else:
             candidates.setdefault(rule.columns, []).append(source)
-    found = [_preferred(sources) for sources in candidates.values()]
-    taken = {name for source in found for name in source.columns}
-    found += [source for name, servo in servos.items() if (source := _surface(part, name, servo)) and name not in taken]
-    return found, list(dict.fromkeys(useless))
+    found = [_preferred(sources) for columns, sources in candidates.items() if not servos.keys() & set(columns)]
+    surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
+    return found + [source for source in surfaces if source is not None], list(dict.fromkeys(useless))
 
 
 def follow(sources: list[Source], rate: float | None) -> tuple[np.ndarray, float]:
@@ -134,13 +133,13 @@ def _complete(columns, origin):
 def _source(log, rule: Rule) -> Source | None:
     name = log.find(rule.topic)
     topic = log.topics.get(name)
-    if topic is None or not all(field in topic for field in (*rule.fields, *([rule.valid] if rule.valid else []))):
+    if topic is None or not all(field in topic for field in rule.fields):
         return None
     raw = topic.columns(rule.fields)
     values = rule.convert(raw)
     known = np.isfinite(values).all(axis=1)
-    if rule.valid:
-        known &= topic[rule.valid] > 0
+    for field in rule.valid:
+        known &= topic[field] > 0 if field in topic else True
     return Source(rule.columns, f"{name}.{_joined(rule.fields)}", topic.time[known], values[known], rule.note)
 
 

@@ -30,8 +30,8 @@ class Rule(NamedTuple):
     topic: str
     fields: tuple[str, ...]
     convert: Callable[[np.ndarray], np.ndarray] = np.asarray
-    valid: str | None = None
-    """A field that is positive where the others are valid."""
+    valid: tuple[str, ...] = ()
+    """Fields that, where the log has them, are positive where the others are valid."""
     note: str = ""
 
 
@@ -83,19 +83,18 @@ PX4 = (
     Rule(FORCES, "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(FORCES, "sensor_accel", AXES),
     Rule(QUATERNION, "vehicle_attitude", tuple(f"q[{i}]" for i in range(4))),
-    Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",), valid="airspeed_sensor_measurement_valid"),
-    Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",)),
+    Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",), valid=("airspeed_sensor_measurement_valid",)),
     Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",)),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
-    Rule(HORIZONTAL, "vehicle_local_position", ("vx", "vy"), valid="v_xy_valid"),
+    Rule(HORIZONTAL, "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
     Rule(HORIZONTAL, "vehicle_global_position", ("vel_n", "vel_e")),
-    Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid="vel_ned_valid"),
-    Rule(DOWN, "vehicle_local_position", ("vz",), valid="v_z_valid"),
+    Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=("vel_ned_valid",)),
+    Rule(DOWN, "vehicle_local_position", ("vz",), valid=("v_z_valid",)),
     Rule(DOWN, "vehicle_global_position", ("vel_d",)),
-    Rule(DOWN, "vehicle_gps_position", ("vel_d_m_s",), valid="vel_ned_valid"),
-    Rule(("north", "east"), "vehicle_local_position", ("x", "y"), valid="xy_valid"),
-    Rule(("down",), "vehicle_local_position", ("z",), valid="z_valid"),
+    Rule(DOWN, "vehicle_gps_position", ("vel_d_m_s",), valid=("vel_ned_valid",)),
+    Rule(("north", "east"), "vehicle_local_position", ("x", "y"), valid=("xy_valid",)),
+    Rule(("down",), "vehicle_local_position", ("z",), valid=("z_valid",)),
     Rule(("altitude",), "vehicle_global_position", ("alt",)),
     Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
     Rule(("altitude",), "vehicle_gps_position", ("altitude_msl_m",)),
@@ -117,8 +116,7 @@ ARDUPILOT = (
     Rule(FORCES, "IMU", ("AccX", "AccY", "AccZ")),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _of_degrees),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _of_degrees),
-    Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid="H"),
-    Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid="Health"),
+    Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health")),
     Rule(("alpha",), "AOA", ("AOA",), times(DEGREE), note=MODELLED),
     Rule(("beta",), "AOA", ("SSA",), times(DEGREE), note=MODELLED),
     Rule(VELOCITY, "XKF1", ("VN", "VE", "VD")),

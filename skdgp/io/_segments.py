@@ -33,7 +33,7 @@ def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed
     if landed is not None:
         fast &= ~landed
     time = table["time"].to_numpy()
-    runs = [[a, b] for a, b in _runs(fast)]
+    runs = _runs(fast, time)
     joined = runs[:1]
     for a, b in runs[1:]:
         if time[a] - time[joined[-1][1] - 1] < DIP:
@@ -76,6 +76,8 @@ def _landed(time, log, topics):
     return (topic[field] == value)[np.maximum(last, 0)]
 
 
-def _runs(mask):
-    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(int)))
-    return edges.reshape(-1, 2).tolist()
+def _runs(fast, time):
+    """Return first and past-last rows of runs without a leap of time."""
+    begins = fast & ~np.r_[False, fast[:-1] & (np.diff(time) < DIP)]
+    ends = fast & np.r_[begins[1:] | ~fast[1:], True]
+    return [[int(a), int(b) + 1] for a, b in zip(np.flatnonzero(begins), np.flatnonzero(ends), strict=True)]

@@ -30,6 +30,8 @@ TYPES = {
 LARGEST = 2**16
 """A message cannot be longer [bytes]: its length is 16 bits."""
 LONGEST_TEXT = 2000
+LATEST = 1_000_000
+"""Microseconds from sampling to publishing, at most."""
 DEEPEST = 8
 """Levels of nested messages."""
 RELEASED = 64
@@ -246,7 +248,7 @@ class _Reader:
                 size = each.dtype.itemsize
                 raw = b"".join([self.data[start : start + size] for start in each.starts])
                 records = np.frombuffer(raw, each.dtype)
-                found[name] = Topic(records["timestamp"] * 1e-6, np.array(each.starts), records)
+                found[name] = Topic(_sampled(each.name, records) * 1e-6, np.array(each.starts), records)
         return dict(sorted(found.items()))
 
     def remarks(self):
@@ -256,6 +258,16 @@ class _Reader:
             yield f"{self.lost} messages belong to no topic that the log defines"
         if self.cut:
             yield "the file ends within a message: it was cut off"
+
+
+def _sampled(name, records):
+    """Return when something was sampled, or if that is not told, published; outputs always when published [us]."""
+    published = records["timestamp"]
+    if "timestamp_sample" not in records.dtype.names or name.startswith("actuator"):
+        return published
+    sampled = records["timestamp_sample"]
+    believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
+    return np.where(believed, sampled, published)
 
 
 def _firmware(information) -> str:

@@ -129,7 +129,7 @@ class TestChoices:
             vy=("float", np.cos(t)),
             v_xy_valid=("bool", valid),
         )
-        with pytest.warns(FlightDataWarning, match="vx vy has 1 gaps"):
+        with pytest.warns(FlightDataWarning, match=r"vx vy \(v_north v_east\) has 1 gaps"):
             table = read_flight(write("a.ulg", log), airborne=False)
         lost = (table.time > 4.99) & (table.time < 6.01)
         assert table.v_north[lost].isna().all()
@@ -169,6 +169,26 @@ class TestChoices:
         middle = table.iloc[50:-50]
         np.testing.assert_allclose(middle[["ax", "ay", "az"]], np.tile([0, 0, -9.81], (len(middle), 1)), atol=2e-3)
 
+    def test_sensors_count_from_when_they_sampled(self, write, ulog):
+        """The message comes 40 ms later; what was sent to a servo counts from when it was sent."""
+        t = self.time()
+        late = {"timestamp_sample": ("uint64_t", np.round((t - 0.04) * 1e6))}
+        log = ulog().topic(
+            "vehicle_angular_velocity", t, **late, xyz=("float[3]", np.column_stack([np.sin(t - 0.04)] * 3))
+        )
+        log.topic("actuator_motors", t, **late, control=("float[1]", np.sin(t) ** 2))
+        table = read_flight(write("a.ulg", log), airborne=False).iloc[10:-10]
+        np.testing.assert_allclose(table.p, np.sin(table.time), atol=1e-3)
+        np.testing.assert_allclose(table.throttle, np.sin(table.time) ** 2, atol=1e-3)
+
+    def test_the_servo_file_is_believed_before_the_rules(self, write, ulog):
+        t = self.time()
+        log = self.gyro(ulog(), t).topic(
+            "actuator_motors", t, control=("float[2]", np.column_stack([0 * t, 0 * t + 0.7]))
+        )
+        servos = {"throttle": {"channel": "actuator_motors.control[1]", "points": [[0, 0], [1, 1]]}}
+        assert read_flight(write("a.ulg", log), airborne=False, servos=servos).throttle.median() == pytest.approx(0.7)
+
 
 class TestFlights:
     def log(self, ulog, airspeed, t, **parameters):
@@ -185,6 +205,14 @@ class TestFlights:
         assert spans.index.tolist() == ["log", "log#2"]
         np.testing.assert_allclose(spans.to_numpy(), [[20.05, 49.95], [70.05, 99.95]], atol=0.051)
         assert len(read_flight(write("log.ulg", self.log(ulog, airspeed, t)), airborne=False)) == len(t)
+
+    def test_a_leap_of_the_clock_ends_a_flight(self, write, ulog):
+        t = np.arange(0, 60, 0.05)
+        t[t > 30] += 3600
+        with pytest.warns(FlightDataWarning, match=r"1 gaps, the longest of 3600.05 s at 30.00 s"):
+            table = read_flight(write("log.ulg", self.log(ulog, np.full(t.size, 20.0), t)))
+        spans = table.groupby("flight").time.agg(["min", "max"])
+        np.testing.assert_allclose(spans, [[0, 30], [3630.05, 3659.95]], atol=0.051)
 
     def test_threshold_is_the_autopilots_or_the_callers(self, write, ulog):
         t = np.arange(0, 60, 0.05)

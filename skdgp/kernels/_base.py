@@ -362,6 +362,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def is_given(self):
         return self.k1.is_given() and self.k2.is_given()
 
+    def paths(self, X, coefficients):
+        return self.k1.paths(X, coefficients) + self.k2.paths(X, coefficients)
+
     def stationary_part(self):
         parts = [part for part in (self.k1.stationary_part(), self.k2.stationary_part()) if part is not None]
         return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None

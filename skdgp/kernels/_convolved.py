@@ -12,6 +12,7 @@ from skdgp.kernels._features import ConvolvedFeatures
 from skdgp.kernels._latents import TIED_AXIS, check_ties, who_feeds
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._parts import rank_parts
+from skdgp.kernels._paths import ValuePaths
 from skdgp.kernels._prior import log_normal, prior_of
 from skdgp.kernels._start import starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
@@ -235,6 +236,9 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def stationary_part(self):
         return self
+
+    def paths(self, X, coefficients):
+        return ValuePaths(self, X, coefficients)
 
     def diag_gradient(self, i, Xi, w):
         zeros = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}

@@ -7,6 +7,8 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from skdgp.kernels._rows import ExponentialRows
+
 CHUNK_BYTES = 2**25  # working memory of an evaluation
 TILE = 512  # values whose covariances with points are made at a time
 
@@ -167,6 +169,37 @@ class KernelPaths(PathBundle):
                     A = _over_points(block(i, j, points, self.X[j][some]), X)
                     values[..., i, :, :] += contract(A, self.coefficients[j][:, some])
         return values.T.swapaxes(0, 1)
+
+
+class ValuePaths(PathBundle):
+    """The same as ``KernelPaths``, of a convolved Gaussian: for few points one product and one exponential."""
+
+    def __init__(self, kernel, X, coefficients):
+        self.general = KernelPaths(kernel, X, coefficients)
+        outputs = range(kernel.n_outputs)
+        felt = [[j for j in outputs if kernel.couples(i, j)] for i in outputs]
+        self._rows = ExponentialRows(kernel, [[(j, X[j]) for j in own] for i, own in enumerate(felt)])
+        self._own = [slice(a, b) for a, b in pairwise(np.cumsum([0, *self._rows.sizes]))]
+        nothing = np.empty((len(coefficients[0]), 0))
+        self._weights = [
+            np.hstack([nothing, *(np.tile(coefficients[j], len(kernel._pair(i, j)[1])) for j in own)])
+            for i, own in enumerate(felt)
+        ]
+
+    def take(self, some):
+        general = self.general
+        return ValuePaths(general.kernel, general.X, [c[some] for c in general.coefficients])
+
+    def doubles(self, alike):
+        return (1 if alike else len(self._weights[0])) * self._own[-1].stop
+
+    def each(self, X):
+        A = _over_points(self._rows(_rows_of(X)), X)
+        values = [contract(A[..., own], c) for own, c in zip(self._own, self._weights, strict=True)]
+        return np.stack(values, axis=-1)
+
+    def gradient(self, X):
+        return self.general.gradient(X)
 
 
 def _rows_of(X):

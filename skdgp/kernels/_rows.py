@@ -9,37 +9,40 @@ import numpy as np
 
 
 class ExponentialRows:
-    """Covariances of outputs with inducing variables of a convolved Gaussian, one column after another.
+    """Covariances of outputs with further ones, or with values, of a convolved Gaussian, one column after another.
 
-    Every column is gain * exp(-1/2 |F (x - mu - z)|^2). With x taken from a middle, the square is |F x|^2, the same
-    for all columns of a pair, plus what is linear in x.
+    Each latent that feeds both has columns of its own. Every column is gain * exp(-1/2 |F (x - mu - z)|^2). With x
+    taken from a middle, the square is |F x|^2, the same for all columns of a pair and latent, plus what is linear in x.
 
     Parameters
     ----------
     joint : ConvolvedGaussian
-        Whose further outputs are the variables, each fed by one latent.
     columns : list of lists of (j, Z)
-        For each output: further output, and where it stands, (k, d).
+        For each output: another output, and where it stands, (k, d).
     """
 
     def __init__(self, joint, columns):
-        self.sizes = np.array([sum(len(Z) for _, Z in own) for own in columns])
+        self.sizes = np.array(
+            [sum(len(Z) * len(joint._pair(i, j)[1]) for j, Z in own) for i, own in enumerate(columns)]
+        )
         columns = [(i, j, Z) for i, own in enumerate(columns) for j, Z in own if len(Z)]
         d = joint.n_features
         self.middle = np.concatenate([np.zeros((1, d)), *(Z for *_, Z in columns)]).mean(axis=0)
-        roots, slopes, constants = [], [], []
+        roots, slopes, constants, counts = [], [], [], []
         for i, j, Z in columns:
-            _, (gain,), _, (F,), (mu,) = joint._pair(i, j)
-            F = np.diag(F) if F.ndim == 1 else F
-            b = (Z - self.middle + mu) @ F
-            roots.append(F)
-            slopes.append(b @ F.T)
-            constants.append(np.stack([-0.5 * np.einsum("kd,kd->k", b, b), np.full(len(b), gain)]))
+            _, gains, _, F, shifts = joint._pair(i, j)
+            for gain, root, mu in zip(gains, F, shifts, strict=True):
+                root = np.diag(root) if root.ndim == 1 else root
+                b = (Z - self.middle + mu) @ root
+                roots.append(root)
+                slopes.append(b @ root.T)
+                constants.append(np.stack([-0.5 * np.einsum("kd,kd->k", b, b), np.full(len(b), gain)]))
+                counts.append(len(b))
         self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
         self.roots = np.array([np.diag(F) ** 2 for F in roots]).T if self.diagonal else np.hstack(roots)
         self.slopes = np.concatenate([np.zeros((0, d)), *slopes]).T.copy()
         self.constant, self.gain = np.hstack([np.zeros((2, 0)), *constants])
-        self.counts = np.array([len(Z) for *_, Z in columns], dtype=int)
+        self.counts = np.array(counts, dtype=int)
 
     def __call__(self, X) -> np.ndarray:
         """Return all columns at X (n, d), (n, C)."""

@@ -11,6 +11,7 @@ from skdgp._linalg import column_scale
 from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._basis import FittedBasis, check_transformer
 from skdgp.kernels._features import TrendFeatures
+from skdgp.kernels._paths import TrendPaths
 
 
 class Trend(MultiOutputKernel):
@@ -103,6 +104,10 @@ class Trend(MultiOutputKernel):
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
         return TrendFeatures(self).prior_paths(n_paths, n_frequencies, random_state)[0]
+
+    def paths(self, X, coefficients):
+        weights = [c @ self.basis(i, x) for i, (x, c) in enumerate(zip(X, coefficients, strict=True))]
+        return TrendPaths(self, np.stack(weights, axis=1))
 
     def _by_entry(self, i, by_intercept, by_slope):
         intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_weights - 1))

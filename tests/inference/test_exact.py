@@ -272,6 +272,13 @@ class TestMemory:
             assert grown < 2 * times * results
 
 
+def test_few_points_have_the_means_that_many_have(one_problem):
+    posterior = posterior_of(one_problem)
+    many = np.random.default_rng(3).normal(size=(200, NEW.shape[1]))
+    one_by_one = np.concatenate([posterior.predict(row[None]) for row in many])
+    np.testing.assert_allclose(one_by_one, posterior.predict(many), rtol=1e-9, atol=1e-11)
+
+
 def test_pickle_predicts_the_same_bits_and_holds_no_matrix(one_problem):
     posterior = posterior_of(one_problem)
     expected = posterior.predict(NEW, True)

@@ -232,6 +232,18 @@ class TestContract:
         found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
         equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
 
+    def test_paths_of_values_are_their_covariances_times_coefficients(self, kernel):
+        X = inputs(kernel)
+        rng = np.random.default_rng(15)
+        points, c = rng.normal(size=(3, n_features(kernel))), [rng.normal(size=(2, len(x))) for x in X]
+        K = kernel([points] * len(X), X)
+        expected = (K @ np.concatenate(c, axis=1).T).reshape(len(X), 3, 2).T
+        paths = kernel.paths(X, c)
+        equal(paths.each(points[None]), expected, rtol=1e-9, atol=1e-10)
+        equal(paths.take(slice(1, 2)).each(points[None]), expected[1:], rtol=1e-9, atol=1e-10)
+        found = central_difference(lambda step: paths.each(points[None] + step), np.zeros(points.shape[-1]))
+        equal(paths.gradient(points[None]), found, rtol=1e-7, atol=1e-8)
+
     def test_theta_goes_round(self, kernel):
         theta = kernel.theta + np.random.default_rng(7).uniform(-0.1, 0.1, kernel.n_dims)
         other = kernel.clone_with_theta(theta)

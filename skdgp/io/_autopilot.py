@@ -13,7 +13,7 @@ from skdgp.io._columns import Origin, Source, find_sources, follow, gaps, to_tab
 from skdgp.io._dataflash import read_dataflash
 from skdgp.io._errors import FlightReadError
 from skdgp.io._rules import RULES
-from skdgp.io._segments import find_segments, no_flight_because, threshold
+from skdgp.io._segments import find_segments, no_flight_because, threshold, trimmed
 from skdgp.io._servos import read_servos
 from skdgp.io._stamps import clock_parts
 from skdgp.io._topics import Log, Topic
@@ -103,7 +103,7 @@ def flight_table(flown: Flown, name: str, *, airborne) -> pd.DataFrame:
     if airborne is False:
         pieces = [part.table for part in flown.parts if len(part.table)]
     else:
-        pieces = [part.table.iloc[rows] for part in flown.parts for rows in part.segments]
+        pieces = [trimmed(part.table.iloc[rows]) for part in flown.parts for rows in part.segments]
     if not pieces:
         longest = max((part.table for part in flown.parts), key=len, default=pd.DataFrame())
         why = no_flight_because(longest, flown.log, flown.speed) if len(longest) else "there are no samples"

@@ -12,6 +12,8 @@ SHARE, USUAL = 0.7, 8.0
 """Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
 DIP, SHORTEST = 2.0, 5.0
 """Slower for less than this is still flight [s]; faster for less than this is none [s]."""
+EDGE = 1.0
+"""Channels begin and end within this of each other [s]."""
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
 
 
@@ -41,6 +43,16 @@ def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed
         else:
             joined.append([a, b])
     return [slice(a, b) for a, b in joined if time[b - 1] - time[a] >= SHORTEST]
+
+
+def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight without rows at its ends, up to a second of them, where slow channels have no value."""
+    time, known = flight["time"].to_numpy(), flight.notna().to_numpy()
+    known = known[:, known.any(axis=0)]
+    begins, ends = time[known.argmax(axis=0)], time[len(time) - 1 - known[::-1].argmax(axis=0)]
+    begin = begins[begins <= time[0] + EDGE].max()
+    end = ends[ends >= time[-1] - EDGE].min()
+    return flight[(time >= begin) & (time <= end)]
 
 
 def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:

@@ -58,6 +58,7 @@ class TestEveryChannelComesBack:
         table = read_flight(write("sortie.ulg", px4), servos=PX4_SERVOS)
         names = set(flight.SIZES) - {"elevon_left", "elevon_right"}
         assert set(table.columns) == names | {"time", "flight"}
+        assert table.notna().all(axis=None)
         assert_is(table, flight, names)
         assert (table.flight == "sortie").all()
         np.testing.assert_allclose(np.diff(table.time), 0.02, rtol=1e-9)
@@ -213,6 +214,16 @@ class TestFlights:
             table = read_flight(write("log.ulg", self.log(ulog, np.full(t.size, 20.0), t)))
         spans = table.groupby("flight").time.agg(["min", "max"])
         np.testing.assert_allclose(spans, [[0, 30], [3630.05, 3659.95]], atol=0.051)
+
+    def test_rows_at_the_ends_that_lack_a_slow_channel_are_left_out(self, write, ulog):
+        t = np.arange(0, 60, 0.05)
+        log = self.log(ulog, np.full(t.size, 20.0), t)
+        log.topic("rpm", t[14:-3:10], indicated_frequency_rpm=("float", t[14:-3:10]))
+        log.topic("airflow_aoa", t[500:], aoa_rad=("float", t[500:] / 100))  # a vane that comes later is no reason
+        table = read_flight(write("log.ulg", log))
+        assert table.propeller_speed.notna().all()
+        assert table.time.min() == pytest.approx(0.7)
+        assert table.alpha.isna().sum() == pytest.approx(500 - 14, abs=1)
 
     def test_threshold_is_the_autopilots_or_the_callers(self, write, ulog):
         t = np.arange(0, 60, 0.05)

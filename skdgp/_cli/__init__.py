@@ -1,4 +1,4 @@
-"""The command line: ``python -m skdgp identify`` and ``python -m skdgp demo``."""
+"""The command line: ``python -m skdgp identify``, ``inspect`` and ``demo``."""
 
 from skdgp._cli._main import main
 

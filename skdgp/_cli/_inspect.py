@@ -9,8 +9,8 @@ from skdgp._files import write_atomically
 from skdgp.io import inspect_log, servo_template
 
 
-def inspect(options) -> None:
-    """Print what a log holds; write a template of its servo file where one is asked for.
+def inspect(options) -> str:
+    """Return what a log holds, as text or JSON; write a template of its servo file where one is asked for.
 
     Raises
     ------
@@ -20,7 +20,7 @@ def inspect(options) -> None:
     summary = inspect_log(options.log, servos=options.servos)
     if options.servo_template is not None:
         _write_template(Path(options.servo_template), servo_template(options.log))
-    print(json.dumps(summary.to_dict(), indent=2, allow_nan=False) if options.json else summary)
+    return json.dumps(summary.to_dict(), indent=2, allow_nan=False) if options.json else str(summary)
 
 
 def _write_template(path, text):

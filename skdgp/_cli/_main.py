@@ -36,7 +36,9 @@ def main(argv=None) -> int:
         with console, folder:
             if options.command == "inspect":
                 console.stage("reading")
-                inspect(options)
+                said = inspect(options)
+                console.close()
+                print(said)
                 return DONE
             console.stage("flying the example flights" if options.command == "demo" else "reading")
             source = example_source() if options.command == "demo" else file_source(options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,14 +37,13 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlightLog:
     """A log, its parts, where columns come from, and what was wrong."""
 
     log: Log
     parts: list[Part]
     origin: dict[str, Origin]
     speed: float
-    useless: list[str]
     remarks: list[str]
 
 
@@ -62,7 +62,7 @@ def read_log(path: Path) -> Log:
     return READERS[path.suffix.lower()](path)
 
 
-def fly_again(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> Flown:
+def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
     """Read a log onto one clock.
 
     Raises
@@ -77,22 +77,20 @@ def fly_again(path: Path, *, rate=None, servos=None, airborne=True, imu_position
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
         parts, origin, useless = [], {}, []
-        for some in topics:
-            sources, unused = find_sources(log, some, RULES[log.kind], servos)
+        found = [(some, *find_sources(log, some, RULES[log.kind], servos)) for some in topics]
+        for some, sources, unused in [each for each in found if each[1]] or found[:1]:
             useless += unused
-            if len(topics) > 1 and not sources:
-                continue
             clock, chosen = follow(sources, rate)
             table, where = to_table(sources, clock, chosen)
             origin |= where
             if imu_position is not None:
                 table = at_centre_of_gravity(table, imu_position, chosen)
             parts.append(Part(some, sources, table, find_segments(table, log, some, speed)))
-    remarks = [*log.remarks, *remarks, *_told_gaps(parts)]
-    return Flown(log, parts, origin, speed, list(dict.fromkeys(useless)), remarks)
+    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_told_gaps(parts)]
+    return FlightLog(log, parts, origin, speed, remarks)
 
 
-def flight_table(flown: Flown, name: str, *, airborne) -> pd.DataFrame:
+def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
     """Return the flights of a log one after another, named apart: name, name#2, ...
 
     Raises
@@ -125,7 +123,12 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
     if not {*names, *rates} <= set(table.columns):
         return table
     omega, time = table[rates].to_numpy(), table["time"].to_numpy()
-    accelerations = differentiate(omega, time, cutoff=RATE_CUTOFF * rate)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
+            accelerations = differentiate(omega, time, cutoff=RATE_CUTOFF * rate)
+    except ValueError as error:
+        raise FlightReadError(f"The gyros cannot be differentiated, as imu_position asks for: {error}") from error
     arm = np.asarray(position, float)
     extra = np.cross(accelerations, arm) + np.cross(omega, np.cross(omega, arm))
     return table.assign(**dict(zip(names, (table[names].to_numpy() - extra).T, strict=True)))

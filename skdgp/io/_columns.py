@@ -42,6 +42,11 @@ class Source(NamedTuple):
     note: str = ""
 
     @property
+    def alive(self) -> bool:
+        """Whether there are samples."""
+        return len(self.time) > 1
+
+    @property
     def rate(self) -> float:
         """The usual rate [Hz]."""
         return sampling_rate(self.time)
@@ -55,7 +60,7 @@ def find_sources(log: Log, topics: dict[str, Topic], rules, servos: dict[str, Se
         source = _source(part, rule)
         if source is None:
             continue
-        if len(source.time) < 2:
+        if not source.alive:
             useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
         elif impossible := _impossible(source):
             useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * impossible:.0f} % is impossible")
@@ -63,7 +68,8 @@ def find_sources(log: Log, topics: dict[str, Topic], rules, servos: dict[str, Se
             candidates.setdefault(rule.columns, []).append(source)
     found = [_preferred(sources) for columns, sources in candidates.items() if not servos.keys() & set(columns)]
     surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
-    return found + [source for source in surfaces if source is not None], list(dict.fromkeys(useless))
+    useless += [f"{each.name} sends no pulse, so there is no {each.columns[0]}" for each in surfaces if not each.alive]
+    return found + [each for each in surfaces if each.alive], list(dict.fromkeys(useless))
 
 
 def follow(sources: list[Source], rate: float | None) -> tuple[np.ndarray, float]:
@@ -150,7 +156,7 @@ def _impossible(source) -> float:
     return share if share > RARE else 0.0
 
 
-def _surface(log, name, servo: Servo) -> Source | None:
+def _surface(log, name, servo: Servo) -> Source:
     topic_name, _, field = servo.channel.partition(".")
     topic = log.topics.get(topic_name)
     if topic is None or field not in topic:
@@ -161,8 +167,6 @@ def _surface(log, name, servo: Servo) -> Source | None:
         )
     values = servo.deflection(topic[field])
     known = np.isfinite(values)
-    if known.sum() < 2:
-        return None
     return Source((name,), servo.channel, topic.time[known], values[known][:, None], "by the servo file")
 
 

@@ -10,7 +10,7 @@ from textwrap import fill
 import numpy as np
 
 from skdgp._faults import SENSORS
-from skdgp.io._autopilot import READERS, fly_again, read_log
+from skdgp.io._autopilot import READERS, on_one_clock, read_log
 from skdgp.io._columns import gaps
 from skdgp.io._errors import FlightReadError
 from skdgp.io._read import read_flight
@@ -194,7 +194,7 @@ def inspect_log(path, *, servos=None) -> LogSummary:
     path = Path(path)
     if path.suffix.lower() not in READERS:
         return _of_table(path, read_flight(path))
-    flown = fly_again(path, servos=servos)
+    flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
     table, log = longest.table, flown.log
     columns = [
@@ -212,7 +212,7 @@ def inspect_log(path, *, servos=None) -> LogSummary:
         missing=missing_for(columns),
         flights=tuple(flights),
         no_flight="" if flights else no_flight_because(table, log, flown.speed),
-        remarks=(*flown.remarks, *flown.useless),
+        remarks=tuple(flown.remarks),
     )
 
 

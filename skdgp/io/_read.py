@@ -14,7 +14,7 @@ from skdgp._clock import part_restarts
 from skdgp._faults import FlightDataWarning
 from skdgp._vocabulary import CHANNELS
 from skdgp.io._autopilot import READERS as AUTOPILOTS
-from skdgp.io._autopilot import flight_table, fly_again
+from skdgp.io._autopilot import flight_table, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
 from skdgp.io._mat import read_mat
@@ -74,7 +74,7 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
     Warns
     -----
     FlightDataWarning
-        If a log of an autopilot is damaged, has gaps, or its clock jumped.
+        If a log of an autopilot is damaged, has gaps, its clock jumped, or channels were never valid.
 
     Examples
     --------
@@ -174,7 +174,7 @@ DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None
 
 
 def _from_autopilot(path, flight, options):
-    flown = fly_again(path, **options)
+    flown = on_one_clock(path, **options)
     name = path.stem if flight is None else flight
     table = _as_flight(flight_table(flown, name, airborne=options["airborne"]), name, overrides=False)
     table.attrs["sources"] = {column: origin.words for column, origin in flown.origin.items() if column in table}

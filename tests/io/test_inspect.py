@@ -190,6 +190,18 @@ class TestSharedLogs:
         assert "no valid airspeed" in summary.no_flight
         assert any("ARSP.Airspeed is never valid" in remark for remark in summary.remarks)
 
+    def test_servos_that_were_switched_off(self, shared_data):
+        """The safety switch was on: no pulses went out, but the commands stand in AETR."""
+        path = shared_data / "logs" / "pyflightcoach_elevator_bench.BIN"
+        pulses = {"elevator": {"channel": "RCOU.C2", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.35}}
+        assert "RCOU.C2 sends no pulse, so there is no elevator" in inspect_log(path, servos=pulses).remarks
+        commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
+        summary = inspect_log(path, servos=commands)
+        (elevator,) = [column for column in summary.columns if column.name == "elevator"]
+        assert elevator.rate == pytest.approx(25, rel=0.01)
+        assert not elevator.constant
+        assert "elevator or elevon_left" not in summary.missing["regressors"]
+
 
 def test_a_missing_channel_names_the_others(whole):
     servos = {"rudder": {"channel": "actuator_outputs.output[9]", "points": [[1000, -0.5], [2000, 0.5]]}}

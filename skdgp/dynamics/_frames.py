@@ -59,7 +59,7 @@ def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
     phi = np.arctan2(2.0 * (q0 * q1 + q2 * q3), q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3)
     theta = np.arcsin(np.clip(2.0 * (q0 * q2 - q1 * q3) / norm2, -1.0, 1.0))
     psi = np.arctan2(2.0 * (q0 * q3 + q1 * q2), q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3)
-    return np.stack((phi, theta, psi), axis=-1)
+    return _vector(phi, theta, psi)
 
 
 def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
@@ -160,9 +160,16 @@ def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.n
 
 
 def _components(vector: ArrayLike) -> tuple:
-    """Return the components along the last axis: with one aircraft, scalars, which NumPy handles fastest."""
+    """Return the components along the last axis: of one vector plain numbers, which are fastest."""
     vector = np.asarray(vector, dtype=float)
-    return tuple(vector[..., k] for k in range(vector.shape[-1]))
+    return tuple(vector.tolist()) if vector.ndim == 1 else tuple(vector[..., k] for k in range(vector.shape[-1]))
+
+
+def _vector(*components) -> np.ndarray:
+    """Return the components as vectors (..., k)."""
+    if all(isinstance(component, float) for component in components):
+        return np.array(components)
+    return np.stack(np.broadcast_arrays(*components), axis=-1)
 
 
 def _turn(quaternion: tuple, vector: ArrayLike) -> np.ndarray:
@@ -171,11 +178,8 @@ def _turn(quaternion: tuple, vector: ArrayLike) -> np.ndarray:
     x, y, z = _components(vector)
     s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
     cx, cy, cz = s * (e2 * z - e3 * y), s * (e3 * x - e1 * z), s * (e1 * y - e2 * x)
-    return np.stack(
-        np.broadcast_arrays(
-            x + q0 * cx + e2 * cz - e3 * cy,
-            y + q0 * cy + e3 * cx - e1 * cz,
-            z + q0 * cz + e1 * cy - e2 * cx,
-        ),
-        axis=-1,
+    return _vector(
+        x + q0 * cx + e2 * cz - e3 * cy,
+        y + q0 * cy + e3 * cx - e1 * cz,
+        z + q0 * cz + e1 * cy - e2 * cx,
     )

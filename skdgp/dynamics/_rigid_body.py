@@ -66,7 +66,10 @@ def rigid_body_derivative(
     array([15., 0., 0., 0., 0., 0.])
     """
     state, force, moment = (np.asarray(x, dtype=float) for x in (state, force, moment))
-    u, v, w, q0, e1, e2, e3, p, q, r = (state[..., k] for k in range(3, 13))
+    # Of one aircraft as plain numbers, which are several times faster than arrays without axes.
+    single = state.ndim == force.ndim == moment.ndim == 1
+    u, v, w, q0, e1, e2, e3, p, q, r = state[3:].tolist() if single else (state[..., k] for k in range(3, 13))
+    fx, fy, fz = force.tolist() if single else (force[..., k] for k in range(3))
     # Rows of R from one shared set of products: this runs four times in every step of every simulation.
     s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
     s1, s2, s3 = s * e1, s * e2, s * e3
@@ -79,9 +82,9 @@ def rigid_body_derivative(
     derivative[..., 0] = (1.0 - y22 - y33) * u + (y12 - x3) * v + (y13 + x2) * w
     derivative[..., 1] = (y12 + x3) * u + (1.0 - y11 - y33) * v + (y23 - x1) * w
     derivative[..., 2] = down_x * u + down_y * v + down_z * w
-    derivative[..., 3] = force[..., 0] / aircraft.mass + gravity * down_x - q * w + r * v
-    derivative[..., 4] = force[..., 1] / aircraft.mass + gravity * down_y - r * u + p * w
-    derivative[..., 5] = force[..., 2] / aircraft.mass + gravity * down_z - p * v + q * u
+    derivative[..., 3] = fx / aircraft.mass + gravity * down_x - q * w + r * v
+    derivative[..., 4] = fy / aircraft.mass + gravity * down_y - r * u + p * w
+    derivative[..., 5] = fz / aircraft.mass + gravity * down_z - p * v + q * u
     derivative[..., 6] = -0.5 * (e1 * p + e2 * q + e3 * r)
     derivative[..., 7] = 0.5 * (q0 * p + e2 * r - e3 * q)
     derivative[..., 8] = 0.5 * (q0 * q + e3 * p - e1 * r)

@@ -30,6 +30,7 @@ from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative
 from skdgp.dynamics._simulate import simulate
 from skdgp.dynamics._simulator import Simulator
 from skdgp.dynamics._thrust_line import ThrustLine
+from skdgp.dynamics._thrust_table import ThrustTable
 from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
 
@@ -43,6 +44,7 @@ __all__ = [
     "SimulationWarning",
     "Simulator",
     "ThrustLine",
+    "ThrustTable",
     "Trim",
     "aerodynamic_coefficients",
     "aerodynamic_loads",

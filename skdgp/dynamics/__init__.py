@@ -20,6 +20,7 @@ from skdgp.dynamics._frames import (
     quaternion_to_euler,
     quaternion_to_matrix,
 )
+from skdgp.dynamics._gusts import dryden_wind
 from skdgp.dynamics._integrate import rk4, rk4_step
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
@@ -52,6 +53,7 @@ __all__ = [
     "air_velocity",
     "as_aerodynamics",
     "body_to_ned",
+    "dryden_wind",
     "euler_to_matrix",
     "euler_to_quaternion",
     "external_loads",

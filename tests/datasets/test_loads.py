@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.datasets._gusts import Gusts
+from skdgp.dynamics._gusts import Gusts
 from skdgp.datasets._loads import loads
 from skdgp.dynamics import euler_to_quaternion, ned_to_body, standard_density
 

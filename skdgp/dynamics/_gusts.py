@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
+from sklearn.utils import check_random_state
 
-__all__ = ["Gusts", "dryden_gusts", "dryden_system", "low_altitude_turbulence"]
+__all__ = ["Gusts", "dryden_gusts", "dryden_system", "dryden_wind", "low_altitude_turbulence"]
 
 FEET = 0.3048
 
@@ -103,6 +105,71 @@ def dryden_gusts(n_times: int, step: float, airspeed: float, length, intensity, 
         x = (transition @ x[..., None])[..., 0] + shock
     outputs = np.einsum("fij,kfj->kfi", C, states)
     return Gusts(*(np.ascontiguousarray(part) for part in np.split(outputs, 3, axis=-1)))
+
+
+def dryden_wind(
+    duration: float,
+    airspeed: float,
+    height: float,
+    *,
+    wind_at_6m: float = 5.0,
+    mean_wind=(0.0, 0.0, 0.0),
+    heading: float = 0.0,
+    span: float = 2.0,
+    dt: float = 0.02,
+    random_state=None,
+) -> pd.DataFrame:
+    """Return a gusty wind to fly in: what ``simulate(wind=...)`` takes.
+
+    Dryden turbulence of MIL-F-8785C below 1000 ft above a mean wind, crossed straight ahead at ``airspeed`` along
+    ``heading``. Its rotation, which rolls and pitches the aircraft besides, is not in it.
+
+    Parameters
+    ----------
+    duration : float
+        [s].
+    airspeed, height : float
+        At which the frozen field is crossed [m/s], and how high above the ground [m].
+    wind_at_6m : float, default=5.0
+        [m/s]; 7.7 is light, 15 moderate, 23 severe turbulence.
+    mean_wind : array-like (3,), default=(0, 0, 0)
+        North, east, down [m/s].
+    heading : float, default=0.0
+        [rad].
+    span : float, default=2.0
+        Of the wing, which averages the gusts [m].
+    dt : float, default=0.02
+        Between the rows [s].
+    random_state : int, RandomState or None
+        Seed.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``time``, ``wind_north``, ``wind_east``, ``wind_down``.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import dryden_wind
+    >>> wind = dryden_wind(60.0, airspeed=25.0, height=100.0, mean_wind=[4.0, 0.0, 0.0], random_state=0)
+    >>> list(wind), len(wind)
+    (['time', 'wind_north', 'wind_east', 'wind_down'], 3001)
+    """
+    for name, value in (("duration", duration), ("airspeed", airspeed), ("height", height), ("span", span), ("dt", dt)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"Got {name}={value!r}, but expected a number > 0.")
+    n_times = int(np.floor(duration / dt + 1e-9)) + 1
+    length, intensity = low_altitude_turbulence(height, wind_at_6m)
+    rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))
+    u, v, w = dryden_gusts(n_times, dt, airspeed, [length], [intensity], span, rng).velocity[:, 0].T
+    ahead, aside = np.cos(heading), np.sin(heading)
+    north, east, down = np.asarray(mean_wind, dtype=float)
+    return pd.DataFrame({
+        "time": dt * np.arange(n_times),
+        "wind_north": north + ahead * u - aside * v,
+        "wind_east": east + aside * u + ahead * v,
+        "wind_down": down + w,
+    })  # fmt: skip
 
 
 def _second_order(T, sigma, lag) -> np.ndarray:

@@ -4,7 +4,7 @@ from scipy.integrate import cumulative_trapezoid, quad
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.signal import welch
 
-from skdgp.datasets._gusts import FEET, dryden_gusts, dryden_system, low_altitude_turbulence
+from skdgp.dynamics._gusts import FEET, dryden_gusts, dryden_system, dryden_wind, low_altitude_turbulence
 
 AIRSPEED, SPAN = 33.0, 2.6
 LENGTH, INTENSITY = np.array([240.0, 210.0, 130.0]), np.array([1.1, 0.9, 0.7])
@@ -121,3 +121,25 @@ def test_low_altitude_model_joins_the_standards_corner_at_1000_feet():
     length, intensity = low_altitude_turbulence(1000 * FEET, 10.0)
     np.testing.assert_allclose(length, 1000 * FEET)
     np.testing.assert_allclose(intensity, 1.0)
+
+
+def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
+    mean, heading = np.array([4.0, -2.0, 0.5]), 0.7
+    winds = [
+        dryden_wind(
+            200.0, 30.0, 40.0, wind_at_6m=8.0, mean_wind=mean, heading=heading, span=0.01, dt=0.05, random_state=k
+        )
+        for k in range(12)
+    ]
+    gusts = np.concatenate([wind.iloc[:, 1:].to_numpy() for wind in winds]) - mean
+    turn = np.array([[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
+    along = gusts @ turn.T
+    _, intensity = low_altitude_turbulence(40.0, 8.0)
+    np.testing.assert_allclose(along.std(axis=0), intensity, rtol=0.15)
+    assert abs(np.corrcoef(along.T)[0, 1]) < 0.15
+    again = dryden_wind(
+        200.0, 30.0, 40.0, wind_at_6m=8.0, mean_wind=mean, heading=heading, span=0.01, dt=0.05, random_state=3
+    )
+    np.testing.assert_array_equal(again, winds[3])
+    with pytest.raises(ValueError, match="Got height=0"):
+        dryden_wind(10.0, 30.0, 0)

@@ -186,6 +186,10 @@ class ValuePaths(PathBundle):
             for i, own in enumerate(felt)
         ]
 
+    def __reduce__(self):
+        # The weights of all latents are made again from the coefficients, which are a fraction of them.
+        return ValuePaths, (self.general.kernel, self.general.X, self.general.coefficients)
+
     def take(self, some):
         general = self.general
         return ValuePaths(general.kernel, general.X, [c[some] for c in general.coefficients])

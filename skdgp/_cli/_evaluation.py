@@ -44,7 +44,8 @@ class Evaluation:
 
     ``std`` is of the function at regressors as noisy as this flight's, ``measured_std`` of a new measurement: computed
     at ``rows``, interpolated between.
-    ``states`` maps "measured" and, where it is known, "truth" to the errors of the replay.
+    ``states`` maps "measured" and, where it is known, "truth" to the errors of the replay. ``regressors`` (n, d) are
+    what the last step of the pipeline was given.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Evaluation:
     rows: np.ndarray
     replay: pd.DataFrame | None
     states: dict[str, pd.DataFrame]
+    regressors: np.ndarray
 
 
 def evaluate(pipeline, aircraft, name: str, table: pd.DataFrame, *, loads: Loads, horizons) -> Evaluation:
@@ -71,7 +73,7 @@ def evaluate(pipeline, aircraft, name: str, table: pd.DataFrame, *, loads: Loads
     measured_std = np.sqrt(std**2 + regressor.noise_variance_)
     flown = _replay(name, table, aircraft, mean, measured_std, loads, horizons)
     states = _state_errors(flown, table)
-    return Evaluation(name, table, measured, _truth(table), mean, std, measured_std, rows, flown, states)
+    return Evaluation(name, table, measured, _truth(table), mean, std, measured_std, rows, flown, states, regressors)
 
 
 def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:

@@ -18,6 +18,7 @@ from skdgp._cli._evaluation import Evaluation, Loads, grouped, scores
 from skdgp._cli._source import Source
 from skdgp._model_file import dump_model, model_bunch, software_versions
 from skdgp._vocabulary import COEFFICIENTS
+from skdgp.plotting import EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report
 
 FORMAT = 1
@@ -27,6 +28,8 @@ WIDTHS = {
     "full": "a full matrix of widths",
     "tied": "one width for each regressor, common to all outputs",
 }
+ENVELOPE_POINTS = 12
+"""Along each axis of the envelope's panels; what is computed there costs as much as a band."""
 THRUSTS = {
     "columns": "from the thrust columns of the flights",
     "propeller": "from the propeller's bench table",
@@ -103,6 +106,7 @@ def report_of(outcome: Outcome) -> ReportContent:
         test=[_result(evaluation) for evaluation in outcome.evaluations],
         model=_model_summary(outcome),
         aircraft=_aircraft_facts(outcome.source.aircraft),
+        envelope=_envelope(outcome),
         messages=outcome.messages,
         command=outcome.command,
     )
@@ -193,6 +197,17 @@ def _score_metrics(evaluations) -> dict:
         "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
         "means": {against: grouped(table).to_dict("index") for against, table in tables.items()},
     }
+
+
+def _envelope(outcome) -> EnvelopeDisplay | None:
+    """Return where the data are and what the model knows around them; a single regressor makes no picture."""
+    names, scaler = outcome.pipeline["regressorselector"].regressors_, outcome.pipeline["standardscaler"]
+    if len(names) < 2:
+        return None
+    flown = pd.concat([outcome.pipeline[:-2].transform(table) for table in outcome.train.values()])
+    tested = [scaler.inverse_transform(evaluation.regressors) for evaluation in outcome.evaluations]
+    path = pd.DataFrame(np.concatenate(tested), columns=names) if tested else None
+    return EnvelopeDisplay.compute(outcome.pipeline[-2:], flown, flight=path, n_grid=ENVELOPE_POINTS)
 
 
 def _result(evaluation: Evaluation) -> FlightResult:

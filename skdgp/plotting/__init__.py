@@ -10,6 +10,7 @@ from skdgp.plotting._coefficients import CoefficientDisplay
 from skdgp.plotting._coupling import CouplingDisplay
 from skdgp.plotting._derivatives import DerivativeDisplay
 from skdgp.plotting._flight import FlightDisplay
+from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._learning_curve import FlightLearningCurveDisplay
 from skdgp.plotting._states import StateDisplay
 from skdgp.plotting._trajectory import TrajectoryDisplay
@@ -19,6 +20,7 @@ __all__ = [
     "CoefficientDisplay",
     "CouplingDisplay",
     "DerivativeDisplay",
+    "EnvelopeDisplay",
     "FlightDisplay",
     "FlightLearningCurveDisplay",
     "StateDisplay",

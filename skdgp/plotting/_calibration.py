@@ -9,7 +9,7 @@ from skdgp._vocabulary import COEFFICIENTS
 from skdgp.metrics._probabilistic import LEVELS, check_levels, shares_inside, standardized
 from skdgp.plotting._arrays import check_columns_of, check_std, choose, names_of
 from skdgp.plotting._coefficients import grid, predict_with_std
-from skdgp.plotting._style import CYCLE, PALETTE, check_matplotlib, dashes, panels, symbol, tidy
+from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, panels, symbol, tidy
 
 N_BINS = 20
 
@@ -116,8 +116,8 @@ class CalibrationDisplay:
             aspect="equal",
         )
         tidy(ax)
-        ax.text(4, 96, "too wide", va="top", fontsize="small", color=PALETTE["grey"])
-        ax.text(96, 4, "too narrow", ha="right", fontsize="small", color=PALETTE["grey"])
+        ax.text(4, 96, "too wide", va="top", fontsize="small", color=QUIET)
+        ax.text(96, 4, "too narrow", ha="right", fontsize="small", color=QUIET)
         if legend and chosen:
             ax.legend(loc="upper left", bbox_to_anchor=(0.01, 0.92), frameon=False, fontsize="small")
 
@@ -149,6 +149,10 @@ class CalibrationDisplay:
             color=CYCLE[k % len(CYCLE)],
             linestyle=dashes(name),
             linewidth=1.4,
+            marker=MARKERS[k % len(MARKERS)],
+            markersize=4,
+            # Where curves agree, their marks stand beside each other.
+            markevery=(k % 5, 5),
             label=symbol(name),
             clip_on=False,
         )[0]

@@ -19,6 +19,11 @@ PALETTE = {
 }
 CYCLE = tuple(PALETTE[name] for name in ("blue", "vermillion", "green", "purple", "sky", "orange"))
 
+QUIET = "#5F6973"
+"""Of words that explain: grey, and yet readable on white (contrast 5.6, WCAG 2.1 asks for 4.5)."""
+MARKERS = ("o", "s", "^", "D", "v", "P")
+"""Beside the colours of ``CYCLE``, for who does not tell them apart."""
+
 ROLES = {"measured": "#333333", "mean": PALETTE["blue"], "band": PALETTE["sky"], "truth": PALETTE["vermillion"]}
 
 _SYMBOLS = {
@@ -27,6 +32,7 @@ _SYMBOLS = {
     **{name: rf"\dot{{{name[0]}}}" for name in ("p_dot", "q_dot", "r_dot")},
     **{name: rf"\dot{{\{name[:-4]}}}" for name in ("alpha_dot", "beta_dot")},
     **{name: name for name in ("p", "q", "r", "u", "v", "w")},
+    **{f"{name}_hat": rf"\hat{{{name}}}" for name in ("p", "q", "r")},
     **{name: f"a_{name[1]}" for name in ("ax", "ay", "az")},
     "v_north": "v_N",
     "v_east": "v_E",

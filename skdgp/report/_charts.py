@@ -72,7 +72,8 @@ def chart(content: Chart, *, every: int = 1) -> str:
     Of each ``2 * every`` samples the lowest and the highest are kept (`thinned`).
     """
     time = np.asarray(content.time, dtype=float)
-    if len(time) < 2 or not (np.diff(time) > 0).all():
+    rows = slice(0, len(time) // every * every, every)
+    if len(time[rows]) < 2 or not (np.diff(time) > 0).all():
         return ""
     columns, place = [], {}
 
@@ -104,7 +105,6 @@ def chart(content: Chart, *, every: int = 1) -> str:
         for panel in content.panels
     ]
     window = None if content.window is None else column(content.window)
-    rows = slice(0, len(time) // every * every or len(time), every)
     packs = [pack(time[rows], step=max(TICK, np.ptp(time) / 2**30))]
     for k, values in enumerate(columns):
         values = np.asarray(values, dtype=float)

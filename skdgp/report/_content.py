@@ -17,6 +17,7 @@ from skdgp.metrics import (
     negative_log_predictive_density,
     normalized_rmse,
 )
+from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._arrays import check_time
 
 METRICS = (
@@ -202,6 +203,8 @@ class ReportContent:
         What was fitted.
     aircraft : mapping of str to str, or str
         Name, or facts such as mass, span and chord, ready to read.
+    envelope : EnvelopeDisplay, optional
+        What ``EnvelopeDisplay.compute`` returned: where the data are, and where the model knows nothing.
     messages : sequence of str
         Warnings that arose.
     command : str, optional
@@ -215,6 +218,7 @@ class ReportContent:
     test: Sequence[FlightResult] = ()
     model: ModelSummary = field(default_factory=ModelSummary)
     aircraft: Mapping[str, str] | str = ""
+    envelope: EnvelopeDisplay | None = None
     messages: Sequence[str] = ()
     command: str | None = None
     created: datetime | None = None

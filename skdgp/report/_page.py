@@ -97,6 +97,7 @@ figure { margin: 1.25rem 0 2.25rem; }
 figcaption { margin-top: .6rem; }
 .panels { display: grid; grid-template-columns: 1fr 1fr; gap: .2rem 1.5rem; align-items: start; }
 .panels.columns { grid-auto-flow: column; grid-template-rows: auto repeat(var(--rows), auto); }
+.panels.trio { grid-template-columns: repeat(auto-fit, minmax(min(100%, 17rem), 1fr)); gap: .6rem 1.25rem; }
 .panels p { margin: .25rem 0 0; font-size: .85rem; color: var(--quiet); padding-left: 14.5%; }
 .panels svg, .single svg { display: block; width: 100%; height: auto; }
 .single { max-width: 31rem; }
@@ -108,6 +109,8 @@ svg { font-family: "Segoe UI", "Helvetica Neue", Helvetica, Roboto, "Noto Sans",
   background: currentColor; }
 .key i.mark { width: auto; height: auto; vertical-align: 0; font-style: normal; background: none; }
 .key i.area { height: .7rem; vertical-align: -.08em; opacity: .45; }
+.key i.hatch { height: .7rem; vertical-align: -.08em;
+  background: repeating-linear-gradient(135deg, currentColor 0 1px, transparent 1px 4px); }
 .key span { color: var(--ink); overflow-wrap: anywhere; }
 footer { margin-top: 4rem; }
 .sign { display: none; grid-template-columns: repeat(3, 1fr); gap: 2rem; margin-bottom: 2rem; }
@@ -120,7 +123,7 @@ footer { margin-top: 4rem; }
   .head b { font-size: 1.45rem; }
   .facts { grid-template-columns: 1fr; }
   .facts div { grid-template-columns: 7.5rem 1fr; }
-  .panels, .panels.columns { grid-template-columns: 1fr; grid-auto-flow: row; grid-template-rows: none; }
+  .panels, .panels.columns, .panels.trio { grid-template-columns: 1fr; grid-auto-flow: row; grid-template-rows: none; }
   th, td { padding: .28rem .3rem; }
   table { font-size: .86rem; }
   thead th { font-size: .74rem; }
@@ -137,6 +140,7 @@ footer { margin-top: 4rem; }
   .pair, .facts, .panels { grid-template-columns: 1fr 1fr; gap: 0 2rem; }
   .facts div { grid-template-columns: 7rem 1fr; }
   .panels { gap: .2rem 1rem; }
+  .panels.trio { grid-template-columns: 1fr 1fr 1fr; }
   .scroll { overflow: visible; }
   table { font-size: .86rem; }
   th, td { padding: .2rem .4rem; }

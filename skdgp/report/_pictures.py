@@ -9,6 +9,7 @@ from skdgp.plotting import (
     CalibrationDisplay,
     CoefficientDisplay,
     CouplingDisplay,
+    EnvelopeDisplay,
     FlightDisplay,
     StateDisplay,
 )
@@ -100,6 +101,19 @@ def coupling_panel(correlation) -> str:
         size=(4.0, 3.65),
         margins=(0.12, 0.98, 0.07, 0.99),
     )
+
+
+def envelope_panels(display: EnvelopeDisplay) -> list[str]:
+    """Return one panel for each pair of regressors: density of the samples, relative uncertainty, another flight."""
+    return [
+        picture(
+            lambda ax, pair=pair: display.plot(ax, pairs=[pair], legend=False),
+            label=f"{pair[1]} against {pair[0]}: where samples were flown, and how uncertain the model is there",
+            size=(2.4, 2.1),
+            margins=(0.24, 0.97, 0.2, 0.98),
+        )
+        for pair in display.pairs
+    ]
 
 
 def input_panels(flights: dict, name: str, n_bins: int) -> list[str]:

@@ -234,6 +234,21 @@ def coupling(content: ReportContent) -> str:
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
 
 
+def envelope(content: ReportContent) -> str:
+    """Return where the samples are, and what the model does not know around them."""
+    display = content.envelope
+    key = [("grey", "95 % and half of the samples learned from", "area"), ("blue", "relative uncertainty", "")]
+    key += [("grey", "above 0.5: hardly known", "hatch")]
+    key += [("vermillion", "test flights", "•")] if display.path is not None else []
+    caption = (
+        "Pairs of regressors; those that a panel does not show are at their medians. Lines: the standard deviation of "
+        "the coefficients over that before any flight, 0 where they are known, 1 where the data say nothing. Where a "
+        "test flight, or a simulation, leaves the grey area for the hatched, its coefficients are extrapolated."
+    )
+    figure = _figure(pictures.envelope_panels(display), caption, key, layout="trio")
+    return f"<section><h2>Where the model knows</h2>{figure}</section>"
+
+
 def flown(content: ReportContent, detail: Detail) -> str:
     """Return the inputs and the path of every flight that came with its table."""
     flights = flown_tables(content)
@@ -305,8 +320,8 @@ def _key(entries) -> str:
 
 
 def _sample(kind: str) -> str:
-    """Return what stands before a name: a line (""), an area, or a marker's sign."""
-    return f'<i class="{kind}"></i>' if kind in ("", "area") else f'<i class="mark">{kind}</i>'
+    """Return what stands before a name: a line (""), an area, a hatched one, or a marker's sign."""
+    return f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
 
 
 def _still(words: str) -> str:
@@ -314,8 +329,8 @@ def _still(words: str) -> str:
     return f'<span class="still">{words}</span>'
 
 
-def _figure(panels, caption: str, key=(), chart: str = "") -> str:
-    classes = "panels" if len(panels) > 1 else "single"
+def _figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:
+    classes = f"panels {layout}" if len(panels) > 1 else "single"
     return _framed(f'{_key(key)}<div class="{classes}">{"".join(panels)}</div>', caption, chart)
 
 

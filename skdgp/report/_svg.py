@@ -8,7 +8,7 @@ from collections.abc import Callable
 from html import escape
 from io import StringIO
 
-from skdgp.plotting._style import PALETTE, ROLES
+from skdgp.plotting._style import PALETTE, QUIET, ROLES
 
 INK = "#20242a"
 WIDTH = 4.6
@@ -31,6 +31,7 @@ _STYLE = {
 # Colours of the pictures and the page's variables for them, which change with light and dark.
 _VARIABLES = {
     INK: "ink",
+    QUIET.lower(): "quiet",
     "#b0b0b0": "quiet",
     ROLES["measured"]: "measured",
     **{color: name for name, color in PALETTE.items()},
@@ -92,7 +93,7 @@ def adapt(svg: str, label: str) -> str:
     body = re.sub(r' transform="rotate\(-0 [^"]*"', "", body).replace("xlink:href", "href")
     body = re.sub(r"(stroke|fill): (#[0-9a-f]{6})", _themed, body)
     body = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, body)
-    body = re.sub(r"\s*\n\s*", "", _renamed(body))
+    body = _gathered(re.sub(r"\s*\n\s*", "", _renamed(body)))
     name = escape(label, quote=True)
     return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}">{body}</svg>'
 
@@ -119,6 +120,15 @@ def _shortened(match: re.Match) -> str:
 def _renamed(body: str) -> str:
     """Drop the names nobody refers to, and keep the others apart from those of the page's other pictures."""
     used = set(re.findall(r"(?:url\(|href=\")#([^\")]+)", body))
-    prefix = f"s{zlib.crc32(body.encode()):08x}-"
-    body = re.sub(r' id="([^"]*)"', lambda name: f' id="{prefix}{name[1]}"' if name[1] in used else "", body)
-    return re.sub(r"(url\(|href=\")#", rf"\1#{prefix}", body)
+    prefix = f"s{zlib.crc32(body.encode()):08x}"
+    names = {name: f"{prefix}-{k}" for k, name in enumerate(sorted(used))}
+    body = re.sub(r' id="([^"]*)"', lambda name: f' id="{names[name[1]]}"' if name[1] in used else "", body)
+    return re.sub(r"(url\(|href=\")#([^\")]+)", lambda use: f"{use[1]}#{names[use[2]]}", body)
+
+
+def _gathered(body: str) -> str:
+    """Say once what many marks of one look share."""
+    several = (
+        r'((?:<use href="#[^"]*" x="[^"]*" y="[^"]*")( style="[^"]*")/>(?:<use href="#[^"]*" x="[^"]*" y="[^"]*"\2/>)+)'
+    )
+    return re.sub(several, lambda marks: f"<g{marks[2]}>{marks[1].replace(marks[2], '')}</g>", body)

@@ -89,6 +89,8 @@ def _body(content: ReportContent) -> str:
     parts += [sections.flight(result, content.model.noise_std, detail, draw) for result in content.test]
     if draw and content.model.correlation is not None:
         parts.append(sections.coupling(content))
+    if draw and content.envelope is not None:
+        parts.append(sections.envelope(content))
     if draw and sections.flown_tables(content):
         parts.append(sections.flown(content, detail))
     return "\n".join([*parts, sections.how_to_read()])

@@ -211,6 +211,8 @@ class Chart {
     pen.rect(LEFT, TOP, plot, HEIGHT);
     pen.clip();
     for (const one of shown) (one.std === null ? drawLine : drawBand)(pen, one, x, y);
+    // Where the samples lie close they hide the band, not its edges.
+    for (const one of shown) if (one.std !== null && one.wide) drawEdges(pen, one, x, y);
     pen.restore();
   }
 
@@ -222,7 +224,7 @@ class Chart {
     pen.beginPath();
     pen.textAlign = "right";
     pen.textBaseline = "middle";
-    for (const [value, words] of ticks(low, high, 4)) {
+    for (const [value, words] of ticks(low, high, 5)) {
       const at = Math.round(y(value)) + 0.5;
       pen.moveTo(LEFT, at);
       pen.lineTo(LEFT + plot, at);
@@ -289,13 +291,15 @@ class Chart {
   }
 
   values(panel, i) {
-    const step = panel.high - panel.low;
-    return panel.series.filter((one) => !this.hidden.has(one.name)).map((one) => {
-      const words = one.std === null
-        ? `${panel.series.length > 1 ? one.name + " " : ""}${written(this.at(panel, one, i), step)}`
-        : `± ${written(this.spec.level * this.columns[one.std][i], step)}`;
-      return element("span", { style: `border-color: var(--${one.color})` }, words);
-    });
+    const step = panel.high - panel.low, shown = panel.series.filter((one) => !this.hidden.has(one.name));
+    return shown.filter((one) => one.std === null || !shown.some((line) => line !== one && line.values === one.values))
+      .map((one) => {
+        const name = panel.series.length > 1 ? `${one.name} ` : "";
+        const band = shown.find((other) => other.std !== null && other.values === one.values);
+        const width = band ? ` ± ${written(this.spec.level * this.columns[band.std][i], step)}` : "";
+        return element("span", { style: `border-color: var(--${one.color})` },
+          `${name}${written(this.at(panel, one, i), step)}${width}`);
+      });
   }
 
   speak() {

@@ -65,7 +65,7 @@ const minus = (words) => words.replace("-", "−");
 
 function written(value, step) {
   if (Number.isNaN(value)) return "–";
-  const digits = Math.min(8, Math.max(0, 3 - Math.floor(Math.log10(step || 1))));
+  const digits = Math.min(8, Math.max(0, Math.ceil(2.5 - Math.log10(step || 1))));
   return minus(value.toFixed(digits));
 }
 
@@ -113,6 +113,15 @@ function drawLine(pen, one, x, y) {
   }
   pen.stroke();
   pen.setLineDash([]);
+}
+
+function drawEdges(pen, one, x, y) {
+  pen.strokeStyle = color(one.color);
+  pen.lineWidth = 1.2;
+  pen.beginPath();
+  for (const stroke of one.strokes) for (const edge of ["high", "low"])
+    stroke.forEach((cell, k) => (k ? pen.lineTo(x(cell.t), y(cell[edge])) : pen.moveTo(x(cell.t), y(cell[edge]))));
+  pen.stroke();
 }
 
 function drawBand(pen, one, x, y) {

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import subprocess
+import time
 
 import pytest
 
@@ -85,7 +86,11 @@ class Browser:
         ready = "document.readyState === 'complete'"
         if scripts:
             ready += " && document.documentElement.dataset.charts === 'ready'"
-        self.value(f"new Promise(done => {{ const look = () => {ready} ? done() : setTimeout(look, 10); look(); }})")
+        deadline = time.monotonic() + 60
+        while not self.value(ready):
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"Chromium did not open {path} within a minute: {self.complaints()}")
+            time.sleep(0.02)
 
     def settle(self):
         """Wait until what was ordered is drawn."""

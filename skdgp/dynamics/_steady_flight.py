@@ -166,7 +166,7 @@ class SteadyFlight:
         if not np.isfinite(derivative).all():
             raise ValueError(
                 f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
-                f"{np.mean(known['alpha']):.3g} rad, but expected six accelerations: the model or the thrust is not "
+                f"{np.mean(known['alpha']):.3g} rad, but expected six accelerations: the model, the thrust or the air is not "
                 "defined there."
             )
         path = DEMAND * (-derivative[..., 2] / airspeed - np.sin(known["climb"]))

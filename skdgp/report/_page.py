@@ -38,8 +38,8 @@ STYLE = """
 @media screen and (prefers-color-scheme: dark) { :root {
   --paper: #15181b; --ink: #e4e7ea; --quiet: #9aa5b0; --rule: #39414a; --tint: #1d2227; --alert: #ffa36b;
   --measured: #c3c9cf;
-  --blue: #2f9be6; --vermillion: #ff8a3c; --green: #2cc79b; --purple: #e39cc3; --sky: #a3dcff;
-  --orange: #f0b93a; --yellow: #f0e442; --grey: #9aa5b0; } }
+  --blue: #2f9be6; --vermillion: #f5701f; --green: #2cc79b; --purple: #e08bc0; --sky: #a3dcff;
+  --orange: #f5c947; --yellow: #f0e442; --grey: #9aa5b0; } }
 * { box-sizing: border-box; }
 html { -webkit-text-size-adjust: 100%; }
 body { margin: 0; background: var(--paper); color: var(--ink); counter-reset: figure table;

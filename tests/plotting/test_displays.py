@@ -25,6 +25,7 @@ from skdgp.plotting import (
     CalibrationDisplay,
     CoefficientDisplay,
     CouplingDisplay,
+    EnvelopeDisplay,
     FlightDisplay,
     FlightLearningCurveDisplay,
     StateDisplay,
@@ -85,6 +86,22 @@ def learning(n, ax, corrupt=lambda values: values):
     return FlightLearningCurveDisplay.from_curve(curve.join(pd.DataFrame(scores, columns=names)), ax=ax)
 
 
+def knowledge(n, ax, corrupt=lambda values: values):
+    """Return the envelope of n samples and of another flight."""
+    rng = np.random.default_rng(0)
+    flown = pd.DataFrame(rng.normal(size=(n, 2)), columns=["alpha", "beta"])
+    axis = np.linspace(-5.0, 5.0, 6)
+    return EnvelopeDisplay(
+        flown=flown,
+        pairs=[("alpha", "beta")],
+        points=[(axis, axis)],
+        variance=np.hypot(*np.meshgrid(axis, axis))[None, :, :, None] / 8,
+        prior_variance=np.ones(1),
+        output_names=("CZ",),
+        path=flown.assign(alpha=corrupt(flown[["alpha"]].to_numpy())),
+    ).plot(ax)
+
+
 def coupling(n, ax, corrupt=lambda values: values):
     return CouplingDisplay.from_correlation(corrupt(np.eye(6)), ax=ax)
 
@@ -103,7 +120,7 @@ def path(n, ax, corrupt=lambda values: values):
     return FlightDisplay.from_flights({"a": corrupted_flight(n, corrupt)}, kind="path", ax=ax)
 
 
-DISPLAYS = [coefficients, states, calibration, transforms, learning, coupling, inputs, path]
+DISPLAYS = [coefficients, states, calibration, transforms, learning, coupling, knowledge, inputs, path]
 MULTIPLE = {coefficients: (3, 2), transforms: (3, 2), states: (3, 1), inputs: (4, 2)}
 
 

@@ -133,7 +133,7 @@ def gravity_in_body_axes(phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = 
 def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return airspeed [m/s], alpha and beta [rad] of body velocities (..., 3) relative to the air.
 
-    V = |v|, alpha = atan2(w, u), beta = asin(v / V).
+    ``V = |v|``, ``alpha = atan2(w, u)``, ``beta = asin(v / V)``.
 
     Examples
     --------

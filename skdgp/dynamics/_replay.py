@@ -61,7 +61,7 @@ def replay(
         Seconds from restart to restart.
     correlation_time : float, default=0.5
         Time [s] over which the errors of the coefficients forget themselves: error = std * z with
-        corr(z(t), z(t')) = exp(-|t - t'| / correlation_time). 0: every sample anew; ``numpy.inf``: one error for a
+        ``corr(z(t), z(t')) = exp(-|t - t'| / correlation_time)``. 0: every sample anew; ``numpy.inf``: one error for a
         whole window, the widest bands.
     initial_std : mapping of str to float, optional
         Standard deviations of the measured state at a restart, by name ("v_east", "phi", "p", ...).

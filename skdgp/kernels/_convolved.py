@@ -31,7 +31,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     :math:`\delta = s_a - s_b` (Hemakumara & Sukkarieh 2011, equations 14 to 16)
 
     .. math:: K_{ij}(\delta) = \sum_m \frac{(2\pi)^{d/2} v_{mi} v_{mj}}{\sqrt{|A_{mi} + A_{mj}|}}
-              \exp\!\big(-\tfrac12 (\delta - \mu_{mi} + \mu_{mj})^T \Sigma_{mij} (\delta - \mu_{mi} + \mu_{mj})\big),
+              \exp\left(-\tfrac12 (\delta - \mu_{mi} + \mu_{mj})^T \Sigma_{mij} (\delta - \mu_{mi} + \mu_{mj})\right),
               \quad \Sigma_{mij} = A_{mi} (A_{mi} + A_{mj})^{-1} A_{mj}.
 
     It is parametrised by what can be read: the amplitude :math:`w = v \pi^{d/4} |A|^{-1/4}`, so that
@@ -312,7 +312,7 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     @property
     def v(self):
-        """Filter gains, (M, P): v = w |A|^(1/4) / pi^(d/4)."""
+        """Filter gains, (M, P): ``v = w |A|^(1/4) / pi^(d/4)``."""
         lengths = self._value("length_scale")
         logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
         return self._value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)

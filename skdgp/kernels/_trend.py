@@ -180,8 +180,8 @@ class Trend(MultiOutputKernel):
 class LinearTrend(Trend):
     r"""Covariance of one linear function per output whose weights have a Gaussian prior.
 
-    .. math:: K_{ij}(s, s') = \delta_{ij} \Big( \tau_{i0}^2
-              + \sum_k \tau_{ik}^2 (s_k - c_k)(s'_k - c_k) \Big)
+    .. math:: K_{ij}(s, s') = \delta_{ij} \left( \tau_{i0}^2
+              + \sum_k \tau_{ik}^2 (s_k - c_k)(s'_k - c_k) \right)
 
     which is equation 2.41 of Rasmussen & Williams (2006) with a diagonal prior on the weights: mean, variance
     and likelihood then carry the uncertainty of the trend, and nothing is fitted beforehand.
@@ -239,8 +239,8 @@ class LinearTrend(Trend):
 class BasisTrend(Trend):
     r"""Covariance of one function per output that is linear in the columns of a scikit-learn transformer.
 
-    .. math:: K_{ij}(s, s') = \delta_{ij} \Big( \tau_{i0}^2
-              + \sum_k \tau_{ik}^2 (\varphi_k(s) - c_k)(\varphi_k(s') - c_k) \Big)
+    .. math:: K_{ij}(s, s') = \delta_{ij} \left( \tau_{i0}^2
+              + \sum_k \tau_{ik}^2 (\varphi_k(s) - c_k)(\varphi_k(s') - c_k) \right)
 
     Output i's trend is :math:`w_{i0} + \sum_k w_{ik} (\varphi_k(s) - c_k)` with weights
     :math:`w_{ik} \sim N(0, \tau_{ik}^2)`, which are integrated out (Rasmussen & Williams 2006, equations 2.37 to 2.42).

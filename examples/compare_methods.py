@@ -1,4 +1,8 @@
-"""The same flights and the same regressors for several methods: who predicts a flight that nobody has seen?
+"""
+Compare methods
+===============
+
+The same flights and the same regressors for several methods: who predicts a flight that nobody has seen? ::
 
     python examples/compare_methods.py
 

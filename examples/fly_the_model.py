@@ -1,4 +1,8 @@
-"""A learned aircraft flown: free from the state of another flight, with the band of what the model believes.
+"""
+Fly the model
+=============
+
+A learned aircraft flown free from the state of another flight, with the band of what the model believes::
 
     python examples/fly_the_model.py
 

@@ -1,4 +1,8 @@
-"""Choose a model by flights it has not seen: grid search over the whole pipeline, a flight held out each time.
+"""
+Choose a model
+==============
+
+By flights it has not seen: grid search over the whole pipeline, a flight held out each time::
 
     python examples/grid_search_flights.py
 

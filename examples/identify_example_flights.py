@@ -1,4 +1,8 @@
-"""From flight logs to predicted coefficients with honest bands, and a picture of them.
+"""
+Identify an aircraft
+====================
+
+From flight logs to predicted coefficients with honest bands, and a picture of them::
 
     python examples/identify_example_flights.py
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from pickle import PicklingError
 from threading import Lock
@@ -30,7 +30,7 @@ FORMAT = 1
 SHARE = 0.05  # of the time, at most, goes into writing, however slow the disk
 FILES = "skdgp-*.npz"
 LEFT_OVER = ".skdgp-*.part.npz"
-VERSIONS = ("numpy", "scipy", "scikit-learn")
+VERSIONS = ("skdgp", "numpy", "scipy", "scikit-learn")
 ELSEWHERE = ("n_jobs",)  # settings that do not change what is found
 
 _block: ContextVar[_Block | None] = ContextVar("skdgp_checkpoints", default=None)
@@ -172,7 +172,7 @@ class _Block:
 
     def record(self, X, Y, seeds, settings):
         facts = {"format": FORMAT, "data": _hash_of_arrays(X, Y), "settings": _hashes(settings)}
-        facts["versions"] = {name: version(name) for name in ("skdgp", *VERSIONS)}
+        facts["versions"] = {name: _version(name) for name in VERSIONS}
         name = hashlib.blake2b(json.dumps(facts, sort_keys=True).encode(), digest_size=8).hexdigest()
         own = [_load(path) for path in sorted(self.folder.glob(f"skdgp-{name}-*.npz"))]
         found = next((part["facts"] for part in own if part is not None), None)
@@ -289,6 +289,13 @@ def _load(path) -> dict | None:
         _warn(f"Got {path}, which cannot be read as a checkpoint ({error}): it is left aside.")
         return None
     return {"facts": facts, "done": done, "stages": stages}
+
+
+def _version(name) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:  # run from a folder that was never installed
+        return "unknown"
 
 
 def _alike(first, second) -> bool:

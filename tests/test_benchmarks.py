@@ -24,6 +24,7 @@ SCRIPTS = (
     "derivatives",
     "referee",
     "freeflight",
+    "damage",
 )
 
 

@@ -14,6 +14,7 @@ from skdgp.plotting._envelope import line_points
 from skdgp.plotting._ground_path import ground_path
 from skdgp.plotting._style import (
     CYCLE,
+    PALETTE,
     axis_label,
     check_matplotlib,
     display_unit,
@@ -264,6 +265,8 @@ def _draw_coloured(ax, paths, color_by):
     cmap = colormaps["viridis"].resampled(COLOR_STEPS)
     lines = []
     for name, path in paths.items():
+        # The edge keeps the dark end of the scale visible on dark pages, and the bright one on white.
+        ax.plot(path["east"], path["north"], color=PALETTE["grey"], linewidth=2.8, zorder=1.9)
         pieces, shades = _pieces(path, path[color_by].to_numpy(), low, high)
         line = LineCollection(pieces, array=shades, cmap=cmap, linewidths=1.6, capstyle="round", label=plain(name))
         line.set_clim(low, high)
@@ -290,9 +293,14 @@ def start_marker(k: int) -> str:
 
 
 def _draw_start(ax, path, name, k):
-    """Mark where a flight begins, each flight with a marker and colour of its own."""
+    """Mark where a flight begins, each flight with a marker and colour of its own, seen where two begin together."""
     begin = path.iloc[:1]
-    style = {"marker": start_marker(k), "markersize": 6, "markeredgecolor": "white", "linestyle": "none"}
+    style = {
+        "marker": start_marker(k),
+        "markersize": max(5, 12 - 5 * k),
+        "markeredgecolor": "white",
+        "linestyle": "none",
+    }
     return ax.plot(
         begin["east"], begin["north"], color=CYCLE[k % len(CYCLE)], zorder=3, label=plain(f"{name}: start"), **style
     )[0]

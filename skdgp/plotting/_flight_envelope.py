@@ -21,6 +21,8 @@ SHARES = (0.95, 0.5)
 """Shares of the samples that the light and the dark area hold."""
 MARGIN = 0.2
 """How far the panels reach beyond what was flown, relative to it."""
+MOST_ROWS = 500
+"""Samples over which the variance of what was flown is taken."""
 N_BINS = 48
 N_CELLS = 64
 """Cells along an axis; of a flight's samples in one cell one dot is drawn, so that none that stands apart is lost."""
@@ -30,13 +32,16 @@ class EnvelopeDisplay:
     r"""Pairs of regressors: where samples were flown, how much the model knows there, and where another flight goes.
 
     Grey areas hold 95 % and 50 % of the samples learned from. Lines and hatches show what the model does not know: its
-    posterior standard deviation over that of its prior,
+    posterior standard deviation over that of the function as it was flown,
 
-    .. math:: \rho(s) = \sqrt{\frac{\sum_i \operatorname{var}[f_i(s) \mid \mathrm{data}]}{\sum_i \mathrm{cov}_{ii}(0)}}
+    .. math::
+        \rho(s) = \sqrt{\frac1P \sum_i \frac{\operatorname{var} f_i(s)}{V_i}}, \quad
+        V_i = \operatorname{var}_n[\operatorname{E} f_i(s_n)] + \operatorname{E}_n[\operatorname{var} f_i(s_n)]
 
-    with the sums over the (normalised) outputs drawn and cov_ii of the paper's equation 14, without a trend. At 0 a
-    function is known, at 1 the data say no more than the prior; beyond 1 a trend is extrapolated. Regressors that a
-    panel does not show are held at their medians.
+    over the samples s_n learned from (the law of total variance) and the P outputs drawn. At 0 a function is known; at
+    1 the model knows no more than that it may be any of the values flown, and the normalised RMSE to expect is 1. The
+    prior is no such measure: with a trend it is boundless far away, and next to nothing where the trend says all.
+    Regressors that a panel does not show are held at their medians.
 
     Use :meth:`from_estimator`, or :meth:`compute` and :meth:`plot`. All parameters are kept as attributes.
 
@@ -50,8 +55,8 @@ class EnvelopeDisplay:
         Where the variance was computed, along both axes of each panel.
     variance : ndarray (n_pairs, G, G, P)
         Posterior variance of each output there: second axis vertical, third horizontal.
-    prior_variance : ndarray (P,)
-        Of each output where nothing is known.
+    flown_variance : ndarray (P,)
+        V_i, the variance of each output over what was flown.
     output_names : P names
         The outputs.
     path : DataFrame (m, d), optional
@@ -86,17 +91,17 @@ class EnvelopeDisplay:
     True
     """
 
-    def __init__(self, *, flown, pairs, points, variance, prior_variance, output_names, path=None):
+    def __init__(self, *, flown, pairs, points, variance, flown_variance, output_names, path=None):
         self.flown = flown
         self.pairs = pairs
         self.points = points
         self.variance = variance
-        self.prior_variance = prior_variance
+        self.flown_variance = flown_variance
         self.output_names = output_names
         self.path = path
 
     def relative_std(self, outputs=None) -> np.ndarray:
-        """Return the posterior standard deviation relative to the prior's, (n_pairs, G, G).
+        """Return the posterior standard deviation relative to that of the function as it was flown, (n_pairs, G, G).
 
         Parameters
         ----------
@@ -104,7 +109,7 @@ class EnvelopeDisplay:
             Over which outputs, default all.
         """
         chosen = choose(self.output_names, outputs)
-        return np.sqrt(self.variance[..., chosen].sum(axis=-1) / self.prior_variance[chosen].sum())
+        return np.sqrt((self.variance[..., chosen] / self.flown_variance[chosen]).mean(axis=-1))
 
     def plot(self, ax=None, *, pairs=None, outputs=None, legend=True):
         """Draw a panel for each pair.
@@ -167,14 +172,12 @@ class EnvelopeDisplay:
         return density, lines, hatches, path
 
     @classmethod
-    def from_estimator(
-        cls, estimator, X, *, ax=None, flight=None, pairs=None, prior_std=None, n_grid=16, **plot_options
-    ):
+    def from_estimator(cls, estimator, X, *, ax=None, flight=None, pairs=None, n_grid=16, **plot_options):
         """Compute what a fitted estimator knows around its data, and draw.
 
         Parameters
         ----------
-        estimator, X, flight, pairs, prior_std, n_grid
+        estimator, X, flight, pairs, n_grid
             See :meth:`compute`.
         ax, **plot_options
             See :meth:`plot`.
@@ -185,18 +188,18 @@ class EnvelopeDisplay:
             The display, drawn.
         """
         check_matplotlib(f"{cls.__name__}.from_estimator")
-        display = cls.compute(estimator, X, flight=flight, pairs=pairs, prior_std=prior_std, n_grid=n_grid)
+        display = cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid)
         return display.plot(ax, **plot_options)
 
     @classmethod
-    def compute(cls, estimator, X, *, flight=None, pairs=None, prior_std=None, n_grid=16):
+    def compute(cls, estimator, X, *, flight=None, pairs=None, n_grid=16):
         """Compute what a fitted estimator knows around its data, without drawing it.
 
         Parameters
         ----------
         estimator : fitted estimator or Pipeline
             A pipeline with a ``RegressorSelector``, or an estimator fitted on a DataFrame of regressors. It ends in a
-            ``DependentGPRegressor``, or in another whose ``predict`` takes ``return_std`` (then give ``prior_std``).
+            ``DependentGPRegressor``, or in another whose ``predict`` takes ``return_std``.
         X : DataFrame (n, ...)
             What the pipeline or estimator learned from.
         flight : DataFrame (m, ...), optional
@@ -204,9 +207,6 @@ class EnvelopeDisplay:
         pairs : list of (name, name), optional
             Regressors of the panels; default: alpha with beta, elevator and q, beta with r and rudder, p with aileron,
             those that are there, or else neighbouring columns.
-        prior_std : float or array (P,), optional
-            Standard deviation of each output where nothing is known; default: that of the learned kernel, of outputs
-            scaled to one.
         n_grid : int, default=16
             Points along each axis at which the variance is computed.
 
@@ -218,7 +218,7 @@ class EnvelopeDisplay:
         Raises
         ------
         ValueError
-            If regressors have no names, a pair is unknown, or the prior is.
+            If regressors have no names, or a pair is unknown.
         """
         before, behind, last = _divided(estimator)
         flown = _regressors(before, X)
@@ -226,14 +226,15 @@ class EnvelopeDisplay:
         pairs = _check_pairs(pairs, list(flown.columns))
         points = [tuple(_reach(flown[name], path, name, n_grid) for name in pair) for pair in pairs]
         rows = pd.concat([_slice(flown, pair, at) for pair, at in zip(pairs, points, strict=True)])
-        variance, prior = _variances(last, rows if behind is None else behind.transform(rows), prior_std)
+        variance = _moments(last, behind, rows)[1]
+        means, variances = _moments(last, behind, flown.iloc[:: -(-len(flown) // MOST_ROWS)])
         return cls(
             flown=flown,
             pairs=pairs,
             points=points,
             variance=variance.reshape(len(pairs), n_grid, n_grid, -1),
-            prior_variance=prior,
-            output_names=tuple(getattr(last, "output_names_", [f"y{i}" for i in range(len(prior))])),
+            flown_variance=means.var(axis=0) + variances.mean(axis=0),
+            output_names=tuple(getattr(last, "output_names_", [f"y{i}" for i in range(means.shape[1])])),
             path=path,
         )
 
@@ -284,23 +285,10 @@ def _slice(flown: pd.DataFrame, pair, points) -> pd.DataFrame:
     return pd.DataFrame(columns | {name: values.ravel() for name, values in zip(pair, grid, strict=True)})
 
 
-def _variances(last, rows, prior_std):
-    """Return posterior variances (n, P) and prior ones (P,); by default of the normalised outputs."""
-    if prior_std is not None:
-        std = last.predict(rows, return_std=True)[1]
-        std = std.reshape(len(rows), -1)
-        return std**2, np.broadcast_to(np.square(prior_std).astype(float), std.shape[1])
-    kernel = last.kernel_.stationary_part() if hasattr(last, "posterior_") else None
-    if kernel is None:
-        raise ValueError(
-            f"Got a {type(last).__name__} that does not tell its prior, but expected a DependentGPRegressor whose "
-            "kernel has a stationary part: give prior_std, for each output its standard deviation where nothing is "
-            "known."
-        )
-    values = np.asarray(rows, dtype=float)
-    variance = last.posterior_.predict(values, return_variance=True)[1]
-    origin = np.zeros((1, values.shape[1]))
-    return variance, np.array([kernel.block_diag(i, origin)[0] for i in range(variance.shape[1])])
+def _moments(last, behind, rows):
+    """Return mean and variance of the outputs at rows of regressors, (n, P) each."""
+    mean, std = last.predict(rows if behind is None else behind.transform(rows), return_std=True)
+    return mean.reshape(len(rows), -1), std.reshape(len(rows), -1) ** 2
 
 
 def _draw_density(ax, x, y, points):

@@ -98,6 +98,7 @@ figcaption { margin-top: .6rem; }
 .panels { display: grid; grid-template-columns: 1fr 1fr; gap: .2rem 1.5rem; align-items: start; }
 .panels.columns { grid-auto-flow: column; grid-template-rows: auto repeat(var(--rows), auto); }
 .panels.trio { grid-template-columns: repeat(auto-fit, minmax(min(100%, 17rem), 1fr)); gap: .6rem 1.25rem; }
+.panels.trio svg { max-width: 22rem; }
 .panels p { margin: .25rem 0 0; font-size: .85rem; color: var(--quiet); padding-left: 14.5%; }
 .panels svg, .single svg { display: block; width: 100%; height: auto; }
 .single { max-width: 31rem; }

@@ -109,8 +109,8 @@ def envelope_panels(display: EnvelopeDisplay) -> list[str]:
         picture(
             lambda ax, pair=pair: display.plot(ax, pairs=[pair], legend=False),
             label=f"{pair[1]} against {pair[0]}: where samples were flown, and how uncertain the model is there",
-            size=(2.4, 2.1),
-            margins=(0.24, 0.97, 0.2, 0.98),
+            size=(2.9, 2.45),
+            margins=(0.21, 0.97, 0.18, 0.98),
         )
         for pair in display.pairs
     ]

@@ -242,8 +242,9 @@ def envelope(content: ReportContent) -> str:
     key += [("vermillion", "test flights", "•")] if display.path is not None else []
     caption = (
         "Pairs of regressors; those that a panel does not show are at their medians. Lines: the standard deviation of "
-        "the coefficients over that before any flight, 0 where they are known, 1 where the data say nothing. Where a "
-        "test flight, or a simulation, leaves the grey area for the hatched, its coefficients are extrapolated."
+        "the coefficients, over how much they vary where samples were flown: 0 where they are known, 1 where any value "
+        "flown is as likely. Where a test flight, or a simulation, leaves the grey area for the hatched, coefficients "
+        "are extrapolated."
     )
     figure = _figure(pictures.envelope_panels(display), caption, key, layout="trio")
     return f"<section><h2>Where the model knows</h2>{figure}</section>"

@@ -2,7 +2,7 @@
 
 const LEFT = 46, RIGHT = 6, TOP = 4, HEIGHT = 118, AXIS = 30; // [px] of a panel
 const FEWEST = 8; // samples that remain visible
-const links = new Map(); // name -> {begin, end, low, high, cursor, charts}
+const links = new Map(); // name -> {begin, end, low, high, cursor, charts, spans}
 
 // ---- page ---------------------------------------------------------------------------------------
 
@@ -35,11 +35,12 @@ class Chart {
 
   join(name) {
     const low = this.time[0], high = this.time[this.time.length - 1];
-    const link = links.get(name) ?? { begin: low, end: high, low, high, cursor: null, charts: [] };
+    const link = links.get(name) ?? { begin: low, end: high, low, high, cursor: null, charts: [], spans: [] };
     link.low = Math.min(link.low, low);
     link.high = Math.max(link.high, high);
     [link.begin, link.end] = this.spec.spans[0] ?? (link.charts.length ? [link.begin, link.end] : [low, high]);
     link.charts.push(this);
+    if (this.spec.spans.length) link.spans = this.spec.spans;
     links.set(name, link);
     return link;
   }
@@ -47,7 +48,7 @@ class Chart {
   build(figure) {
     const { spec, link } = this;
     const seconds = ([begin, end]) => `${minus(begin.toFixed(0))} to ${minus(end.toFixed(0))} s`;
-    this.spans = [[link.low, link.high], ...spec.spans].map((span, k) => {
+    this.spans = [[link.low, link.high], ...link.spans].map((span, k) => {
       const made = button(k ? seconds(span) : "Whole flight", k ? "Show these seconds" : "Show the whole flight",
         () => this.show(...(k ? span : [link.low, link.high])));
       return { made, span, whole: k === 0 };
@@ -76,13 +77,14 @@ class Chart {
     this.hint = element("p", { class: "hint" }, touch
       ? "Touch to read values, swipe sideways to move, pinch to zoom."
       : "Point to read values. Drag over the seconds to see closer, drag the bar or turn the wheel with Ctrl to move "
-        + "on and zoom, double-click for the whole flight; keys: ← → + − 0.");
+        + "on and zoom, double-click for the whole flight; keys: ← → + − 0.",
+      spec.every > 1 ? ` Of each ${2 * spec.every} samples the lowest and the highest are kept.` : "");
     this.live = element("div", { class: "live" },
       element("div", { class: "tools" }, element("div", { class: "spans" }, ...this.spans.map((one) => one.made)),
         element("div", { class: "steps" }, ...steps), this.clock),
-      ...(toggles.length > 1 ? [element("div", { class: "toggles", role: "group", "aria-label": "What is drawn" },
+      ...(spec.panels.some((panel) => panel.series.length > 1) ? [element("div", { class: "toggles", role: "group", "aria-label": "What is drawn" },
         ...toggles)] : []),
-      this.grid, this.track, this.hint, this.spoken);
+      this.grid, this.track, ...(figure === document.querySelector("figure.chart") ? [this.hint] : []), this.spoken);
     figure.prepend(this.live);
     figure.classList.add("on");
   }

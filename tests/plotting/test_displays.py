@@ -96,7 +96,7 @@ def knowledge(n, ax, corrupt=lambda values: values):
         pairs=[("alpha", "beta")],
         points=[(axis, axis)],
         variance=np.hypot(*np.meshgrid(axis, axis))[None, :, :, None] / 8,
-        prior_variance=np.ones(1),
+        flown_variance=np.ones(1),
         output_names=("CZ",),
         path=flown.assign(alpha=corrupt(flown[["alpha"]].to_numpy())),
     ).plot(ax)

@@ -166,8 +166,8 @@ class SteadyFlight:
         if not np.isfinite(derivative).all():
             raise ValueError(
                 f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
-                f"{np.mean(known['alpha']):.3g} rad, but expected six accelerations: the model, the thrust or the air is not "
-                "defined there."
+                f"{np.mean(known['alpha']):.3g} rad, but expected six accelerations: the model, the thrust or the air "
+                "is not defined there."
             )
         path = DEMAND * (-derivative[..., 2] / airspeed - np.sin(known["climb"]))
         return np.concatenate([derivative[..., VELOCITY], derivative[..., RATES], path[..., None]], axis=-1)

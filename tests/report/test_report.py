@@ -14,6 +14,7 @@ from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._vocabulary import COEFFICIENTS, LATERAL
 from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
+from skdgp.plotting import EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
 from skdgp.report import _write as write_module
 from skdgp.report._pictures import time_slices
@@ -108,6 +109,21 @@ def result(n=2400, name="test", truth=True, seed=0, **changes):
     return FlightResult(**{**given, **changes})
 
 
+def envelope():
+    """Return the envelope of a model that knows the middle, with a path that leaves it."""
+    axis = np.linspace(-0.3, 0.3, 5)
+    flown = pd.DataFrame(0.05 * np.random.default_rng(0).normal(size=(200, 2)), columns=["alpha", "beta"])
+    return EnvelopeDisplay(
+        flown=flown,
+        pairs=[("alpha", "beta")],
+        points=[(axis, axis)],
+        variance=np.hypot(*np.meshgrid(axis, axis))[None, :, :, None].repeat(6, axis=3),
+        flown_variance=np.ones(6),
+        output_names=COEFFICIENTS,
+        path=2 * flown,
+    )
+
+
 def content(**changes):
     given = {
         "title": "Brumby, six flights",
@@ -126,6 +142,7 @@ def content(**changes):
             versions={"skdgp": "0.1.0"},
         ),
         "aircraft": {"Aircraft": "brumby", "Mass": "45 kg"},
+        "envelope": envelope(),
         "messages": ["The optimiser stopped early."],
         "created": datetime(2026, 5, 4, 12, 30),
     }
@@ -254,6 +271,13 @@ class TestWords:
         model = ModelSummary(n_iter=n_iter, max_iter=60, fit_seconds=1.0)
         words = Page(render_report(content(model=model))).words
         assert f"Iterations {shown}" in words
+
+    def test_shows_where_the_model_knows(self, html):
+        assert "beta against alpha: where samples were flown" in html
+        words = Page(html).words
+        assert "test flights" in words[words.index("Where the model knows") :]
+        without = content(envelope=None, test=(), train=())
+        assert "Where the model knows" not in Page(render_report(without)).words
 
     def test_flights_come_with_their_length_and_rate(self, numbers_only):
         assert "train (20 s at 40 Hz)" in Page(render_report(content())).words

@@ -25,6 +25,7 @@ from skdgp._vocabulary import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.datasets._brumby import brumby_derivatives
 from skdgp.dynamics import Aerodynamics, aerodynamic_coefficients, linearize, stability_derivatives, trim
+from skdgp.dynamics._motion import Motion
 from skdgp.model_selection import thin_targets
 
 AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0
@@ -94,21 +95,33 @@ def examples(table):
     return [{"derivative": n, **middle.loc[n, columns].astype(float)} for n in SHOWN if n in middle.index]
 
 
+def merged_aircraft(truth, data, point):
+    """Return the true aircraft as one without alpha_dot and beta_dot: linear about a trim, slopes merged."""
+    regressors = [name for name in data.regressor_names if name not in ("alpha_dot", "beta_dot")]
+    at = Motion(truth, data.aircraft).at(point.state, point.controls).regressors
+    start, slopes = pd.Series(at, data.regressor_names), pd.DataFrame(truth.gradient(at), columns=data.regressor_names)
+    merged = slopes[regressors] + slopes[["alpha_dot", "beta_dot"]] @ slopes_of_slopes(data, regressors).T
+    x, y, J = start[regressors].to_numpy(), truth(at), merged.to_numpy()
+    names = [f"{name}_hat" if name in RATES else name for name in regressors]
+    return Aerodynamics(lambda X: y + (X - x) @ J.T, names)
+
+
 def modes(model, truth, data, n_paths):
-    """Return the modes at each airspeed, learned and known, each at its own trim."""
+    """Return the modes at each airspeed, known, merged, and learned, the learned aircraft at its own trim."""
     rows = []
     for airspeed in AIRSPEEDS:
-        found, known = (
-            linearize(one, data.aircraft, trim(one, data.aircraft, airspeed, altitude=ALTITUDE), n_paths=n).modes()
-            for one, n in ((model, n_paths), (truth, 0))
-        )
-        for name, root in known["eigenvalue"].items():
-            row = {"V, m/s": airspeed, "mode": name, "known": _text(root), "learned": None, "error, %": None}
-            row |= {"frequency std": None, "damping std": None}
+        own, point = (trim(one, data.aircraft, airspeed, altitude=ALTITUDE) for one in (model, truth))
+        found = linearize(model, data.aircraft, own, n_paths=n_paths).modes()
+        known = linearize(truth, data.aircraft, point).modes()["eigenvalue"]
+        merged = linearize(merged_aircraft(truth, data, point), data.aircraft, point).modes()["eigenvalue"]
+        for name, root in known.items():
+            row = {"V, m/s": airspeed, "mode": name, "known": _text(root), "merged": _text(merged[name])}
+            row |= {"learned": None, "error, %": None, "frequency std": None, "damping std": None}
             if name in found.index:
-                one = found.loc[name, "eigenvalue"]
+                one, pair = found.loc[name, "eigenvalue"], bool(root.imag)
                 row |= {"learned": _text(one), "error, %": float(100 * abs(one / root - 1))}
-                row |= {f"{kind} std": float(found.loc[name, f"{kind}_std"]) for kind in ("frequency", "damping")}
+                row |= {"frequency std": float(found.loc[name, "frequency_std"])}
+                row |= {"damping std": float(found.loc[name, "damping_std"]) if pair else None}
             rows.append(row)
     return rows
 

@@ -14,7 +14,8 @@ function element(tag, attributes = {}, ...children) {
 }
 
 function button(label, title, act) {
-  const made = element("button", { type: "button", title, "aria-label": title }, label);
+  // A sign is not read out; words are, and must be what is seen (WCAG 2.1, label in name).
+  const made = element("button", { type: "button", title, ...(label.length === 1 && { "aria-label": title }) }, label);
   made.addEventListener("click", act);
   return made;
 }

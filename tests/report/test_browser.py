@@ -120,6 +120,33 @@ def test_lines_are_drawn_hidden_and_shown_relative_to_the_estimate(chart):
     assert numbers(browser) == {"estimated": 0.0}
 
 
+def test_each_pixel_column_keeps_its_extremes(chart):
+    browser, _ = chart
+    whole(browser)
+    cells = browser.value(
+        "(c => c.condense(c.panels[4], c.panels[4].series.at(-1), 400).strokes)(links.get('a flight').charts[0])"
+    )
+    assert len(cells) == 1
+    column = np.floor(400 * TIME / TIME[-1])
+    of_column = [MEASURED[column == k, 4] for k in np.unique(column)]
+    for edge, extreme in (("low", np.min), ("high", np.max)):
+        np.testing.assert_allclose([cell[edge] for cell in cells[0]], list(map(extreme, of_column)), atol=1e-5)
+
+
+def test_lines_break_at_gaps_and_new_windows(chart):
+    browser, _ = chart
+    assert browser.value("[...cuts(new Float64Array([0, 1, 2, 50, 51]), null)]") == [1, 0, 0, 1, 0]
+    assert browser.value("[...cuts(new Float64Array([0, 1, 2, 3]), [7, 7, 8, 8])]") == [1, 0, 1, 0]
+
+
+def test_everything_to_press_has_the_name_that_is_seen(chart):
+    browser, _ = chart
+    nodes = browser.call("Accessibility.getFullAXTree")["nodes"]
+    names = [node["name"]["value"] for node in nodes if node.get("role", {}).get("value") == "button"]
+    assert {"Whole flight", "Zoom in", "Zoom out", "Earlier", "Later", "measured", "less estimate"} <= set(names)
+    assert all(names)
+
+
 def test_a_phone_scrolls_one_way_and_pinches(browser, page):
     browser.open(page, width=390, height=844, phone=True)
     assert browser.value("document.documentElement.scrollWidth") <= 390

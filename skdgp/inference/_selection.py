@@ -31,7 +31,7 @@ def choose_kernel(
     With L the marginal likelihood at its maximum over the q hyperparameters, noise variances among them, and N observed
     values, the first kernel is taken whose
 
-    .. math:: \log L - \tfrac12\, q \log N
+    .. math:: \log L - \frac{1}{2}\, q \log N
 
     the next one does not exceed (Schwarz 1978, halved and turned over): more hyperparameters than the data can tell
     raise L by chance, and predict worse.

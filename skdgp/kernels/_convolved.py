@@ -27,12 +27,12 @@ class ConvolvedGaussian(MultiOutputKernel):
     r"""Dependent outputs: every output is a sum of white-noise processes, each through a Gaussian filter.
 
     Latent process m reaches output i through
-    :math:`h_{mi}(s) = v_{mi} \exp(-\tfrac12 (s-\mu_{mi})^T A_{mi} (s-\mu_{mi}))`, so for a separation
+    :math:`h_{mi}(s) = v_{mi} \exp(-\frac{1}{2} (s-\mu_{mi})^T A_{mi} (s-\mu_{mi}))`, so for a separation
     :math:`\delta = s_a - s_b` (Hemakumara & Sukkarieh 2011, equations 14 to 16)
 
     .. math:: K_{ij}(\delta) = \sum_m \frac{(2\pi)^{d/2} v_{mi} v_{mj}}{\sqrt{|A_{mi} + A_{mj}|}}
-              \exp\left(-\tfrac12 (\delta - \mu_{mi} + \mu_{mj})^T \Sigma_{mij} (\delta - \mu_{mi} + \mu_{mj})\right),
-              \quad \Sigma_{mij} = A_{mi} (A_{mi} + A_{mj})^{-1} A_{mj}.
+              \exp\left(-\frac{1}{2} (\delta - \mu_{mi} + \mu_{mj})^T \Sigma_{mij}
+              (\delta - \mu_{mi} + \mu_{mj})\right), \quad \Sigma_{mij} = A_{mi} (A_{mi} + A_{mj})^{-1} A_{mj}.
 
     It is parametrised by what can be read: the amplitude :math:`w = v \pi^{d/4} |A|^{-1/4}`, so that
     :math:`K_{ii}(0) = \sum_m w_{mi}^2`, and the length scale :math:`\ell` of the output's own covariance,

@@ -35,7 +35,7 @@ class EnvelopeDisplay:
     posterior standard deviation over that of the function as it was flown,
 
     .. math::
-        \rho(s) = \sqrt{\frac1P \sum_i \frac{\operatorname{var} f_i(s)}{V_i}}, \quad
+        \rho(s) = \sqrt{\frac{1}{P} \sum_i \frac{\operatorname{var} f_i(s)}{V_i}}, \quad
         V_i = \operatorname{var}_n[\operatorname{E} f_i(s_n)] + \operatorname{E}_n[\operatorname{var} f_i(s_n)]
 
     over the samples s_n learned from (the law of total variance) and the P outputs drawn. At 0 a function is known; at

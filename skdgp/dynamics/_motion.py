@@ -12,7 +12,7 @@ from skdgp._validation import check_names
 from skdgp._vocabulary import TRUTH_SUFFIX
 from skdgp.dynamics._aerodynamics import as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._atmosphere import standard_density
+from skdgp.dynamics._atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp.dynamics._frames import air_data, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._propulsion import propulsion_of
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
@@ -219,7 +219,7 @@ class Motion:
 
 def _density_of_air(altitude):
     """Return the standard atmosphere's density, NaN where it knows none."""
-    return standard_density(np.where((altitude > -5e3) & (altitude < 32e3), altitude, np.nan))
+    return standard_density(np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan))
 
 
 def _anderson(tried: list, found, off) -> np.ndarray:

@@ -6,11 +6,12 @@ import base64
 import hashlib
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
+import pandas as pd
 from scipy.stats import norm
 
 from skdgp.report._packing import pack, thinned
@@ -64,6 +65,11 @@ class Chart:
     panels: Sequence[Panel]
     spans: Sequence[tuple[float, float]] = ()
     window: np.ndarray | None = None
+
+
+def tracks(paths: Mapping[str, pd.DataFrame]) -> str:
+    """Return where the flights were, by their links: the script marks the place of the cursor on the maps."""
+    return _data([{"link": link, **path.round(2).to_dict("list")} for link, path in paths.items()])
 
 
 def chart(content: Chart, *, every: int = 1) -> str:
@@ -121,5 +127,9 @@ def chart(content: Chart, *, every: int = 1) -> str:
         "columns": [[low, step] for low, step, _ in packs],
         "data": base64.b64encode(zlib.compress(b"".join(data for *_, data in packs), 9)).decode(),
     }
+    return _data(spec)
+
+
+def _data(content) -> str:
     # A "<" in a name must not end the element.
-    return f'<script type="application/json">{json.dumps(spec).replace("<", chr(92) + "u003c")}</script>'
+    return f'<script type="application/json">{json.dumps(content).replace("<", chr(92) + "u003c")}</script>'

@@ -148,6 +148,7 @@ def path_panels(flights: dict) -> dict[str, str]:
             size=(WIDTH, 4.0),
             # Room for the scale of altitude beside both, so that their axes are the same.
             margins=(0.145, 0.83 if altitude else 0.985, 0.13, 0.97),
+            located=True,
         )
         for by in (("flight", "altitude") if altitude else ("flight",))
     }

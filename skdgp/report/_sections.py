@@ -253,13 +253,13 @@ def envelope(content: ReportContent) -> str:
 def flown(content: ReportContent, detail: Detail) -> str:
     """Return the inputs and the path of every flight that came with its table."""
     flights = flown_tables(content)
-    links = {id(result.table): result.name for result in content.test}
+    linked = {id(result.table): result.name for result in content.test}
+    links = {name: linked.get(id(table), name) for name, table in flights.items()}
     parts = ["<section><h2>What was flown</h2>"]
     for k, name in enumerate(flights):
         key = [(_color(k), name, "")]
         panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
-        link = links.get(id(flights[name]), name)
-        chart = views.input_chart(flights[name], name, link, _color(k), detail.every)
+        chart = views.input_chart(flights[name], name, links[name], _color(k), detail.every)
         parts.append(_figure(panels, f"Inputs of {text(name)}.", key, chart))
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:
@@ -269,7 +269,8 @@ def flown(content: ReportContent, detail: Detail) -> str:
         caption += " First coloured by flight, then by altitude [m], on the same axes." if len(panels) > 1 else ""
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
-        parts.append(_columns({head: [panel] for head, panel in panels.items()}, key, caption))
+        figure = _columns({head: [panel] for head, panel in panels.items()}, key, caption)
+        parts.append(f'<div class="map">{figure}{views.flight_tracks(tracked, links)}</div>')
     return "".join([*parts, "</section>"])
 
 

@@ -14,6 +14,9 @@ INK = "#20242a"
 WIDTH = 4.6
 """Width of a panel [in]: half a desktop page, or a phone with letters still readable."""
 
+POINTS = 72
+"""Units of an SVG in an inch."""
+
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "skdgp",
@@ -54,7 +57,7 @@ def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
     return picture(drawn, label=label, size=(WIDTH, height), margins=edges)
 
 
-def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: tuple) -> str:
+def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: tuple, located: bool = False) -> str:
     """Return the SVG of what ``draw(ax)`` draws into one Axes.
 
     Parameters
@@ -67,6 +70,8 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: t
         Inches.
     margins : (left, right, bottom, top)
         Edges of the Axes as parts of the picture: equal ones keep panels aligned.
+    located : bool
+        Whether to say in the attribute ``data-map`` where in the picture data are: x = a + b X, y = c + d Y, "a b c d".
     """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -78,13 +83,16 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: t
         figure = Figure(figsize=size)
         canvas = FigureCanvasSVG(figure)
         figure.subplots_adjust(**dict(zip(("left", "right", "bottom", "top"), margins, strict=True)))
-        draw(figure.subplots())
+        ax = figure.subplots()
+        draw(ax)
         text = StringIO()
         canvas.print_svg(text, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    return adapt(text.getvalue(), label)
+        (left, low), (right, high) = ax.transData.transform([(0, 0), (1, 1)]) * POINTS / figure.dpi
+    place = (left, right - left, size[1] * POINTS - low, low - high)
+    return adapt(text.getvalue(), label, f' data-map="{" ".join(f"{v:.7g}" for v in place)}"' if located else "")
 
 
-def adapt(svg: str, label: str) -> str:
+def adapt(svg: str, label: str, attributes: str = "") -> str:
     """Return an SVG document as an element of a page: no prolog, variables for colours, unique names."""
     width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg).groups()
     body = svg[svg.index(">", svg.index("<svg")) + 1 : svg.rindex("</svg>")]
@@ -95,7 +103,7 @@ def adapt(svg: str, label: str) -> str:
     body = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, body)
     body = _gathered(re.sub(r"\s*\n\s*", "", _renamed(body)))
     name = escape(label, quote=True)
-    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}">{body}</svg>'
+    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}"{attributes}>{body}</svg>'
 
 
 def _themed(match: re.Match) -> str:

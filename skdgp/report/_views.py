@@ -6,9 +6,10 @@ import numpy as np
 
 from skdgp._vocabulary import COEFFICIENTS
 from skdgp.plotting import FlightDisplay
+from skdgp.plotting._ground_path import ground_path
 from skdgp.plotting._states import LATERAL_STATES, replay_rows
 from skdgp.plotting._style import display_unit
-from skdgp.report._charts import Chart, Panel, Series, chart
+from skdgp.report._charts import Chart, Panel, Series, chart, tracks
 from skdgp.report._content import FlightResult, ReportContent
 from skdgp.report._tables import state, symbol, text
 
@@ -89,6 +90,15 @@ def input_chart(table, name: str, link: str, color: str, every: int) -> str:
         panels.append(Panel(title=f"{words} against time", label=text(words), unit=unit, series=series))
     time = table["time"].to_numpy(dtype=float)
     return chart(Chart(title=f"Inputs of {name}", link=link, time=time, panels=panels), every=every)
+
+
+def flight_tracks(flights: dict, links: dict[str, str]) -> str:
+    """Return where the flights were, for the maps; of those whose time goes on and whose place is known."""
+    paths = {
+        links.get(name, name): ground_path(table, name)[["time", "east", "north"]] for name, table in flights.items()
+    }
+    whole = {link: path for link, path in paths.items() if path.notna().all(axis=None)}
+    return tracks({link: path for link, path in whole.items() if path["time"].is_monotonic_increasing})
 
 
 def _spans(span) -> list[tuple[float, float]]:

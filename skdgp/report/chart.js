@@ -2,7 +2,7 @@
 
 const LEFT = 46, RIGHT = 6, TOP = 4, HEIGHT = 118, AXIS = 30; // [px] of a panel
 const FEWEST = 8; // samples that remain visible
-const links = new Map(); // name -> {begin, end, low, high, cursor, charts, spans}
+const links = new Map(); // name -> {begin, end, low, high, cursor, charts, spans, tracks}
 
 // ---- page ---------------------------------------------------------------------------------------
 
@@ -36,7 +36,7 @@ class Chart {
 
   join(name) {
     const low = this.time[0], high = this.time[this.time.length - 1];
-    const link = links.get(name) ?? { begin: low, end: high, low, high, cursor: null, charts: [], spans: [] };
+    const link = links.get(name) ?? { begin: low, end: high, low, high, cursor: null, charts: [], spans: [], tracks: [] };
     link.low = Math.min(link.low, low);
     link.high = Math.max(link.high, high);
     [link.begin, link.end] = this.spec.spans[0] ?? (link.charts.length ? [link.begin, link.end] : [low, high]);
@@ -156,7 +156,7 @@ class Chart {
 
   point(t) {
     this.link.cursor = t;
-    for (const chart of this.link.charts) chart.read();
+    for (const reader of [...this.link.charts, ...this.link.tracks]) reader.read();
   }
 
   stale() {
@@ -447,6 +447,37 @@ class Chart {
   }
 }
 
+// ---- maps ---------------------------------------------------------------------------------------
+
+// Marks on the maps the place where a flight was at the cursor.
+class Track {
+  constructor(map, { link, time, east, north }) {
+    Object.assign(this, { link: links.get(link), time, east, north });
+    this.marks = [...map.querySelectorAll("svg[data-map]")].map((svg) => {
+      const mark = document.createElementNS(map.querySelector("svg").namespaceURI, "circle");
+      mark.setAttribute("class", "place");
+      mark.setAttribute("r", "4");
+      mark.setAttribute("visibility", "hidden");
+      svg.append(mark);
+      return { mark, scale: svg.dataset.map.split(" ").map(Number) };
+    });
+    this.link.tracks.push(this);
+  }
+
+  read() {
+    const { time } = this, { cursor } = this.link;
+    const known = cursor !== null && cursor >= time[0] && cursor <= time[time.length - 1];
+    const k = known ? Math.min(Math.max(index(time, cursor), 1), time.length - 1) : 1;
+    const part = (cursor - time[k - 1]) / (time[k] - time[k - 1]);
+    const place = (values) => values[k - 1] + part * (values[k] - values[k - 1]);
+    for (const { mark, scale: [a, b, c, d] } of this.marks) {
+      mark.setAttribute("visibility", known ? "visible" : "hidden");
+      mark.setAttribute("cx", known ? a + b * place(this.east) : 0);
+      mark.setAttribute("cy", known ? c + d * place(this.north) : 0);
+    }
+  }
+}
+
 // ---- begin --------------------------------------------------------------------------------------
 
 async function begin() {
@@ -457,6 +488,9 @@ async function begin() {
     const chart = new Chart(figure, spec, await unpack(spec));
     chart.draw();
   }
+  for (const map of document.querySelectorAll(".map"))
+    for (const track of JSON.parse(map.querySelector('script[type="application/json"]').textContent))
+      if (links.has(track.link) && track.time.length > 1) new Track(map, track);
   document.documentElement.dataset.charts = "ready";
 }
 

@@ -18,6 +18,7 @@ LEFT, RIGHT = 46, 6  # margins of a plot [px]
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     table = pd.DataFrame({"time": TIME, "elevator": 0.05 * np.sin(TIME), "rudder": 0.1 * np.cos(TIME)})
+    table = table.assign(north=10.0 * TIME, east=200.0 * np.sin(TIME / 20))
     flight = FlightResult(
         name="a flight", time=TIME, measured=MEASURED, mean=MEAN, std=np.full((N, 6), 0.02), table=table
     )
@@ -137,6 +138,25 @@ def test_lines_break_at_gaps_and_new_windows(chart):
     browser, _ = chart
     assert browser.value("[...cuts(new Float64Array([0, 1, 2, 50, 51]), null)]") == [1, 0, 0, 1, 0]
     assert browser.value("[...cuts(new Float64Array([0, 1, 2, 3]), [7, 7, 8, 8])]") == [1, 0, 1, 0]
+
+
+def test_the_cursor_stands_on_the_map(chart):
+    browser, (x, y, width, _) = chart
+    begin, end = browser.value(VIEW)
+    shown = "[...document.querySelectorAll('.place')].filter(e => e.getAttribute('visibility') === 'visible')"
+    assert browser.value(f"{shown}.length") == 0
+    places, times = [], []
+    for part in (0.1, 0.6):
+        browser.mouse("mouseMoved", x + LEFT + part * (width - LEFT - RIGHT), y + 50)
+        times.append(begin + part * (end - begin))
+        places += browser.value(f"{shown}.map(e => [+e.getAttribute('cx'), +e.getAttribute('cy')])")
+    # Both axes have one scale, and north is up.
+    flown = np.column_stack([200 * np.sin(np.divide(times, 20)), np.multiply(times, -10.0)])
+    scale = np.diff(places, axis=0) / np.diff(flown, axis=0)
+    assert scale[0, 0] == pytest.approx(scale[0, 1], rel=0.02)
+    assert scale[0, 0] > 0
+    browser.mouse("mouseMoved", 5, 5)
+    assert browser.value(f"{shown}.length") == 0
 
 
 def test_everything_to_press_has_the_name_that_is_seen(chart):

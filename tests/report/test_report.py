@@ -318,7 +318,7 @@ class TestWords:
         assert Page(page).tags.count("script") == page.count('<script type="application/json">') + 1
 
     def test_dollars_are_no_templates_and_no_mathematics(self):
-        page = render_report(content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{")]))
+        page = render_report(content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{", replay=None)]))
         assert "$title $$ ${body} $x^" in Page(page).words
 
     def test_says_when_nothing_went_wrong_and_when_nothing_was_tested(self):
@@ -340,12 +340,13 @@ class TestPoorContent:
         measured = flight.measured.copy()
         measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
-            html = render_report(content(test=[result(measured=measured, truth=None)]))
+            html = render_report(content(test=[result(measured=measured, truth=None, replay=None)], envelope=None))
         assert "–" in Page(html).words
 
     def test_constant_estimates(self):
         flight = result(500)
-        Page(render_report(content(test=[result(500, mean=np.zeros((500, 6)), std=flight.std)])))
+        constant = result(500, mean=np.zeros((500, 6)), std=flight.std, replay=None)
+        Page(render_report(content(test=[constant], envelope=None)))
 
     def test_no_table_no_replay(self):
         bare = result(table=None, replay=None, replay_errors=None, measured_std=None, truth=None)

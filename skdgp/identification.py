@@ -159,6 +159,13 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[np.ndar
         Fitted.
     flight : DataFrame (n, ...)
         One or more flights at their full rate.
+
+    Returns
+    -------
+    regressors : ndarray (n, d)
+        What the last step of the pipeline predicts from.
+    times : ndarray (n,)
+        The factor.
     """
     times = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:

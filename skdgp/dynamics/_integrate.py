@@ -16,6 +16,22 @@ def rk4_step(
     """Return the state one step ``dt`` [s] after ``t``, of d state / dt = derivative(t, state).
 
     The derivative is taken at t, twice at t + dt/2 and at t + dt; the error of a step is of order dt^5.
+
+    Parameters
+    ----------
+    derivative : callable
+        ``derivative(t, state)``, of the state's shape.
+    t : float
+        Time [s].
+    state : ndarray (...)
+        Leading axes hold independent cases.
+    dt : float or ndarray
+        Step [s].
+
+    Returns
+    -------
+    ndarray (...)
+        The state at t + dt.
     """
     k1 = derivative(t, state)
     k2 = derivative(t + 0.5 * dt, state + 0.5 * dt * k1)

@@ -26,7 +26,21 @@ def aerodynamic_loads(
     """Return force (..., 3) [N] and moment (..., 3) [N m] of coefficients (..., 6).
 
     F_A = qbar S (CX, CY, CZ),  M_A = qbar S (b Cl, c Cm, b Cn),  qbar = rho V^2 / 2, about the centre of
-    gravity in body axes, V ``airspeed`` [m/s], rho ``density`` [kg/m^3].
+    gravity in body axes.
+
+    Parameters
+    ----------
+    coefficients : array-like (..., 6)
+        CX CY CZ Cl Cm Cn.
+    airspeed, density : array-like (...)
+        V [m/s] and rho [kg/m^3].
+    aircraft : Aircraft
+        Its wing area, span and chord.
+
+    Returns
+    -------
+    force, moment : ndarray (..., 3)
+        In body axes.
 
     Examples
     --------
@@ -53,6 +67,18 @@ def propeller_loads(
     """Return force (..., 3) [N] and moment (..., 3) [N m] of the aircraft's propeller on its thrust line.
 
     Equation 7 of Hemakumara & Sukkarieh (2011): F_T = T(Omega, V) d,  M_T = r_T x F_T + Q d.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its propeller and thrust line.
+    propeller_speed, airspeed, density : array-like (...)
+        Omega [rad/s], V [m/s], rho [kg/m^3].
+
+    Returns
+    -------
+    force, moment : ndarray (..., 3)
+        In body axes, the moment about the centre of gravity.
 
     Raises
     ------
@@ -84,6 +110,11 @@ def propulsive_loads(
         "columns" takes the force columns, absent ones being zero. Without any moment column the moment is that of
         the force at the thrust line's position, r_T x F_T. "propeller" evaluates the propeller's model. "auto"
         takes the columns where they stand, else the propeller. None says that there is no propulsion (a glider).
+
+    Returns
+    -------
+    force, moment : ndarray (n, 3)
+        In body axes, the moment about the centre of gravity.
 
     Raises
     ------

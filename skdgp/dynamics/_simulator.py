@@ -27,12 +27,14 @@ class Simulator:
 
     Parameters
     ----------
-    model, aircraft, thrust, density, gravity
+    model, aircraft
         As for :func:`skdgp.dynamics.simulate`.
     dt : float, default=0.02
         Time step [s].
     wind : array-like (3,), callable or None
         Velocity of the air, north, east, down [m/s]: constant, or a function (t, position (..., 3)).
+    thrust, density, gravity
+        As for :func:`skdgp.dynamics.simulate`.
 
     Attributes
     ----------

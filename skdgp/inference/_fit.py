@@ -95,6 +95,11 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=No
         Standard deviation of what is added to the starting theta: for restarts.
     found : Found or None
         Hyperparameters to take as they are.
+
+    Returns
+    -------
+    Fit
+        The posterior, its hyperparameters, and how the search went.
     """
     if found is None:
         options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
@@ -109,10 +114,19 @@ def fit_sparse(
 ) -> Fit:
     """Return the sparse posterior on all samples, at hyperparameters learned from some of them.
 
-    Parameters are those of ``fit_exact``, and
-
+    Parameters
+    ----------
+    kernel, X, Y
+        As for ``fit_exact``.
     n_inducing : int
         Inducing inputs of each latent process; they start at the centres of k-means and are learned.
+    optimizer, max_iter, random_state, input_noise, spread, found
+        As for ``fit_exact``.
+
+    Returns
+    -------
+    Fit
+        The posterior, its hyperparameters, and how the search went.
 
     Raises
     ------

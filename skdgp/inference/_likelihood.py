@@ -117,9 +117,28 @@ def all_coupled(kernel) -> bool:
 def log_likelihood(kernel, noise, data: Data, eval_gradient=False, workspace=None):
     """Return the log marginal likelihood (equation 20) and its gradient with respect to [theta, log noise].
 
-    With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), contracted tile by tile. Memory: one
-    N x N matrix, which is covariance, factor and inverse in turn; who evaluates often gives it as ``workspace``, in C
-    order, and saves the time to ask for it.
+    With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), contracted tile by tile.
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+        With values.
+    noise : ndarray (P,)
+        Variance of each output's noise.
+    data : Data
+        Observed values of each output.
+    eval_gradient : bool
+        Whether to return the gradient, too.
+    workspace : ndarray (N, N), C order, or None
+        All the memory that is needed: covariance, factor and inverse in turn. Who evaluates often saves the time to ask
+        for it.
+
+    Returns
+    -------
+    value : float
+        The log marginal likelihood.
+    gradient : ndarray (n_theta + P,)
+        Only with ``eval_gradient``.
     """
     with threads_for(data.n_values):
         y = np.concatenate(data.y)

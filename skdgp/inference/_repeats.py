@@ -23,6 +23,11 @@ def autocorrelation_time(residuals) -> float:
     residuals : ndarray (n,)
         In the order in which they were recorded. Shuffled ones repeat nothing: 1, but for chance.
 
+    Returns
+    -------
+    float
+        tau, in samples.
+
     Examples
     --------
     >>> import numpy as np

@@ -166,11 +166,13 @@ class CoefficientDisplay:
             Measured outputs; NaN = not observed.
         time : (n,), optional
             Default: the column ``time`` of ``X``.
+        truth : (n, P), optional
+            See the class.
         include_noise : bool, default=False
             Whether the band is that of a new measurement (the estimator must know the word), or of the
             noise-free output.
-        truth, ax, **plot_options
-            See the class and :meth:`plot`.
+        ax, **plot_options
+            See :meth:`plot`.
 
         Returns
         -------

@@ -38,14 +38,14 @@ class DerivativeDisplay:
         Airspeed [m/s] or angle [rad] of the points, rising.
     values : (n, k)
         The derivatives.
+    names : k names
+        ``CL_alpha``, ``Cm_q``, ...
+    over : {"airspeed", "alpha", "beta"}
+        What ``at`` is.
     std : (n, k), optional
         Their standard deviations.
     truth : (n, k), optional
         Known ones; NaN where there is none.
-    over : {"airspeed", "alpha", "beta"}
-        What ``at`` is.
-    names : k names
-        ``CL_alpha``, ``Cm_q``, ...
 
     Attributes
     ----------

@@ -107,6 +107,11 @@ class EnvelopeDisplay:
         ----------
         outputs : names, optional
             Over which outputs, default all.
+
+        Returns
+        -------
+        ndarray (n_pairs, G, G)
+            At the points of each pair's grid.
         """
         chosen = choose(self.output_names, outputs)
         return np.sqrt((self.variance[..., chosen] / self.flown_variance[chosen]).mean(axis=-1))
@@ -177,9 +182,13 @@ class EnvelopeDisplay:
 
         Parameters
         ----------
-        estimator, X, flight, pairs, n_grid
+        estimator, X
             See :meth:`compute`.
-        ax, **plot_options
+        ax : Figure, optional
+            See :meth:`plot`, as for ``**plot_options``.
+        flight, pairs, n_grid
+            See :meth:`compute`.
+        **plot_options
             See :meth:`plot`.
 
         Returns

@@ -151,12 +151,14 @@ class FlightLearningCurveDisplay:
         ----------
         estimator : estimator or Pipeline
             It is cloned and fitted for every point of the curve.
-        table, Y, seconds, **options
+        table, Y, seconds
             See :func:`skdgp.model_selection.flight_learning_curve`.
         score : str, default="normalized_rmse"
             Which score to draw.
         ax, outputs, legend
             See :meth:`plot`.
+        **options
+            See :func:`skdgp.model_selection.flight_learning_curve`.
 
         Returns
         -------

@@ -1,0 +1,78 @@
+"""Docstrings are what numpydoc expects, of every public name and its public methods."""
+
+import importlib
+import inspect
+import pkgutil
+
+import pytest
+
+import skdgp
+
+validate = pytest.importorskip(
+    "numpydoc.validate", reason='reads docstrings with numpydoc: pip install -e ".[docs]"'
+).validate
+
+MODULES = ["skdgp"] + [
+    module.name
+    for module in pkgutil.walk_packages(skdgp.__path__, "skdgp.")
+    if not any(part.startswith("_") for part in module.name.split("."))
+]
+NOT_ASKED = {
+    "GL08",  # a docstring: a method may inherit one, which is asked for below
+    "SA01",  # See Also
+    "ES01",  # more than a line
+    "EX01",  # an example of every method
+    "PR04",  # a type, where a parameter is said to be as elsewhere
+    "PR07",  # words for a parameter, where its type says it
+    "RT02",  # a single return value without a name
+    "RT03",  # words for what is returned, where its type says it
+    "PR08",  # descriptions begin with a capital letter, or with a symbol
+    "RT04",
+    "YD01",  # what a context manager yields, where it is nothing
+}
+OF_SECTIONS = {"PR01", "RT01"}  # one line may say it all, arguments and what is returned included
+MOST_IN_A_LINE = 3  # parameters of such a function
+
+
+def of(cls):
+    """Names of the public methods and properties that a class has of its own."""
+    for name, value in vars(cls).items():
+        function = getattr(value, "__func__", value)
+        if not name.startswith("_") and (inspect.isfunction(function) or isinstance(value, property)):
+            yield name
+
+
+def public_things():
+    """Each public function, class and method, by name."""
+    for module in map(importlib.import_module, MODULES):
+        for name in module.__all__:
+            thing = getattr(module, name)
+            if inspect.isfunction(thing) or inspect.isclass(thing):
+                yield f"{module.__name__}.{name}", thing
+            if inspect.isclass(thing):
+                yield from ((f"{module.__name__}.{name}.{own}", getattr(thing, own)) for own in of(thing))
+
+
+THINGS = dict(public_things())
+
+
+def test_functions_classes_methods_and_properties_are_found():
+    assert len(THINGS) > 300
+    assert {
+        "skdgp.DependentGPRegressor.fit",
+        "skdgp.dynamics.simulate",
+        "skdgp.dynamics.Aircraft.from_json",
+        "skdgp.kernels.ConvolvedGaussian.mu",
+    } <= set(THINGS)
+
+
+@pytest.mark.parametrize("name", THINGS)
+def test_docstring_is_numpydocs(name):
+    assert inspect.getdoc(THINGS[name])
+    found = validate(name)
+    wrong = {code: text for code, text in found["errors"] if code not in NOT_ASKED}
+    if "\nParameters\n" not in found["docstring"]:
+        wrong = {code: text for code, text in wrong.items() if code not in OF_SECTIONS}
+        if inspect.isfunction(THINGS[name]) and name.rpartition(".")[0] in MODULES:
+            assert len(inspect.signature(THINGS[name]).parameters) <= MOST_IN_A_LINE
+    assert wrong == {}

@@ -82,9 +82,9 @@ def stability_derivatives(
 
     Notes
     -----
-    A model without alpha_dot and beta_dot merges them with the rates, as flights near trim hardly tell them apart:
-    its Cm_q is nearly Cm_q + Cm_alpha_dot, its Cn_r nearly Cn_r - Cn_beta_dot cos(alpha), its Cn_p nearly Cn_p +
-    Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1).
+    A model without alpha_dot and beta_dot gives the rates what these do, as far as they went together in the flights:
+    its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot, its Cn_r between Cn_r and Cn_r - Cn_beta_dot cos(alpha), its
+    Cn_p between Cn_p and Cn_p + Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1; docs/control.md).
 
     Examples
     --------

@@ -19,7 +19,8 @@ from skdgp.report._packing import pack, thinned
 TICK = 1e-4
 """Resolution of time [s]."""
 _HERE = files("skdgp.report")
-SCRIPT = "\n".join(_HERE.joinpath(name).read_text(encoding="utf-8") for name in ("samples.js", "chart.js"))
+_SCRIPTS = ("samples.js", "chart.js", "page.js")
+SCRIPT = "\n".join(_HERE.joinpath(name).read_text(encoding="utf-8") for name in _SCRIPTS)
 STYLE = _HERE.joinpath("chart.css").read_text(encoding="utf-8")
 _DIGEST = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
 POLICY = f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{_DIGEST}'"

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
+from skdgp._cli._task import Task
 from skdgp._files import write_atomically
 from skdgp.io import inspect_log, servo_template
 
 
-def inspect(options) -> str:
-    """Return what a log holds, as text or JSON; write a template of its servo file where one is asked for.
+def inspect(task: Task) -> None:
+    """Print what a log holds; write a template of its servo file where one is asked for.
 
     Raises
     ------
     ValueError, OSError
         If the log or the servo file cannot be read, or the template would replace a file.
     """
+    options = task.options
+    task.console.stage("reading")
     summary = inspect_log(options.log, servos=options.servos)
     if options.servo_template is not None:
         _write_template(Path(options.servo_template), servo_template(options.log))
-    return json.dumps(summary.to_dict(), indent=2, allow_nan=False) if options.json else str(summary)
+    task.say(str(summary), summary.to_dict())
 
 
 def _write_template(path, text):

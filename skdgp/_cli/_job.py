@@ -7,14 +7,16 @@ import warnings
 from importlib.util import find_spec
 
 import pandas as pd
+from sklearn.pipeline import Pipeline
 
-from skdgp._cli._console import Console
-from skdgp._cli._evaluation import Loads, evaluate
-from skdgp._cli._folder import OutputFolder
-from skdgp._cli._outputs import Outcome, writers
+from skdgp._checkpoint import checkpointing
+from skdgp._cli._evaluation import Evaluation, Loads, evaluate
+from skdgp._cli._outcome import Outcome, by_coefficient, fit_facts, thrusts
+from skdgp._cli._outputs import metrics_of, writers
 from skdgp._cli._rows import check_known, check_same_columns, checked, complete_rows, warn_of_short
-from skdgp._cli._source import Source
+from skdgp._cli._source import Source, example_source, file_source
 from skdgp._cli._summary import summary
+from skdgp._cli._task import Task
 from skdgp._faults import TOLD, FlightDataWarning
 from skdgp._progress import listening
 from skdgp._regressor import DependentGPRegressor
@@ -22,19 +24,31 @@ from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import calibrate_noise, make_identification_pipeline
 from skdgp.model_selection import thin_targets
 
+CHECKPOINT = "checkpoint"  # in the folder of the outputs, while these are made
 SAMPLES = 755
 
 
-def run(source: Source, options, folder: OutputFolder, console: Console, *, command: str) -> None:
+def identify(task: Task) -> None:
+    """Learn a model from the flights that the options name."""
+    task.console.stage("reading")
+    run(file_source(task.options), task)
+
+
+def demo(task: Task) -> None:
+    """Learn a model from the example flights."""
+    task.console.stage("flying the example flights")
+    run(example_source(), task)
+
+
+def run(source: Source, task: Task) -> None:
     """Fit the model, try it on the test flights, write the outputs and print a summary."""
+    options = task.options
     if source.held_out:
         warnings.warn(
             f"No test flight was named: {source.held_out}, is held out of the fit and tested on.",
             UserWarning,
             stacklevel=2,
         )
-    if find_spec("matplotlib") is None:
-        warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', UserWarning, stacklevel=2)
     loads = Loads(None if options.thrust == "none" else options.thrust, list(options.external_forces))
     train, test = checked(source.train), checked(source.test)
     warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
@@ -42,32 +56,47 @@ def run(source: Source, options, folder: OutputFolder, console: Console, *, comm
     test = {name: complete_rows(table, options.regressors) for name, table in test.items()}
     check_same_columns(train, test, options.regressors)
     warn_of_short(train, options.regressors)
-    learned = _learn(source.aircraft, train, loads, options, console)
-    evaluations = []
-    for name, table in test.items():
-        console.stage(f"trying the model on {name}")
-        evaluations.append(
-            evaluate(learned["pipeline"], source.aircraft, name, table, loads=loads, horizons=options.horizons)
+    with checkpointing(task.folder.path / CHECKPOINT):
+        pipeline, fit = _learn(source.aircraft, train, loads, task)
+        outcome = Outcome(
+            title=source.title,
+            command=task.command,
+            aircraft=source.aircraft,
+            pipeline=pipeline,
+            loads=loads,
+            settings=_settings(options, pipeline, loads, fit),
+            fit=fit,
+            train=train,
+            evaluations=try_on(test, pipeline, source.aircraft, loads, task),
+            messages=task.console.messages,
+            held_out=source.held_out,
         )
-    outcome = Outcome(
-        source=source,
-        options=options,
-        command=command,
-        loads=loads,
-        train=train,
-        evaluations=evaluations,
-        interrupted=console.interrupts > 0,
-        messages=console.messages,
-        **learned,
-    )
-    console.stage("writing")
-    folder.write(writers(outcome))
-    console.close()
-    print(summary(outcome, folder.path))
+        finish(outcome, task)
 
 
-def _learn(aircraft, train, loads, options, console) -> dict:
+def try_on(flights, pipeline, aircraft, loads: Loads, task: Task) -> list[Evaluation]:
+    """Compare a model with flights, and fly it."""
+    evaluations = []
+    for name, table in flights.items():
+        task.console.stage(f"trying the model on {name}")
+        evaluations.append(evaluate(pipeline, aircraft, name, table, loads=loads, horizons=task.options.horizons))
+    return evaluations
+
+
+def finish(outcome: Outcome, task: Task) -> None:
+    """Write the outputs, where a folder is named, and print a summary."""
+    if task.folder is not None:
+        task.console.stage("report")
+        if find_spec("matplotlib") is None:
+            warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', UserWarning, stacklevel=2)
+    metrics = metrics_of(outcome)
+    files = {} if task.folder is None else task.write(writers(outcome, metrics))
+    task.say(summary(outcome, files), metrics)
+
+
+def _learn(aircraft, train, loads, task) -> tuple[Pipeline, dict]:
     """Return the fitted and calibrated pipeline, and how it came about."""
+    options, console = task.options, task.console
     console.stage("coefficients")
     table = pd.concat(train.values(), ignore_index=True)
     Y = aerodynamic_coefficients(table, aircraft, **loads.keywords())
@@ -82,13 +111,33 @@ def _learn(aircraft, train, loads, options, console) -> dict:
     )
     seconds = _fit(pipeline, table, targets, console)
     console.stage("calibration")
+    widened = calibrate_noise(pipeline, table, Y.mask(targets.notna()))
+    fit = {
+        "samples": int(targets.notna().any(axis=1).sum()),
+        "samples_available": int(Y.notna().any(axis=1).sum()),
+        "values": int(targets.notna().sum().sum()),
+        "thrust": thrusts(loads, train.values()),
+        **fit_facts(pipeline),
+        "noise_widened": by_coefficient(widened),
+        "seconds": round(seconds, 3),
+        "interrupted": console.interrupts > 0,
+        "flights": {name: len(part) for name, part in train.items()},
+    }
+    return pipeline, fit
+
+
+def _settings(options, pipeline, loads, fit) -> dict:
+    """Return what was asked for, and what was chosen where nothing was."""
+    chosen, regressor = vars(options), pipeline[-1]
+    names = ("inference", "regressors", "reconstruction", "input_noise", "trend", "seed", "restarts", "horizons")
     return {
-        "pipeline": pipeline,
-        "widened": calibrate_noise(pipeline, table, Y.mask(targets.notna())),
-        "n_samples": int(targets.notna().any(axis=1).sum()),
-        "n_available": int(Y.notna().any(axis=1).sum()),
-        "n_values": int(targets.notna().sum().sum()),
-        "seconds": seconds,
+        "samples": fit["samples"],
+        "thrust": loads.thrust,
+        "external_forces": loads.external_forces,
+        **{name: chosen[name] for name in names},
+        "inducing": regressor.n_inducing,
+        "latents": regressor.n_latent_,
+        "max_iter": regressor.max_iter,
     }
 
 

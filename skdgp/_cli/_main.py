@@ -7,17 +7,29 @@ import shlex
 import sys
 import traceback
 from contextlib import nullcontext
+from pathlib import Path
 
-from skdgp._checkpoint import checkpointing
 from skdgp._cli._console import Console
+from skdgp._cli._derivatives import derivatives
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._inspect import inspect
-from skdgp._cli._job import run
+from skdgp._cli._job import CHECKPOINT, demo, identify
 from skdgp._cli._parser import build_parser
-from skdgp._cli._source import example_source, file_source
+from skdgp._cli._predict import predict
+from skdgp._cli._simulate import fly
+from skdgp._cli._task import Task
+from skdgp._cli._validate import validate
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
-CHECKPOINT = "checkpoint"  # in the folder of the outputs, while these are made
+COMMANDS = {
+    "demo": demo,
+    "inspect": inspect,
+    "identify": identify,
+    "validate": validate,
+    "predict": predict,
+    "simulate": fly,
+    "derivatives": derivatives,
+}
 OPTIONS = {
     "thrust=None": "--thrust none",
     "thin_targets(": "--samples 755",
@@ -29,21 +41,13 @@ OPTIONS = {
 def main(argv=None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    options = build_parser().parse_args(argv)
-    console = Console()
-    folder = OutputFolder(options.output) if "output" in options else nullcontext()
+    folder = None
     try:
-        with console, folder:
-            if options.command == "inspect":
-                console.stage("reading")
-                said = inspect(options)
-                console.close()
-                print(said)
-                return DONE
-            console.stage("flying the example flights" if options.command == "demo" else "reading")
-            source = example_source() if options.command == "demo" else file_source(options)
-            with checkpointing(folder.path / CHECKPOINT):
-                run(source, options, folder, console, command=shlex.join(["python", "-m", "skdgp", *argv]))
+        with Console() as console:
+            options = build_parser().parse_args(argv)
+            folder = _folder(options)
+            with folder or nullcontext():
+                COMMANDS[options.command](Task(options, console, folder, shlex.join(["python", "-m", "skdgp", *argv])))
     except KeyboardInterrupt:
         print(_stopped(folder), file=sys.stderr)
         return INTERRUPTED
@@ -51,16 +55,24 @@ def main(argv=None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
-        if options.traceback:
+        if "--traceback" in argv:
             traceback.print_exc()
         print(f"error: {_words(error)}", file=sys.stderr)
         return FAILED
     return DONE
 
 
+def _folder(options) -> OutputFolder | None:
+    """Return the folder that the command writes to: the one of its table, where it writes a single one."""
+    output = getattr(options, "output", None)
+    if output is None:
+        return None
+    return OutputFolder(Path(output).parent if options.command == "predict" else output)
+
+
 def _stopped(folder) -> str:
     """Return what is said at the end by Ctrl-C."""
-    if getattr(folder, "written", True):
+    if folder is None or folder.written:
         return "stopped"
     words = "stopped: no output was written"
     return f"{words}; run again, the fit goes on where it was" if (folder.path / CHECKPOINT).exists() else words

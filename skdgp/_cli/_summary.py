@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from skdgp._cli._evaluation import Evaluation, grouped, scores
-from skdgp._cli._outputs import Outcome
+from skdgp._cli._outcome import Outcome
 from skdgp.plotting._style import display_unit
 
 SHOWN_STATES = ("v_east", "p", "r")
-FILES = (("report", "report.html"), ("numbers", "metrics.json"), ("model", "model.joblib"))
+WORDS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model", "config.toml": "options"}
 MARGIN, WIDTH = 16, 11
 
 
-def summary(outcome: Outcome, folder: Path) -> str:
-    """Return the summary as text: a table for all test flights together, and a line or a table for each."""
+def summary(outcome: Outcome, files: dict[str, Path]) -> str:
+    """Return the summary as text: a table for all test flights together, a line or a table for each, the files."""
     tested = outcome.evaluations
     lines = [_fit_line(outcome)]
     if len(tested) == 1:
@@ -26,16 +26,17 @@ def summary(outcome: Outcome, folder: Path) -> str:
         lines += ["", f"{len(tested)} test flights together", *_score_table(tested), ""]
         for evaluation in tested:
             lines += [f"flight {evaluation.name}", _row("all", _means([evaluation], "all")), *_states(evaluation)]
-    lines += ["", *(f"{words:<9}{folder / name}" for words, name in FILES)]
-    return "\n".join(lines)
+    lines += ["", *(f"{WORDS[name]:<9}{path}" for name, path in files.items())]
+    return "\n".join(lines).rstrip()
 
 
 def _fit_line(outcome) -> str:
-    state = "interrupted" if outcome.interrupted else "fitted"
-    return (
-        f"{outcome.source.aircraft.name}: {state} in {outcome.seconds:.1f} s on {outcome.n_samples} of "
-        f"{outcome.n_available} samples, log likelihood {outcome.regressor.log_marginal_likelihood_value_:.1f}"
-    )
+    fit = outcome.fit
+    end = f"log likelihood {fit['log_marginal_likelihood']:.1f}"
+    if "seconds" not in fit:
+        return f"{outcome.aircraft.name}: {end}"
+    on = f"{fit['seconds']:.1f} s on {fit['samples']} of {fit['samples_available']} samples"
+    return f"{outcome.aircraft.name}: {'interrupted' if fit['interrupted'] else 'fitted'} in {on}, {end}"
 
 
 def _score_table(evaluations: Sequence[Evaluation]) -> list[str]:

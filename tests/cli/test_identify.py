@@ -19,12 +19,10 @@ import pandas as pd
 import pytest
 
 from skdgp import checkpointing
-from skdgp._cli import _evaluation, _job, _main, _outputs, main
+from skdgp._cli import _evaluation, _job, _outputs, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._folder import OutputFolder
-from skdgp._cli._parser import build_parser
 from skdgp._vocabulary import COEFFICIENTS
-from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import load_model, predict_flight
 from skdgp.metrics import interval_coverage, median_relative_error
@@ -32,44 +30,11 @@ from skdgp.metrics import interval_coverage, median_relative_error
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
-PAGE = Path(__file__).parents[1] / "docs" / "identification.md"
-OUTPUTS = {"model.joblib", "metrics.json", "report.html"}
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
+OUTPUTS = {"model.joblib", "metrics.json", "report.html", "config.toml"}
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1"]
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-@pytest.fixture(scope="session")
-def folder(tmp_path_factory):
-    """Return a folder of short flights and their aircraft, as an engineer would have them."""
-    folder = tmp_path_factory.mktemp("flights")
-    data = load_example_flights()
-    data.aircraft.to_json(folder / "uav.json")
-    measured = [name for name in data.train if not name.endswith("_true")]
-    for name, table in data.train.groupby("flight", observed=True):
-        table[measured].iloc[1000:1700].to_csv(folder / f"{name}.csv", index=False)
-    data.test.iloc[900:1400].to_csv(folder / "test.csv", index=False)
-    return folder
-
-
-@pytest.fixture(autouse=True)
-def in_folder(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-
-
-@pytest.fixture(scope="session")
-def identified(folder, tmp_path_factory):
-    """Return what a whole run in a process of its own wrote and said."""
-    output = tmp_path_factory.mktemp("results") / "deep" / "er"
-    arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
-    done = process(*arguments, *QUICK, "--horizons", "1", "-o", output, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return output, done, json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail)
-
-
-def process(*arguments, cwd, **options):
-    command = [sys.executable, "-m", "skdgp", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False, **options)
 
 
 def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json"):
@@ -476,7 +441,7 @@ class TestKilled:
 
     @pytest.fixture(autouse=True)
     def _at_once(self, monkeypatch):
-        monkeypatch.setattr(_main, "checkpointing", partial(checkpointing, every=0.0))
+        monkeypatch.setattr(_job, "checkpointing", partial(checkpointing, every=0.0))
 
     def identify(self, monkeypatch, output, die_at=None):
         """Return how many evaluations it took; or be killed at one of them."""
@@ -632,18 +597,6 @@ def wait_for(stream, text):
             return
         time.sleep(0.05)
     pytest.fail(f"{text!r} was never shown")
-
-
-def test_help_teaches_every_option(capsys):
-    for command in ("identify", "demo"):
-        with pytest.raises(SystemExit) as end:
-            main([command, "--help"])
-        assert end.value.code == 0
-        words = capsys.readouterr().out
-        parser = next(action for action in build_parser()._actions if action.dest == "command").choices[command]
-        for action in parser._actions:
-            assert action.help, action.dest
-            assert all(option in words for option in action.option_strings)
 
 
 def test_demo_is_honest(tmp_path, capsys):

@@ -1,0 +1,123 @@
+"""What the command ``derivatives`` does: trims, stability derivatives and modes over airspeed, with deviations."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pandas as pd
+
+from skdgp._cli._model import engine_of, read_model
+from skdgp._cli._task import Task
+from skdgp._cli._writers import Writer, json_writer, picture_writers, table_writer
+from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
+from skdgp.plotting import DerivativeDisplay
+
+DEGREE = np.pi / 180
+COLUMN = 11
+
+
+def derivatives(task: Task) -> None:
+    """Print trims, derivatives and modes, and write them where a folder is named."""
+    options = task.options
+    task.console.stage("reading")
+    model = read_model(options)
+    engine = engine_of(model)
+    task.console.stage("trimming")
+    trims = trim(
+        model.pipeline,
+        model.aircraft,
+        sorted(set(options.airspeed)),
+        altitude=options.altitude,
+        climb=None if engine is None else 0.0,
+        thrust=engine,
+    )
+    _warn_of_beyond(trims)
+    task.console.stage("derivatives")
+    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": engine}
+    table = stability_derivatives(model.pipeline, model.aircraft, trims, axes=options.axes, **spread)
+    task.console.stage("modes")
+    modes = [linearize(model.pipeline, model.aircraft, point, **spread).modes() for point in trims]
+    numbers = {
+        "model": options.model,
+        "axes": options.axes,
+        "altitude": options.altitude,
+        "points": [_point(one, table.loc[point], modes[point]) for point, one in enumerate(trims)],
+    }
+    if task.folder is not None:
+        task.write(_writers(trims, table, modes, numbers))
+    blocks = [_text(one, table.loc[point], modes[point]) for point, one in enumerate(trims)]
+    where = [] if task.folder is None else [f"tables and pictures are in {task.folder.path}"]
+    task.say("\n\n".join([*blocks, *where]), numbers)
+
+
+def _warn_of_beyond(trims: list[Trim]) -> None:
+    for one in trims:
+        if one.beyond:
+            names = [f"{name} {value:.3g} ({low:.3g} to {high:.3g})" for name, (value, low, high) in one.beyond.items()]
+            warnings.warn(
+                f"The trim at {one.airspeed:g} m/s is beyond what the model was learned from: {', '.join(names)}.",
+                UserWarning,
+                stacklevel=2,
+            )
+
+
+def _point(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
+    """Return the numbers of one airspeed."""
+    numbers = ["value", "std", "lower", "upper"]
+    return {
+        **{name: getattr(one, name) for name in ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")},
+        "beyond": {name: list(values) for name, values in one.beyond.items()},
+        "derivatives": table[[name for name in numbers if name in table]].to_dict("index"),
+        "modes": _real(modes).to_dict("index"),
+    }
+
+
+def _real(modes: pd.DataFrame) -> pd.DataFrame:
+    """Return the modes with the two parts of their eigenvalues."""
+    parts = {"real": np.real(modes["eigenvalue"]), "imaginary": np.imag(modes["eigenvalue"])}
+    return modes.drop(columns="eigenvalue").assign(**parts)
+
+
+def _writers(trims, table, modes, numbers) -> dict[str, Writer]:
+    named = pd.concat([_real(one) for one in modes], keys=[one.airspeed for one in trims], names=["airspeed", "mode"])
+    files = {
+        "derivatives.csv": table_writer(table.reset_index(names=["point", "derivative"]), ".csv"),
+        "modes.csv": table_writer(named.reset_index(), ".csv"),
+        "trims.csv": table_writer(pd.concat([one.to_frame() for one in trims]), ".csv"),
+        "derivatives.json": json_writer(numbers),
+    }
+    return files | (picture_writers("derivatives.png", DerivativeDisplay.from_sweep, table) if len(trims) > 1 else {})
+
+
+def _text(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
+    controls = ", ".join(f"{name} {value:.4g}" for name, value in one.controls.items())
+    head = f"{one.airspeed:g} m/s: alpha {one.alpha / DEGREE:.3g} deg, {controls}"
+    return "\n".join([head, "", *_matrix(table), "", *_mode_rows(modes)])
+
+
+def _matrix(table: pd.DataFrame) -> list[str]:
+    """Return coefficients by regressors; under each value its standard deviation, where it is known."""
+    value = _by_regressor(table, "value")
+    std = _by_regressor(table, "std") if "std" in table else None
+    lines = [f"{'':4}" + "".join(f"{name or 'at trim':>{COLUMN}}" for name in value)]
+    for name, row in value.iterrows():
+        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in row))
+        if std is not None:
+            lines.append(f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in std.loc[name]))
+    return lines
+
+
+def _by_regressor(table, column) -> pd.DataFrame:
+    wide = table.pivot(index="coefficient", columns="regressor", values=column)
+    return wide.loc[table["coefficient"].unique(), table["regressor"].unique()]
+
+
+def _mode_rows(modes: pd.DataFrame) -> list[str]:
+    lines = [f"{'':16}{'frequency':>18}{'damping':>18}{'time constant':>15}"]
+    for name, row in _real(modes).iterrows():
+        frequency, damping = f"{row['frequency']:.3g}", f"{row['damping']:.2f}"
+        if "frequency_std" in modes:
+            frequency, damping = f"{frequency} +- {row['frequency_std']:.2g}", f"{damping} +- {row['damping_std']:.2f}"
+        lines.append(f"{name:16}{frequency + ' rad/s':>18}{damping:>18}{row['time_constant']:>13.3g} s")
+    return lines

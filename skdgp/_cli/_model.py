@@ -1,0 +1,67 @@
+"""Models that exist, and flights as they are given to them."""
+
+from __future__ import annotations
+
+import warnings
+
+import pandas as pd
+from sklearn.utils import Bunch
+
+from skdgp._cli._evaluation import Loads
+from skdgp._cli._rows import checked, complete_rows
+from skdgp._cli._source import read_aircraft, read_named
+from skdgp._faults import TOLD, FlightDataWarning
+from skdgp._regressor import DependentGPRegressor
+from skdgp.identification import load_model
+
+
+def read_model(options) -> Bunch:
+    """Read the model that the options name, with its own aircraft or the one that they name.
+
+    Raises
+    ------
+    ValueError, OSError
+        What the reader raises; or if it is not what identification makes.
+    """
+    model = load_model(options.model)
+    steps = getattr(model.pipeline, "named_steps", {})
+    if "regressorselector" not in steps or not isinstance(model.pipeline[-1], DependentGPRegressor):
+        raise ValueError(
+            f"Got {options.model}, a model of {list(steps) or type(model.pipeline).__name__}, but expected what "
+            "make_identification_pipeline makes: its regressors must be known, and how sure it is."
+        )
+    if getattr(options, "aircraft", None) is not None:
+        model.aircraft = read_aircraft(options.aircraft)
+    return model
+
+
+def loads_of(model: Bunch, options) -> Loads:
+    """Return the loads as the options say, or else as they were when the model was learned."""
+    learned = model.get("options", {})
+    thrust = learned.get("thrust", "auto") if options.thrust is None else options.thrust
+    external = options.external_forces
+    return Loads(
+        None if thrust == "none" else thrust,
+        list(learned.get("external_forces", []) if external is None else external),
+    )
+
+
+def engine_of(model) -> str | None:
+    """Return what tells the thrust of a simulation, "auto" or None; warn of known loads that are not flown."""
+    learned = model.get("options", {})
+    if learned.get("external_forces"):
+        warnings.warn(
+            f"The simulation flies without the external forces {learned['external_forces']} of the flights that the "
+            "model was learned from.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return None if learned.get("thrust", "auto") in (None, "none") else "auto"
+
+
+def read_flights(paths, model: Bunch, servos=None) -> dict[str, pd.DataFrame]:
+    """Read flights, and leave out, with a warning, the rows that the model cannot say anything of."""
+    flights = checked(read_named(paths, servos))
+    warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
+    regressors = model.pipeline["regressorselector"].regressors
+    return {name: complete_rows(table, regressors) for name, table in flights.items()}

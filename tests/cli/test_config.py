@@ -1,0 +1,173 @@
+"""Configurations: what they hold repeats a run, words win over them, and what is wrong with one is told in a line."""
+
+import json
+import re
+import shlex
+import tomllib
+from argparse import Namespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp._cli import _outputs, main
+from skdgp._cli._config import config_text
+from skdgp._cli._parser import build_parser
+from skdgp._cli._values import FileName
+
+
+def parse(*words):
+    return vars(build_parser().parse_args([str(word) for word in words]))
+
+
+@pytest.fixture
+def config(tmp_path):
+    def write(text):
+        path = tmp_path / "config.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+class TestRepeat:
+    @pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+    def test_of_identify(self, identified, tmp_path, monkeypatch):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.chdir(tmp_path)  # files are found from anywhere
+        output, _, metrics = identified
+        assert main(["identify", "--config", str(output / "config.toml"), "-o", "again"]) == 0
+        again = json.loads((tmp_path / "again" / "metrics.json").read_text())
+        assert again["test"] == metrics["test"]
+        assert again["options"] == metrics["options"]
+        first, second = ((folder / "config.toml").read_text() for folder in (output, tmp_path / "again"))
+        assert first == second
+
+    @pytest.mark.parametrize(
+        ("command", "words", "table"),
+        [
+            ("predict", ["test.csv", "--include-noise", "-o", "{}/out.csv"], "out.csv"),
+            ("simulate", ["--trim", "35", "--bank", ".2", "--duration", ".5", "--paths", "3", "-o", "{}"], "bands.csv"),
+            ("simulate", ["--flight", "test.csv", "--at", "25", "--duration", ".2", "--wind", "-3", "1", "0"]
+             + ["--paths", "2", "-o", "{}"], "bands.csv"),
+            ("derivatives", ["--airspeed", "34", "36", "--paths", "5", "-o", "{}"], "derivatives.csv"),
+        ],
+    )  # fmt: skip
+    def test_of_what_uses_a_model(self, command, words, table, identified, tmp_path, capsys):
+        first, second = tmp_path / "first", tmp_path / "second"
+        assert main([command, str(identified[0] / "model.joblib"), *(word.format(first) for word in words)]) == 0
+        kept = next(first.glob("*.toml"))
+        output = second / words[-1].format("").lstrip("/")
+        assert main([command, "--config", str(kept), "-o", str(output)]) == 0
+        assert (second / table).read_bytes() == (first / table).read_bytes()
+        assert (second / kept.name).read_text() == kept.read_text()
+        capsys.readouterr()
+
+    def test_every_value_comes_back(self):
+        values = {"text": 'a "b" \\ é \n\x7f', "number": 0.1 + 0.2, "whole": 755, "yes": True, "several": [1.5, 2.0]}
+        options = Namespace(command="simulate", traceback=True, nothing=None, output="out", **values)
+        kept = tomllib.loads(config_text(options))
+        assert kept.pop("command") == "simulate"
+        assert "skdgp" in kept.pop("versions")
+        assert kept == values
+
+    def test_files_are_kept_by_their_whole_path(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        kept = tomllib.loads(config_text(Namespace(command="identify", train=[FileName("a.csv")])))
+        assert kept["train"] == [str(tmp_path / "a.csv")]
+
+
+class TestReading:
+    def test_takes_the_place_of_words(self, config):
+        path = config('train = ["a.csv", "b.csv"]\naircraft = "u.json"\nmax_iter = 7\nregressors = ["alpha", "q_hat"]\n')
+        found = parse("identify", "--config", path, "-o", "out")
+        assert found["train"] == ["a.csv", "b.csv"]
+        assert found["aircraft"] == "u.json"
+        assert found["max_iter"] == 7
+        assert found["regressors"] == ["alpha", "q_hat"]
+        assert found["seed"] == 0
+
+    def test_words_win(self, config):
+        path = config('model = "m.joblib"\nflight = ["a.csv"]\ninclude-noise = true\noutput = "out.csv"\n')
+        assert parse("predict", "--config", path)["flight"] == ["a.csv"]
+        assert parse("predict", f"--config={path}")["output"] == "out.csv"
+        found = parse("predict", "other.joblib", "--config", path, "b.csv", "-o", "b.csv", "c.csv")
+        assert found["model"] == "other.joblib"
+        assert found["flight"] == ["b.csv", "c.csv"]
+        assert found["output"] == "b.csv"
+        assert found["include_noise"] is True
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("sampels = 40", "unknown option 'sampels' in .*config.toml: did you mean 'samples'"),
+            ("weather = 1", "unknown option 'weather' in .*: known options are .*horizons"),
+            ("samples = 1", "samples = 1 in .*: got 1, but expected 2 or more, or all"),
+            ("inference = 'magic'", "inference = \"magic\" in .*invalid choice"),
+            ("seed = true", "seed = true in .*: expected text or numbers"),
+            ("json = 1", "json = 1 in .*: expected true or false"),
+            ("horizons = [[1]]", "horizons = .*: expected text or numbers"),
+            ("samples = ", "config.toml is not a TOML file"),
+            ("command = 'predict'", "of the command predict, but the command is demo: say predict"),
+        ],
+    )
+    def test_what_is_wrong_is_told_in_one_line(self, config, text, message, tmp_path, capsys):
+        assert main(["demo", "--config", str(config(text)), "-o", str(tmp_path / "out")]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("error: ")
+        assert re.search(message, line)
+        assert not (tmp_path / "out").exists()
+
+    def test_three_numbers_are_three(self, config, capsys):
+        assert main(["simulate", "--config", str(config("wind = [1, 2]")), "m.joblib", "-o", "out"]) == 1
+        assert "expected 3 values" in capsys.readouterr().err
+
+    def test_there_is_no_such_file(self, capsys):
+        assert main(["demo", "--config", "none.toml"]) == 1
+        assert "Got none.toml as the configuration, but there is no such file" in capsys.readouterr().err
+
+    def test_other_versions_are_remarked_on(self, config, capsys):
+        path = config('model = "none.joblib"\nflight = ["a.csv"]\n\n[versions]\nnumpy = "1.0"\n')
+        assert main(["predict", "--config", str(path), "-o", "out.csv"]) == 1
+        said = capsys.readouterr().err
+        assert "is of a run with numpy 1.0, and this is" in said
+        assert "Got none.joblib, but there is no such file" in said
+
+    def test_what_is_still_missing_is_wrong_usage(self, config, capsys):
+        with pytest.raises(SystemExit) as end:
+            main(["identify", "--config", str(config("samples = 40")), "a.csv", "-o", "out"])
+        assert end.value.code == 2
+        assert "--aircraft" in capsys.readouterr().err
+
+
+class TestHelp:
+    commands = next(action.choices for action in build_parser()._actions if action.dest == "command")
+
+    @pytest.mark.parametrize("command", commands)
+    def test_teaches_every_option(self, command, capsys):
+        with pytest.raises(SystemExit) as end:
+            main([command, "--help"])
+        assert end.value.code == 0
+        words = capsys.readouterr().out
+        for action in self.commands[command]._actions:
+            assert action.help, action.dest
+            assert all(option in words for option in action.option_strings)
+
+    @pytest.mark.parametrize("command", [None, *commands])
+    def test_its_examples_are_right(self, command):
+        text = build_parser().format_help() if command is None else self.commands[command].format_help()
+        examples = [line.strip() for line in text.splitlines() if line.startswith("  python -m skdgp")]
+        assert examples
+        for example in examples:
+            found = parse(*shlex.split(re.split(r"\s{2,}", example)[0])[3:])
+            assert command in (None, found["command"])
+
+
+def test_tables_of_a_repeat_have_every_digit(tmp_path):
+    from skdgp._cli._writers import table_writer
+
+    table = pd.DataFrame({"time": np.arange(3) * 0.1, "CX": np.random.default_rng(0).normal(size=3), "ended": ""})
+    for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
+        table_writer(table, suffix)(tmp_path / f"table{suffix}")
+        found = read(tmp_path / f"table{suffix}")
+        np.testing.assert_array_equal(found[["time", "CX"]], table[["time", "CX"]])

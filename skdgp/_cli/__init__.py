@@ -1,4 +1,4 @@
-"""The command line: ``python -m skdgp identify``, ``inspect`` and ``demo``."""
+"""The command line, ``python -m skdgp COMMAND``: a command is a function of a `Task`."""
 
 from skdgp._cli._main import main
 

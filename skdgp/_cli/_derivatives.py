@@ -114,10 +114,10 @@ def _by_regressor(table, column) -> pd.DataFrame:
 
 
 def _mode_rows(modes: pd.DataFrame) -> list[str]:
-    lines = [f"{'':16}{'frequency':>18}{'damping':>18}{'time constant':>15}"]
+    lines = [f"{'':14}{'frequency':>25}{'damping':>15}{'time constant':>15}"]
     for name, row in _real(modes).iterrows():
         frequency, damping = f"{row['frequency']:.3g}", f"{row['damping']:.2f}"
         if "frequency_std" in modes:
             frequency, damping = f"{frequency} +- {row['frequency_std']:.2g}", f"{damping} +- {row['damping_std']:.2f}"
-        lines.append(f"{name:16}{frequency + ' rad/s':>18}{damping:>18}{row['time_constant']:>13.3g} s")
+        lines.append(f"{name:14}{frequency + ' rad/s':>25}{damping:>15}{row['time_constant']:>13.3g} s")
     return lines

@@ -8,7 +8,7 @@ import pandas as pd
 from sklearn.utils import Bunch
 
 from skdgp._cli._evaluation import Loads
-from skdgp._cli._rows import checked, complete_rows
+from skdgp._cli._rows import check_same_columns, checked, complete_rows
 from skdgp._cli._source import read_aircraft, read_named
 from skdgp._faults import TOLD, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
@@ -60,8 +60,16 @@ def engine_of(model) -> str | None:
 
 
 def read_flights(paths, model: Bunch, servos=None) -> dict[str, pd.DataFrame]:
-    """Read flights, and leave out, with a warning, the rows that the model cannot say anything of."""
+    """Read flights, and leave out, with a warning, the rows that the model cannot say anything of.
+
+    Raises
+    ------
+    ValueError, OSError
+        What the readers raise; or if a flight lacks a column of regressors that those learned from had.
+    """
     flights = checked(read_named(paths, servos))
     warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
     regressors = model.pipeline["regressorselector"].regressors
+    learned_from = pd.DataFrame(columns=model.pipeline[0].feature_names_in_)
+    check_same_columns({"learned from": learned_from}, flights, regressors)
     return {name: complete_rows(table, regressors) for name, table in flights.items()}

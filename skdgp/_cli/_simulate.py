@@ -14,7 +14,7 @@ from skdgp._cli._source import read_named
 from skdgp._cli._task import Task
 from skdgp._cli._writers import Writer, check_writable, json_writer, picture_writers, table_writer
 from skdgp._validation import check_columns
-from skdgp.dynamics import SimulationWarning, Trim, simulate, trajectory_bands, trim
+from skdgp.dynamics import SimulationWarning, simulate, trajectory_bands, trim
 from skdgp.dynamics._trajectory import REASONS
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
@@ -34,7 +34,7 @@ MEASUREMENTS = (FlightCheck, FlightPathReconstruction, FlightSmoother)
 class Start:
     """Where a simulation begins, what its controls are, and what is known of the air and of the flight as it was."""
 
-    state: dict | Trim
+    state: dict[str, float]
     controls: dict | pd.DataFrame
     wind: list[float] | pd.DataFrame | None
     duration: float
@@ -93,11 +93,13 @@ def _trimmed(options, model, engine) -> Start:
         bank=options.bank,
         thrust=engine,
     )
+    state = {name: getattr(found, name) for name in (*AIR, "phi", "theta", "altitude")}
+    state |= dict(zip(("p", "q", "r"), found.rates, strict=True))  # by the air, which the wind carries along
     if options.controls is None:
-        return Start(found, found.controls, options.wind, options.duration or DURATION)
+        return Start(state, found.controls, options.wind, options.duration or DURATION)
     table = read_flight(options.controls)
     held = {name: value for name, value in found.controls.items() if name not in table}
-    return Start(found, table.assign(**held), options.wind, _duration(options, table))
+    return Start(state, table.assign(**held), options.wind, _duration(options, table))
 
 
 def _logged(options, model) -> Start:

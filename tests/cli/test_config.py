@@ -48,8 +48,8 @@ class TestRepeat:
         [
             ("predict", ["test.csv", "--include-noise", "-o", "{}/out.csv"], "out.csv"),
             ("simulate", ["--trim", "35", "--bank", ".2", "--duration", ".5", "--paths", "3", "-o", "{}"], "bands.csv"),
-            ("simulate", ["--flight", "test.csv", "--at", "25", "--duration", ".2", "--wind", "-3", "1", "0"]
-             + ["--paths", "2", "-o", "{}"], "bands.csv"),
+            ("simulate", ["--flight", "test.csv", "--at", "25", "--duration", ".2", "-o", "{}"], "bands.csv"),
+            ("simulate", ["--trim", "35", "--wind", "-3", "1", "0", "--duration", ".2", "-o", "{}"], "trajectory.csv"),
             ("derivatives", ["--airspeed", "34", "36", "--paths", "5", "-o", "{}"], "derivatives.csv"),
         ],
     )  # fmt: skip
@@ -79,7 +79,9 @@ class TestRepeat:
 
 class TestReading:
     def test_takes_the_place_of_words(self, config):
-        path = config('train = ["a.csv", "b.csv"]\naircraft = "u.json"\nmax_iter = 7\nregressors = ["alpha", "q_hat"]\n')
+        path = config(
+            'train = ["a.csv", "b.csv"]\naircraft = "u.json"\nmax_iter = 7\nregressors = ["alpha", "q_hat"]\n'
+        )
         found = parse("identify", "--config", path, "-o", "out")
         assert found["train"] == ["a.csv", "b.csv"]
         assert found["aircraft"] == "u.json"
@@ -103,7 +105,7 @@ class TestReading:
             ("sampels = 40", "unknown option 'sampels' in .*config.toml: did you mean 'samples'"),
             ("weather = 1", "unknown option 'weather' in .*: known options are .*horizons"),
             ("samples = 1", "samples = 1 in .*: got 1, but expected 2 or more, or all"),
-            ("inference = 'magic'", "inference = \"magic\" in .*invalid choice"),
+            ("inference = 'magic'", 'inference = "magic" in .*invalid choice'),
             ("seed = true", "seed = true in .*: expected text or numbers"),
             ("json = 1", "json = 1 in .*: expected true or false"),
             ("horizons = [[1]]", "horizons = .*: expected text or numbers"),

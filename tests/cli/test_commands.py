@@ -1,0 +1,308 @@
+"""What is done with a model that exists: predict, validate, simulate, derivatives, each from words to files."""
+
+import json
+import re
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp._cli import _outputs, _writers, main
+from skdgp._vocabulary import COEFFICIENTS
+from skdgp.dynamics import Aircraft, stability_derivatives, trim
+from skdgp.identification import load_model, predict_flight, save_model
+
+
+@pytest.fixture(scope="module")
+def path(identified):
+    return str(identified[0] / "model.joblib")
+
+
+@pytest.fixture(scope="module")
+def model(path):
+    return load_model(path)
+
+
+@pytest.fixture
+def run(path, tmp_path, capsys):
+    """Run a command on the model; return what it printed, as JSON."""
+
+    def run(command, *words, output="out"):
+        where = ["-o", str(tmp_path / output)] if output else []
+        assert main([command, path, *map(str, words), *where, "--json"]) == 0
+        return json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+
+    return run
+
+
+@pytest.fixture
+def refused(path, tmp_path, capsys):
+    """Run a command that fails: exit code 1, one line, nothing written."""
+
+    def refused(message, command, *words, model=path, output="new/out"):
+        assert main([command, str(model), *map(str, words), "-o", str(tmp_path / output)]) == 1
+        error = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+        assert len(error) == 1
+        assert error[0].startswith("error: ")
+        assert re.search(message, error[0])
+        assert not (tmp_path / "new").exists()
+
+    return refused
+
+
+def files(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+class TestPredict:
+    def test_writes_what_the_model_says(self, run, model, tmp_path):
+        said = run("predict", "test.csv", output="out.csv")
+        assert files(tmp_path) == {"out.csv", "out.toml"}
+        table, flight = pd.read_csv(tmp_path / "out.csv"), pd.read_csv("test.csv")
+        mean, std = predict_flight(model.pipeline, flight)
+        assert list(table) == ["flight", "time", *COEFFICIENTS, *(f"{name}_std" for name in COEFFICIENTS)]
+        np.testing.assert_array_equal(table["time"], flight["time"])
+        np.testing.assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
+        np.testing.assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
+        assert said["flights"] == {"two_altitudes": 500}
+        assert said["coefficients"]["CZ"]["median_std"] == pytest.approx(np.median(std[:, 2]))
+
+    def test_noise_and_parquet(self, run, model, tmp_path):
+        run("predict", "test.csv", "lateral.csv", output="a.csv")
+        run("predict", "test.csv", "lateral.csv", "--include-noise", output="b.parquet")
+        function, measured = pd.read_csv(tmp_path / "a.csv"), pd.read_parquet(tmp_path / "b.parquet")
+        assert measured["flight"].unique().tolist() == ["two_altitudes", "lateral"]
+        names = [f"{name}_std" for name in COEFFICIENTS]
+        noise = np.sqrt(measured[names] ** 2 - function[names] ** 2)
+        np.testing.assert_allclose(noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6)
+
+    def test_rows_that_were_not_sampled_are_left_out(self, path, tmp_path, capsys):
+        table = pd.read_csv("test.csv")
+        table.loc[100:109, "alpha"] = np.nan
+        table.to_csv(tmp_path / "holes.csv", index=False)
+        assert main(["predict", path, str(tmp_path / "holes.csv"), "-o", str(tmp_path / "out.csv")]) == 0
+        said = capsys.readouterr()
+        assert "10 of 500 rows are left out" in said.err
+        assert "490 rows of flight two_altitudes" in said.out
+        assert len(pd.read_csv(tmp_path / "out.csv")) == 490
+
+    def test_a_flight_that_lacks_a_column(self, refused, tmp_path):
+        pd.read_csv("test.csv").drop(columns="alpha").to_csv(tmp_path / "bare.csv", index=False)
+        refused("lacks the columns 'alpha'", "predict", tmp_path / "bare.csv", output="new/out.csv")
+
+    def test_a_table_of_no_known_kind(self, path, capsys):
+        with pytest.raises(SystemExit) as end:
+            main(["predict", path, "test.csv", "-o", "out.xlsx"])
+        assert end.value.code == 2
+        assert "got out.xlsx, but expected a name that ends in .csv or .parquet" in capsys.readouterr().err
+
+    def test_no_pyarrow(self, refused, monkeypatch):
+        monkeypatch.setattr(_writers, "find_spec", lambda name: None)
+        refused("Parquet needs pyarrow", "predict", "test.csv", output="new/out.parquet")
+
+
+class TestModel:
+    def test_there_is_none(self, refused):
+        refused(
+            "Got none.joblib, but there is no such file", "predict", "test.csv", model="none.joblib", output="a.csv"
+        )
+
+    def test_something_else(self, refused):
+        refused("not a whole skdgp model", "derivatives", "--airspeed", "35", model="test.csv")
+
+    def test_a_pipeline_of_another_kind(self, refused, tmp_path, model):
+        save_model(tmp_path / "other.joblib", model.pipeline[-2:], model.aircraft)
+        refused("but expected what make_identification_pipeline makes", "validate", "test.csv",
+                model=tmp_path / "other.joblib")  # fmt: skip
+
+    def test_an_output_folder_that_is_a_file(self, path, capsys, tmp_path):
+        (tmp_path / "file").write_text("mine")
+        assert main(["simulate", path, "--trim", "35", "-o", str(tmp_path / "file")]) == 1
+        assert "nothing can be written there (it is a file)" in capsys.readouterr().err
+        assert (tmp_path / "file").read_text() == "mine"
+
+
+class TestValidate:
+    def test_says_what_identify_said(self, run, identified, tmp_path):
+        said = run("validate", "test.csv", "--horizons", "1")
+        assert files(tmp_path / "out") == {"report.html", "metrics.json", "config.toml"}
+        for key in ("test", "test_together", "fit"):
+            assert said[key] == identified[2][key]
+        assert said["options"] == identified[2]["options"]
+        assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == said
+        assert "a model on other flights" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+    def test_needs_no_folder_and_no_facts(self, path, model, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr(_outputs, "render_report", lambda content: pytest.fail("rendered"))
+        save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
+        assert main(["validate", str(tmp_path / "bare.joblib"), "test.csv", "--horizons", "1"]) == 0
+        said = capsys.readouterr()
+        assert said.err == ""
+        assert said.out.startswith("brumby: log likelihood")
+        assert files(tmp_path) == {"bare.joblib"}
+
+    def test_of_another_aircraft(self, run, model, tmp_path, identified):
+        Aircraft.from_dict(model.aircraft.to_dict() | {"mass": 90.0}).to_json(tmp_path / "heavier.json")
+        said = run("validate", "test.csv", "--aircraft", tmp_path / "heavier.json", "--horizons", "1", output=None)
+        assert said["aircraft"]["mass"] == 90.0
+        lift = [of["test_together"]["coefficients"]["measured"]["CZ"] for of in (said, identified[2])]
+        assert lift[0]["median_relative_error"] > 5 * lift[1]["median_relative_error"]
+
+    def test_of_what_it_learned_from_is_remarked_on(self, path, capsys):
+        assert main(["validate", path, "latlon.csv", "--horizons", "1"]) == 0
+        assert "The model learned from a flight 'latlon'" in capsys.readouterr().err
+
+
+class TestSimulate:
+    def test_a_trim_stays(self, run, tmp_path):
+        said = run("simulate", "--trim", "35", "--altitude", "200", "--duration", "1", "--paths", "5")
+        expected = {"trajectory.csv", "bands.csv", "trajectory.png", "simulation.json", "config.toml"}
+        assert files(tmp_path / "out") == expected
+        assert (tmp_path / "out" / "trajectory.png").read_bytes().startswith(b"\x89PNG")
+        flown, bands = (pd.read_csv(tmp_path / "out" / name) for name in ("trajectory.csv", "bands.csv"))
+        assert len(flown) == len(bands) == 51
+        assert np.ptp(flown["altitude"]) < 1e-6
+        assert bands.iloc[-1]["airspeed_low"] < 35 < bands.iloc[-1]["airspeed_high"]
+        assert said["ended"] is None
+        assert said["flown"] == pytest.approx(1.0)
+        assert said["end"]["altitude"] == pytest.approx(200.0)
+        low, high = said["paths"]["end"]["airspeed"]
+        assert low == pytest.approx(bands.iloc[-1]["airspeed_low"])
+        assert low < high
+
+    def test_turns_and_climbs(self, run, model):
+        said = run("simulate", "--trim", "35", "--bank", ".3", "--duration", ".2", "--paths", "0")
+        turning = trim(model.pipeline, model.aircraft, 35.0, bank=0.3)
+        assert said["paths"] is None
+        assert said["end"]["psi"] == pytest.approx(0.2 * turning.turn_rate, rel=1e-3)
+        said = run("simulate", "--trim", "35", "--climb", ".05", "--duration", ".2", "--paths", "0")
+        assert said["end"]["altitude"] == pytest.approx(0.2 * 35 * np.sin(0.05), rel=1e-3)
+
+    def test_controls_of_a_table(self, run, tmp_path):
+        pd.DataFrame({"time": [5.0, 5.1, 5.5], "aileron": [0.0, 0.05, 0.05]}).to_csv(tmp_path / "roll.csv", index=False)
+        said = run("simulate", "--trim", "35", "--controls", tmp_path / "roll.csv", "--paths", "0")
+        assert said["duration"] == pytest.approx(0.5)
+        assert said["end"]["p"] > 0.1
+        flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
+        assert flown["aileron"].iloc[-1] == 0.05
+        assert np.ptp(flown["elevator"]) == 0
+
+    def test_a_moment_of_a_log(self, run, tmp_path):
+        words = ("--flight", "test.csv", "--at", "25", "--duration", ".5", "--paths", "2", "--format", "parquet")
+        said = run("simulate", *words)
+        assert {"trajectory.parquet", "bands.parquet"} <= files(tmp_path / "out")
+        flown, log = pd.read_parquet(tmp_path / "out" / "trajectory.parquet"), pd.read_csv("test.csv")
+        assert flown["time"].iloc[0] == pytest.approx(25.0)
+        truth = log[log["time"] >= 25.5].iloc[0]
+        for name, tolerance in (("airspeed", 1.0), ("phi", 0.1), ("theta", 0.05), ("altitude", 2.0)):
+            assert abs(said["end"][name] - truth[f"{name}_true" if f"{name}_true" in log else name]) < tolerance
+        drift = flown["wind_north"].iloc[0]  # told by the reconstruction of the flight's path
+        assert abs(drift - log.loc[log["time"] >= 25, "wind_north_true"].iloc[0]) < 1.5
+
+    def test_wind_carries_the_aircraft(self, run):
+        still, windy = (
+            run("simulate", "--trim", "35", "--duration", "1", "--paths", "0", *wind, output=f"out{len(wind)}")
+            for wind in ([], ["--wind", "-3", "4", "0"])
+        )
+        assert windy["end"]["airspeed"] == pytest.approx(still["end"]["airspeed"])
+
+    def test_says_when_it_ends_and_leaves_what_was_flown(self, path, tmp_path, capsys):
+        table = pd.DataFrame({"time": np.arange(31.0), "elevator": 0.3})
+        table.to_csv(tmp_path / "dive.csv", index=False)
+        words = ["--trim", "35", "--controls", str(tmp_path / "dive.csv"), "--duration", "30", "--dt", "1"]  # too long
+        assert main(["simulate", path, *words, "--paths", "3", "-o", str(tmp_path / "out")]) == 0
+        said = capsys.readouterr()
+        summary = json.loads((tmp_path / "out" / "simulation.json").read_text(), parse_constant=pytest.fail)
+        flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
+        assert summary["ended"]
+        assert summary["flown"] < 30
+        assert flown.loc[flown["ended"].isna(), "time"].max() == summary["flown"]
+        assert f"ended after {summary['flown']:.4g} of 30 s: {summary['ended']}" in said.out
+        assert summary["beyond"]["first"] == 0.0
+        assert "elevator" in summary["beyond"]["regressors"]
+        assert summary["paths"]["ended_early"] == summary["paths"]["beyond"] == 3
+        assert "trajectories ended early" in said.err
+        assert "left what the model was learned from" in said.err
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            ([], "Got both or none of --flight and --trim"),
+            (["--trim", "35", "--flight", "test.csv"], "Got both or none of --flight and --trim"),
+            (["--trim", "35", "--at", "3"], "Got --at without --flight"),
+            (
+                ["--flight", "test.csv", "--at", "25", "--bank", ".1", "--climb", "0"],
+                "Got --climb, --bank without --trim",
+            ),
+            (["--flight", "test.csv"], "Got --flight without --at"),
+            (["--flight", "test.csv", "--at", "7"], "--at 7, but expected a moment .*: two_altitudes 22.5 to 34.9"),
+            (["--flight", "test.csv", "--at", "25", "--duration", "99"], "lasts 99 s: give a shorter duration"),
+            (["--flight", "none.csv", "--at", "25"], "Got none.csv, but there is no such file"),
+            (["--trim", "350"], "There is no trim of brumby"),
+            (["--trim", "35", "--controls", "none.csv"], "Got none.csv, but there is no such file"),
+        ],
+    )
+    def test_what_cannot_be_flown(self, refused, words, message):
+        refused(message, "simulate", *words)
+
+    def test_a_log_without_attitude(self, refused, tmp_path):
+        pd.read_csv("test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
+        refused("lacks the columns 'phi'", "simulate", "--flight", tmp_path / "bare.csv", "--at", "25")
+
+    def test_known_loads_that_are_not_flown(self, run, path, model, tmp_path, capsys):
+        options = model.options | {"external_forces": ["tether"], "thrust": None}
+        save_model(tmp_path / "kite.joblib", model.pipeline, model.aircraft, options=options)
+        words = ["--trim", "35", "--duration", ".1", "--paths", "0", "-o", str(tmp_path / "out"), "--json"]
+        assert main(["simulate", str(tmp_path / "kite.joblib"), *words]) == 0
+        said = capsys.readouterr()
+        assert "flies without the external forces ['tether']" in said.err
+        assert json.loads(said.out)["end"]["altitude"] < 0  # without thrust it glides down
+
+
+class TestDerivatives:
+    def test_are_those_of_the_model(self, run, model, tmp_path):
+        said = run("derivatives", "--airspeed", "35", "--altitude", "100", "--paths", "10", "--axes", "stability")
+        at = trim(model.pipeline, model.aircraft, 35.0, altitude=100.0)
+        table = stability_derivatives(model.pipeline, model.aircraft, at, axes="stability", n_paths=10)
+        (point,) = said["points"]
+        assert point["alpha"] == pytest.approx(at.alpha)
+        assert list(point["derivatives"]) == list(table.index)
+        for name in ("CL_alpha", "Cm_q", "Cn_rudder"):
+            expected = table.loc[name, ["value", "std", "lower", "upper"]].to_dict()
+            assert point["derivatives"][name] == pytest.approx(expected)
+        assert {"short period", "phugoid", "Dutch roll"} <= set(point["modes"])
+        assert point["modes"]["Dutch roll"]["frequency_std"] > 0
+        assert files(tmp_path / "out") == {f"{n}.csv" for n in ("derivatives", "modes", "trims")} | {
+            "derivatives.json",
+            "config.toml",
+        }
+
+    def test_of_several_airspeeds(self, run, tmp_path, path, capsys):
+        said = run("derivatives", "--airspeed", "36", "33", "--paths", "0")
+        assert [point["airspeed"] for point in said["points"]] == [33.0, 36.0]
+        assert "std" not in said["points"][0]["derivatives"]["CL"]
+        assert (tmp_path / "out" / "derivatives.png").read_bytes().startswith(b"\x89PNG")
+        table = pd.read_csv(tmp_path / "out" / "derivatives.csv")
+        alphas = [point["alpha"] for point in said["points"]]
+        assert table.groupby("point")["alpha"].first().tolist() == pytest.approx(alphas)
+        assert all(slow > fast for slow, fast in pairwise(alphas))
+        assert main(["derivatives", path, "--airspeed", "33", "36"]) == 0
+        printed = capsys.readouterr().out
+        assert printed.count("at trim      alpha") == 2
+        assert printed.count("+-") > 100
+        assert "j" not in re.sub(r"[a-z]{2,}", "", printed)  # no complex numbers
+
+    def test_beyond_what_was_flown_is_told(self, path, capsys):
+        assert main(["derivatives", path, "--airspeed", "45", "--paths", "0"]) == 0
+        assert "The trim at 45 m/s is beyond what the model was learned from:" in capsys.readouterr().err
+
+    def test_no_such_trim(self, refused):
+        refused("There is no trim of brumby", "derivatives", "--airspeed", "35", "350")
+
+    def test_without_matplotlib(self, path, monkeypatch, capsys, tmp_path):
+        monkeypatch.setattr(_writers, "find_spec", lambda name: None)
+        words = ["--airspeed", "34", "35", "--paths", "0", "-o", str(tmp_path / "out")]
+        assert main(["derivatives", path, *words]) == 0
+        assert "No picture: it needs pip install" in capsys.readouterr().err
+        assert "derivatives.png" not in files(tmp_path / "out")

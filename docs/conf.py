@@ -41,6 +41,9 @@ sphinx_gallery_conf = {
     "image_scrapers": ("examples_in_gallery.pictures",),
     "download_all_examples": False,
     "show_signature": False,
+    "thumbnail_size": (560, 400),
+    "write_computation_times": False,
+    "notebook_extensions": set(),  # the examples are commands
     "remove_config_comments": True,
 }
 

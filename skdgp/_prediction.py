@@ -162,6 +162,11 @@ class PredictionMixin:
         y : array, Series or DataFrame (n,) or (n, P)
             NaN where an output was not observed; an output without a target is left out.
         sample_weight : array (n,) or None
+
+        Returns
+        -------
+        float
+            1 is perfect, 0 no better than the mean.
         """
         mean = self.predict(X).reshape(len(X), -1)
         Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
@@ -187,6 +192,13 @@ class PredictionMixin:
             at the fitted values. What noisy regressors carry stays as it was fitted.
         eval_gradient : bool
             Also return the gradient with respect to theta.
+
+        Returns
+        -------
+        value : float
+            In nats.
+        gradient : ndarray (n_theta,)
+            Only with ``eval_gradient``.
         """
         check_is_fitted(self)
         P = len(self._scale)

@@ -1,0 +1,54 @@
+"""The page on the command line: its commands run one after the other, and every command is on it."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp._cli import _outputs, main
+from skdgp._cli._main import COMMANDS
+
+PAGE = Path(__file__).parents[2] / "docs" / "command_line.md"
+QUICK = {
+    "identify": ["--samples", "40", "--max-iter", "2", "--latents", "1"],
+    "simulate": ["--duration", ".2", "--paths", "2"],
+    "derivatives": ["--paths", "4"],
+}
+
+
+@pytest.fixture
+def page():
+    if not PAGE.is_file():
+        pytest.skip("the documentation is not beside the tests")
+    return PAGE.read_text(encoding="utf-8")
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+    for ours, theirs in {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}.items():
+        table = pd.read_csv(folder / f"{ours}.csv")
+        table.assign(time=table["time"] + 30.0).to_csv(f"{theirs}.csv", index=False)
+    (tmp_path / "uav.json").write_bytes((folder / "uav.json").read_bytes())
+    time = np.arange(0, 4, 0.05)
+    pd.DataFrame({"time": time, "elevator": np.where(time < 1, -0.05, -0.03)}).to_csv("doublet.csv", index=False)
+    (mine,) = blocks(page, "toml")
+    (tmp_path / "mine.toml").write_text(mine)
+    for line in "".join(blocks(page, "sh")).splitlines():
+        words = shlex.split(line)[3:]
+        assert main([*words, *QUICK.get(words[0], [])]) == 0, line
+    assert (tmp_path / "exact" / "model.joblib").is_file()
+    assert (tmp_path / "steeper" / "bands.csv").read_text() != (tmp_path / "again" / "bands.csv").read_text()
+    assert (tmp_path / "turn" / "bands.csv").read_text() == (tmp_path / "again" / "bands.csv").read_text()
+
+
+def test_every_command_is_on_it(page):
+    assert set(re.findall(r"^\| `(\w+)", page, flags=re.MULTILINE)) == set(COMMANDS)

@@ -14,15 +14,27 @@ from skdgp._cli._values import FileName
 from skdgp._model_file import software_versions
 
 COMMAND, VERSIONS = "command", "versions"
-NOT_KEPT = (COMMAND, "command_line", "config", "output", "servo_template", "traceback")
+NOT_KEPT = (COMMAND, "config", "output", "traceback")
 MATTERS = ("skdgp", "scikit-learn", "numpy", "scipy")
+
+
+HEAD = "# python -m skdgp "
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise a FileExistsError if the configuration of a run would replace a file that no run wrote."""
+    if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(HEAD):
+        raise FileExistsError(
+            f"Got {str(path)!r}, where the configuration of this run would be kept, but it is there already and no run "
+            "wrote it: name another output after -o, or move it."
+        )
 
 
 def config_text(options: argparse.Namespace) -> str:
     """Return all options of a run as TOML, files by their whole paths, and the versions that it ran on."""
     kept = {name: value for name, value in vars(options).items() if name not in NOT_KEPT and value is not None}
     lines = [
-        f"# python -m skdgp {options.command} --config THIS_FILE -o ELSEWHERE runs the same again.",
+        f"{HEAD}{options.command} --config THIS_FILE -o ELSEWHERE runs the same again.",
         f"{COMMAND} = {_toml(options.command)}",
         *(f"{name.replace('_', '-')} = {_toml(value)}" for name, value in kept.items()),
         "",

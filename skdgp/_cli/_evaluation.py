@@ -33,6 +33,11 @@ class Loads:
     thrust: str | None = "auto"
     external_forces: list[str] = field(default_factory=list)
 
+    @classmethod
+    def of(cls, thrust: str | None, external_forces) -> Loads:
+        """Return the loads as options say them."""
+        return cls(None if thrust == "none" else thrust, list(external_forces))
+
     def keywords(self) -> dict:
         """Return the keywords of ``aerodynamic_coefficients`` and ``replay``."""
         return {"thrust": self.thrust, "external_forces": self.external_forces}

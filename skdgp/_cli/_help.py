@@ -83,7 +83,7 @@ PREDICT = """\
 Write what a model says of flights: a table with flight, time, CX CY CZ Cl Cm Cn, and their standard deviations CX_std
 ... Cn_std, which are wider in rougher air. Rows whose regressors were not sampled are left out, with a warning.
 
-Beside OUT.csv stands OUT.toml, all options of this run.
+Beside OUT.csv stands OUT.config.toml, all options of this run.
 """
 
 PREDICT_EXAMPLES = """\

@@ -30,17 +30,18 @@ SAMPLES = 755
 
 def identify(task: Task) -> None:
     """Learn a model from the flights that the options name."""
+    options = task.options
     task.console.stage("reading")
-    run(file_source(task.options), task)
+    run(file_source(options), Loads.of(options.thrust, options.external_forces), task)
 
 
 def demo(task: Task) -> None:
     """Learn a model from the example flights."""
     task.console.stage("flying the example flights")
-    run(example_source(), task)
+    run(example_source(), Loads(), task)
 
 
-def run(source: Source, task: Task) -> None:
+def run(source: Source, loads: Loads, task: Task) -> None:
     """Fit the model, try it on the test flights, write the outputs and print a summary."""
     options = task.options
     if source.held_out:
@@ -49,7 +50,6 @@ def run(source: Source, task: Task) -> None:
             UserWarning,
             stacklevel=2,
         )
-    loads = Loads(None if options.thrust == "none" else options.thrust, list(options.external_forces))
     train, test = checked(source.train), checked(source.test)
     warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
     train = {name: complete_rows(table, options.regressors) for name, table in train.items()}

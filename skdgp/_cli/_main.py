@@ -9,6 +9,7 @@ import traceback
 from contextlib import nullcontext
 from pathlib import Path
 
+from skdgp._cli._config import check_replaceable
 from skdgp._cli._console import Console
 from skdgp._cli._derivatives import derivatives
 from skdgp._cli._folder import OutputFolder
@@ -46,8 +47,11 @@ def main(argv=None) -> int:
         with Console() as console:
             options = build_parser().parse_args(argv)
             folder = _folder(options)
+            task = Task(options, console, folder, shlex.join(["python", "-m", "skdgp", *argv]))
             with folder or nullcontext():
-                COMMANDS[options.command](Task(options, console, folder, shlex.join(["python", "-m", "skdgp", *argv])))
+                if folder is not None:
+                    check_replaceable(folder.path / task.config)
+                COMMANDS[options.command](task)
     except KeyboardInterrupt:
         print(_stopped(folder), file=sys.stderr)
         return INTERRUPTED

@@ -38,11 +38,10 @@ def read_model(options) -> Bunch:
 def loads_of(model: Bunch, options) -> Loads:
     """Return the loads as the options say, or else as they were when the model was learned."""
     learned = model.get("options", {})
-    thrust = learned.get("thrust", "auto") if options.thrust is None else options.thrust
-    external = options.external_forces
-    return Loads(
-        None if thrust == "none" else thrust,
-        list(learned.get("external_forces", []) if external is None else external),
+    thrust, forces = options.thrust, options.external_forces
+    return Loads.of(
+        learned.get("thrust", "auto") if thrust is None else thrust,
+        learned.get("external_forces", []) if forces is None else forces,
     )
 
 

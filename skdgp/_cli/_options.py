@@ -27,7 +27,6 @@ def _add_identify(parser):
 
 
 def _add_demo(parser):
-    parser.set_defaults(thrust="auto", external_forces=[])
     _add_learning(parser)
     _add_horizons(parser)
     parser.add_argument(

@@ -17,6 +17,8 @@ def predict(task: Task) -> None:
     options = task.options
     output = Path(options.output)
     check_writable(output.suffix)
+    if output.resolve() in (Path(flight).resolve() for flight in options.flight):
+        raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
     task.console.stage("reading")
     model = read_model(options)
     flights = read_flights(options.flight, model, options.servos)
@@ -25,7 +27,7 @@ def predict(task: Task) -> None:
         task.console.stage(f"predicting {name}")
         tables.append(predictions(model.pipeline, table, include_noise=options.include_noise))
     whole = pd.concat(tables, ignore_index=True)
-    task.write({output.name: table_writer(whole, output.suffix)}, config=f"{output.stem}.toml")
+    task.write({output.name: table_writer(whole, output.suffix)})
     task.say(*_summary(whole, flights, options))
 
 

@@ -12,8 +12,6 @@ from skdgp._cli._console import Console
 from skdgp._cli._folder import OutputFolder
 from skdgp._cli._writers import Writer, plain, text_writer
 
-CONFIG = "config.toml"
-
 
 @dataclass(frozen=True)
 class Task:
@@ -24,10 +22,16 @@ class Task:
     folder: OutputFolder | None
     command: str
 
-    def write(self, writers: dict[str, Writer], config: str = CONFIG) -> dict[str, Path]:
+    @property
+    def config(self) -> str:
+        """Name of the configuration: beside a single table it has the name of that."""
+        output = Path(self.options.output)
+        return f"{output.stem}.config.toml" if self.options.command == "predict" else "config.toml"
+
+    def write(self, writers: dict[str, Writer]) -> dict[str, Path]:
         """Write all outputs, and the configuration that repeats them, or none; return where they are, by name."""
         self.console.stage("writing")
-        writers = writers | {config: text_writer(config_text(self.options))}
+        writers = writers | {self.config: text_writer(config_text(self.options))}
         self.folder.write(writers)
         return {name: self.folder.path / name for name in writers}
 

@@ -3,6 +3,7 @@
 import json
 import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -58,7 +59,7 @@ def files(folder):
 class TestPredict:
     def test_writes_what_the_model_says(self, run, model, tmp_path):
         said = run("predict", "test.csv", output="out.csv")
-        assert files(tmp_path) == {"out.csv", "out.toml"}
+        assert files(tmp_path) == {"out.csv", "out.config.toml"}
         table, flight = pd.read_csv(tmp_path / "out.csv"), pd.read_csv("test.csv")
         mean, std = predict_flight(model.pipeline, flight)
         assert list(table) == ["flight", "time", *COEFFICIENTS, *(f"{name}_std" for name in COEFFICIENTS)]
@@ -96,6 +97,17 @@ class TestPredict:
             main(["predict", path, "test.csv", "-o", "out.xlsx"])
         assert end.value.code == 2
         assert "got out.xlsx, but expected a name that ends in .csv or .parquet" in capsys.readouterr().err
+
+    def test_never_replaces_what_was_there(self, path, tmp_path, capsys):
+        table, own = tmp_path / "flight.csv", tmp_path / "flight.config.toml"
+        table.write_bytes(Path("test.csv").read_bytes())
+        assert main(["predict", path, str(table), "-o", str(table)]) == 1
+        assert "but it is one of the flights: name another" in capsys.readouterr().err
+        own.write_text("mine = true")
+        assert main(["predict", path, "test.csv", "-o", str(table)]) == 1
+        assert "it is there already and no run wrote it" in capsys.readouterr().err
+        assert own.read_text() == "mine = true"
+        assert table.read_bytes() == Path("test.csv").read_bytes()
 
     def test_no_pyarrow(self, refused, monkeypatch):
         monkeypatch.setattr(_writers, "find_spec", lambda name: None)

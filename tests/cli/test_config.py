@@ -63,6 +63,25 @@ class TestRepeat:
         assert (second / kept.name).read_text() == kept.read_text()
         capsys.readouterr()
 
+    @pytest.mark.parametrize(
+        "words",
+        [
+            ["demo"],
+            ["identify", "a.csv", "--aircraft", "u.json", "--samples", "all", "--regressors", "alpha,q_hat"],
+            ["validate", "m.joblib", "a.csv", "--external-forces", "tether", "--horizons", "1", ".1"],
+            ["predict", "m.joblib", "a.csv", "b.csv", "--include-noise"],
+            ["simulate", "m.joblib", "--trim", "35", "--wind", "-3", "1e-3", "0", "--bank", "-.1"],
+            ["derivatives", "m.joblib", "--airspeed", "30", "35.5", "--json"],
+        ],
+        ids=lambda words: words[0],
+    )
+    def test_all_options_of_a_command_come_back(self, words, config):
+        command, *_ = words
+        output = ["-o", "out.csv"]
+        kept = config_text(build_parser().parse_args([*words, *output]))
+        again = build_parser().parse_args([command, "--config", str(config(kept)), *output])
+        assert config_text(again) == kept
+
     def test_every_value_comes_back(self):
         values = {"text": 'a "b" \\ é \n\x7f', "number": 0.1 + 0.2, "whole": 755, "yes": True, "several": [1.5, 2.0]}
         options = Namespace(command="simulate", traceback=True, nothing=None, output="out", **values)

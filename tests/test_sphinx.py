@@ -1,11 +1,14 @@
 """The site builds without a warning, and every page and every public name has its place."""
 
+import argparse
 import importlib
+import importlib.util
 import pkgutil
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -62,3 +65,33 @@ def test_the_site_builds_without_a_warning(tmp_path):
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "dummy", "-D", "plot_gallery=0"]
     done = subprocess.run([*command, "docs", "built"], cwd=tmp_path, capture_output=True, text=True, timeout=540)
     assert done.returncode == 0, done.stderr[-5000:]
+
+
+def load(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.name)
+def test_the_gallery_gives_an_example_what_it_takes(path, monkeypatch):
+    pytest.importorskip("sphinx_gallery", reason='shows examples in a gallery: pip install -e ".[docs]"')
+    pytest.importorskip("matplotlib", reason="examples draw")
+    words = load(DOCS / "_extensions" / "examples_in_gallery.py").arguments({}, {"src_file": str(path)})
+    parse, parsed = argparse.ArgumentParser.parse_args, []
+
+    def stop(self, arguments):
+        parsed.append(parse(self, arguments))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop)
+    with pytest.raises(KeyboardInterrupt):
+        load(path).main(words)
+    assert parsed[0].output.endswith(".png")
+
+
+def test_citations_name_the_version():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert f"\nversion: {version}\n" in (DOCS / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"version = {{{version}}}" in (DOCS / "citing.md").read_text(encoding="utf-8")

@@ -12,6 +12,8 @@ from sklearn.utils import check_random_state
 __all__ = ["Gusts", "dryden_gusts", "dryden_system", "dryden_wind", "low_altitude_turbulence"]
 
 FEET = 0.3048
+CEILING = 1000 * FEET
+"""Height [m] at which the low-altitude model ends."""
 
 
 class Gusts(NamedTuple):
@@ -129,7 +131,7 @@ def dryden_wind(
     duration : float
         [s].
     airspeed, height : float
-        At which the frozen field is crossed [m/s], and how high above the ground [m].
+        At which the frozen field is crossed [m/s], and how high above the ground [m], at most 304.8.
     wind_at_6m : float, default=5.0
         [m/s]; 7.7 is light, 15 moderate, 23 severe turbulence.
     mean_wind : array-like (3,), default=(0, 0, 0)
@@ -158,6 +160,14 @@ def dryden_wind(
     for name, value in (("duration", duration), ("airspeed", airspeed), ("height", height), ("span", span), ("dt", dt)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"Got {name}={value!r}, but expected a number > 0.")
+    if height > CEILING:
+        raise ValueError(
+            f"Got height={height:g} m, but expected at most {CEILING:g} m, where the low-altitude model ends."
+        )
+    if not (np.isfinite(wind_at_6m) and wind_at_6m >= 0):
+        raise ValueError(f"Got wind_at_6m={wind_at_6m!r}, but expected a number from 0 on [m/s].")
+    if np.shape(mean_wind) != (3,) or not np.isfinite(mean_wind).all():
+        raise ValueError(f"Got mean_wind={mean_wind!r}, but expected three finite numbers, north, east, down [m/s].")
     n_times = int(np.floor(duration / dt + 1e-9)) + 1
     length, intensity = low_altitude_turbulence(height, wind_at_6m)
     rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))

@@ -276,6 +276,8 @@ def check_paths(n_paths: int) -> int:
 
 def flight_point(motion: Motion, point, controls) -> tuple[np.ndarray, dict]:
     """Return state (13,) and controls of a trim, or of a state and its controls."""
+    if isinstance(point, Sequence) and any(hasattr(one, "state") for one in point):
+        raise TypeError(f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in trims].")
     state = np.array(getattr(point, "state", point), dtype=float)
     controls = getattr(point, "controls", None) if controls is None else controls
     if state.shape != (13,) or not np.isfinite(state).all():

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._validation import check_names
-from skdgp._vocabulary import TRUTH_SUFFIX
+from skdgp._vocabulary import CHANNELS, TRUTH_SUFFIX
 from skdgp.dynamics._aerodynamics import as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._atmosphere import HIGHEST, LOWEST, standard_density
@@ -20,6 +20,11 @@ from skdgp.dynamics._rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCI
 __all__ = ["Instant", "Motion"]
 
 HAT = "_hat"
+CONTROLS = (
+    *("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle", "propeller_speed", "thrust"),
+    *("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n", "gust"),
+)
+"""Words of the vocabulary that are set and not rebuilt; a control may also have any name that is not in it."""
 LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
 ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
@@ -87,6 +92,12 @@ class Motion:
         self._plan = [self._rule(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, *_ in self._plan)
         self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
+        unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
+        if unknown:
+            raise ValueError(
+                f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt along a flight: "
+                f"learn one without them. What is rebuilt: {', '.join((*STATES, *IMPLICIT))}."
+            )
         self._needs_angles = any(name in ("phi", "theta", "psi") for name in self.regressors)
         self._implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self._implicit]
@@ -116,6 +127,8 @@ class Motion:
         ValueError
             If a control that the model needs is missing.
         """
+        if not isinstance(controls, Mapping):
+            raise TypeError(f"Got {type(controls).__name__} as controls, but expected values by name: {{name: value}}.")
         controls = dict(controls)
         mixing = self.aerodynamics.mixing
         lacking = [name for name in self.controls if name not in controls]

@@ -32,7 +32,13 @@ def propulsion_of(aircraft: Aircraft, thrust, controls: Mapping, airspeed, densi
         return 0.0, 0.0
     line = CENTRED if aircraft.thrust_line is None else aircraft.thrust_line
     if callable(thrust):
-        return line.loads(thrust(controls, airspeed, density))
+        newtons = thrust(controls, airspeed, density)
+        if np.ndim(newtons) > np.ndim(airspeed):
+            raise ValueError(
+                f"Got thrust of shape {np.shape(newtons)} at airspeeds of shape {np.shape(airspeed)}, but expected a "
+                "function (controls, airspeed, density) to newtons along the thrust line, one for each airspeed."
+            )
+        return line.loads(newtons)
     if thrust != "auto":
         raise ValueError(f"Got thrust={thrust!r}, but expected 'auto', None or a function.")
     if any(name in controls for name in FORCES):

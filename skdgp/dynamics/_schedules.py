@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from skdgp._validation import check_columns, check_table
+from skdgp._validation import check_columns, check_names, check_table
 from skdgp.dynamics._frames import body_to_ned
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, VELOCITY
 
-__all__ = ["Clock", "control_schedule", "wind_schedule"]
+__all__ = ["Clock", "control_schedule", "tables_of", "warn_of_clocks", "wind_schedule"]
 
 WIND = ("wind_north", "wind_east", "wind_down")
 PROPULSION = (
@@ -36,7 +37,7 @@ class Clock(NamedTuple):
         if duration is None:
             if not spans:
                 raise ValueError("Got no duration and no table of controls, but expected one of them to say how long.")
-            duration = min(spans)
+            duration = float(min(spans))
         n_steps = int(np.floor(duration / dt + 1e-6)) if np.isfinite(duration) else 0
         if n_steps < 1:
             raise ValueError(f"Got a duration of {duration!r} s, but expected at least one step of {dt:g} s.")
@@ -60,6 +61,11 @@ def tables_of(*sources) -> list[pd.DataFrame]:
         for table in _as_list(source):
             if isinstance(table, pd.DataFrame):
                 check_columns(check_table(table, what="table"), ["time"], what="table")
+                if not pd.api.types.is_numeric_dtype(table["time"]):
+                    raise ValueError(
+                        f"Got a table whose time is {table['time'].dtype}, but expected seconds: "
+                        "(time - time.iloc[0]).dt.total_seconds() of stamps."
+                    )
                 if not (np.diff(table["time"].to_numpy(float)) > 0).all():
                     raise ValueError("Got a table whose time does not increase, but expected seconds, row after row.")
                 found.append(table)
@@ -75,10 +81,13 @@ def control_schedule(controls, clock: Clock, wanted, n_starts: int, hold: bool =
     if callable(controls):
         return _Law(controls, clock, hold)
     if isinstance(controls, Mapping):
-        constant = {name: np.asarray(value, dtype=float) for name, value in controls.items()}
+        constant = {name: _numbers(value, f"control {name}") for name, value in controls.items()}
         for name, value in constant.items():
             if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
-                raise ValueError(f"Got control {name}={value}, but expected a finite number, or one for each start.")
+                raise ValueError(
+                    f"Got control {name} of shape {value.shape}, not all finite, or not one for each of {n_starts} "
+                    "starts, but expected a finite number, or one for each start; what varies is a table with time."
+                )
         return lambda step, stage, observe: constant
     tables = _tables(controls, "controls", n_starts)
     names = [name for name in tables[0] if name != "time" and wanted(name)]
@@ -111,10 +120,16 @@ def air_of(wind, n_starts: int = 1) -> Callable | None:
         def field(t, state):
             position, velocity = state[..., POSITION], body_to_ned(state[..., ATTITUDE], state[..., VELOCITY])
             ahead, behind = (np.asarray(wind(t + s, position + s * velocity), dtype=float) for s in (MOMENT, -MOMENT))
+            if ahead.shape not in ((3,), position.shape):
+                raise ValueError(
+                    f"Got wind of shape {ahead.shape} at positions {position.shape}, but expected a function of "
+                    "(t, position) to the velocity of the air, north, east, down: (3,), or as the positions."
+                )
             return 0.5 * (ahead + behind), (ahead - behind) / (2 * MOMENT)
 
         return field
-    if isinstance(wind, Mapping):
+    if isinstance(wind, Mapping | pd.Series):
+        check_names(dict(wind), WIND, "words of a constant wind")
         wind = [wind.get(name, 0.0) for name in WIND]
     constant = np.asarray(wind, dtype=float)
     if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
@@ -160,13 +175,50 @@ def _interpolated(tables, names, clock, what) -> dict[str, np.ndarray]:
         check_columns(table, names, what=what)
         time = table["time"].to_numpy(float) - table["time"].iloc[0]
         needed = table[time <= clock.n_steps * clock.dt + np.diff(time).max()] if len(time) > 1 else table
-        holes = [name for name in names if not np.isfinite(needed[name].to_numpy(float)).all()]
+        values = {name: _numbers(table[name], f"{what} {name}") for name in names}
+        holes = [name for name in names if not np.isfinite(values[name][: len(needed)]).all()]
         if holes:
             raise ValueError(f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them out.")
-        parts.append({name: np.interp(clock.stages, time, table[name].to_numpy(float)) for name in names})
+        parts.append({name: np.interp(clock.stages, time, values[name]) for name in names})
     if len(parts) == 1:
         return parts[0]
     return {name: np.stack([part[name] for part in parts], axis=-1) for name in names}
+
+
+def _numbers(values, what) -> np.ndarray:
+    """Return values as floats, NaN where a table misses one."""
+    try:
+        return values.to_numpy(float, na_value=np.nan) if isinstance(values, pd.Series) else np.asarray(values, float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"Got {what} that is no number, but expected numbers: {error}.") from error
+
+
+def warn_of_clocks(starts, controls, wind, dt: float) -> None:
+    """Warn of a start or a wind that carries another time than the first row of the controls, which is the start."""
+    tables, air = tables_of(controls), tables_of(wind)
+    if not tables:
+        return
+    spans = [(table["time"].iloc[0], table["time"].iloc[-1]) for table in tables]
+    if isinstance(starts, pd.DataFrame) and "time" in starts:
+        for k, at in enumerate(starts["time"].to_numpy(float)):
+            first = spans[k if len(spans) > 1 else 0][0]
+            if abs(at - first) > dt:
+                _warn_of_time(f"start {k} is of time {at:g} s", first)
+                break
+    for table in air:
+        first, last = table["time"].iloc[0], table["time"].iloc[-1]
+        if any(abs(a - first) > dt and max(a, first) < min(b, last) for a, b in spans):
+            _warn_of_time(f"the wind begins at time {first:g} s", spans[0][0])
+            break
+
+
+def _warn_of_time(what: str, first: float) -> None:
+    warnings.warn(
+        f"Got controls that begin at time {first:g} s, but {what}: the first row of each table is taken for the start. "
+        "Cut them alike, table[table['time'] >= start].",
+        UserWarning,
+        stacklevel=4,
+    )
 
 
 def _as_list(source) -> list:

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pandas as pd
 
+from skdgp._vocabulary import CHANNELS, TRUTH_SUFFIX
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._fly import fly
-from skdgp.dynamics._motion import STATES, Motion
+from skdgp.dynamics._motion import CONTROLS, Motion
 from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
-from skdgp.dynamics._schedules import PROPULSION, Clock, control_schedule, tables_of, wind_schedule
+from skdgp.dynamics._schedules import PROPULSION, Clock, control_schedule, tables_of, warn_of_clocks, wind_schedule
 from skdgp.dynamics._spread import linear_std
 from skdgp.dynamics._starts import as_starts, initial_states, perturbed
 from skdgp.dynamics._trajectory import trajectory_table, warn_of
@@ -49,7 +50,7 @@ def simulate(
         What gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
         Mass, inertia, reference lengths, thrust line and propeller.
-    x0 : mapping, Series, DataFrame, Trim or array-like of shape (13,) or (n_starts, 13)
+    x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like of shape (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``, ``alpha``, ``beta``,
         ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...; what is not given is zero.
     controls : DataFrame, list of DataFrame, mapping or callable
@@ -74,7 +75,8 @@ def simulate(
         joint posterior of the coefficients along it, to first order. Cheap, and right while errors are small: some
         seconds; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
-        Standard deviations of the start, for paths or ``return_std``: by name ("u", "v", "w", "phi", "theta", ...).
+        Standard deviations of the start, for paths or ``return_std``: by name ("u", "v", "w", "v_north", ..., "phi",
+        ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.
     thrust : "auto", callable or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line, or the propeller at
         propeller_speed [rad/s] or throttle. A function (controls, airspeed, density) to newtons along the thrust
@@ -105,6 +107,8 @@ def simulate(
     SimulationWarning
         If a trajectory ends before its time (it diverged, lost its airspeed, or no fixed point was found), or leaves
         what the model was learned from.
+    UserWarning
+        If a start, the controls and the wind carry times that do not begin together, or a start does not fit its wind.
 
     Examples
     --------
@@ -124,6 +128,7 @@ def simulate(
     motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
     starts = as_starts(x0)
     clock = Clock.of(dt, duration, tables_of(controls, wind))
+    warn_of_clocks(starts, controls, wind, clock.dt)
     air = wind_schedule(wind, clock, len(starts))
     commands = control_schedule(controls, clock, _is_control(motion), len(starts), hold=hold)
     states = initial_states(starts, None if air is None else lambda at: air(0, at)[0])
@@ -145,7 +150,7 @@ def simulate(
 def _is_control(motion: Motion) -> Callable[[str], bool]:
     """Return what tells which columns of a table are controls: a whole flight log may be given."""
     if callable(motion.thrust):
-        return lambda name: name not in STATES
+        return lambda name: (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)
     mixing = motion.aerodynamics.mixing
     known = {*motion.controls, *PROPULSION, *(() if mixing is None else mixing.surfaces)}
     return lambda name: name in known

@@ -93,10 +93,11 @@ class Simulator:
 
     @property
     def state(self) -> np.ndarray:
-        """The state (13,), or states (n, 13), see `STATE_NAMES`."""
+        """The state (13,), or states (n, 13), see `STATE_NAMES`; NaN where a flight has ended."""
         if self._state is None:
             raise ValueError("Got no start yet: call reset(x0) first.")
-        return self._state.reshape(-1, 13)[0].copy() if self._single else self._state.copy()
+        shown = np.where((self._ended == FLYING)[..., None], self._state, np.nan)
+        return shown.reshape(-1, 13)[0] if self._single else shown
 
     def reset(self, x0, *, random_state=None, initial_std: Mapping[str, float] | None = None) -> dict:
         """Begin a flight, or several, and return what is seen.

@@ -12,12 +12,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from skdgp._linalg import semidefinite_root
-from skdgp._validation import check_names
 from skdgp.dynamics._fly import Record
 from skdgp.dynamics._frames import euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
 from skdgp.dynamics._jacobian import Jacobian, jacobian
 from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
+from skdgp.dynamics._starts import ANGLES, BODY, EARTH, checked_std
 
 __all__ = ["linear_std"]
 
@@ -36,10 +36,7 @@ def linear_std(record: Record, motion: Motion, initial_std: Mapping[str, float] 
     ValueError
         If the model gives no covariance of its errors, or a name of ``initial_std`` is unknown.
     """
-    start = np.zeros(12)
-    check_names(initial_std or {}, NAMES, "names of initial_std")
-    for name, size in (initial_std or {}).items():
-        start[NAMES.index(name)] = size
+    start = checked_std(initial_std)
     shape = record.ended.shape
     found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*NAMES, *SEEN)}
     for place in np.ndindex(shape):
@@ -74,13 +71,13 @@ class _Path:
         return (1.0 - share) * values[left] + share * values[left + 1]
 
 
-def _along(path: _Path, motion: Motion, start) -> np.ndarray:
+def _along(path: _Path, motion: Motion, start: Mapping[str, float]) -> np.ndarray:
     """Return the standard deviations (n, 18) of `NAMES` and `SEEN`."""
     k = len(path.knots)
     root = semidefinite_root(motion.aerodynamics.covariance(path.regressors))  # (6 k, r), output by output
     errors = path.between(np.moveaxis(root.reshape(6, k, -1), 1, 0))  # (n, 6, r)
     A, G = path.between(path.slopes.state), path.between(path.slopes.coefficients)
-    push = np.concatenate([0.5 * path.dt * G @ errors, np.zeros((path.n, 12, 12))], axis=-1)
+    push = np.concatenate([0.5 * path.dt * G @ errors, np.zeros((path.n, 12, len(start)))], axis=-1)
     middle = 0.5 * path.dt * (A[:-1] + A[1:])
     transition = np.eye(12) + middle @ (
         np.eye(12) + middle @ (np.eye(12) / 2 + middle @ (np.eye(12) / 6 + middle / 24))
@@ -88,9 +85,7 @@ def _along(path: _Path, motion: Motion, start) -> np.ndarray:
     angles = quaternion_to_euler(path.states[:, ATTITUDE])
     per_rotation = euler_per_rotation(angles[:, 0], angles[:, 1])
     Z = np.zeros(push.shape[1:])
-    Z[:, -12:] = np.diag(start)
-    Z[6:9, -6:-3] = np.linalg.inv(per_rotation[0]) * start[6:9]
-    Z[:, -6:-3] = np.where(np.arange(12)[:, None] < 6, 0.0, Z[:, -6:-3])
+    Z[:, Z.shape[1] - len(start) :] = _start_errors(start, path.states[0], per_rotation[0])
     seen = _readouts(path, per_rotation)
     std = np.empty((path.n, len(NAMES) + len(SEEN)))
     for step in range(path.n):
@@ -98,6 +93,22 @@ def _along(path: _Path, motion: Motion, start) -> np.ndarray:
             Z = transition[step - 1] @ (Z + push[step - 1]) + push[step]
         std[step] = np.linalg.norm(seen[step] @ Z, axis=1)
     return std
+
+
+def _start_errors(start: Mapping[str, float], state, per_rotation) -> np.ndarray:
+    """Return the errors of the state (12, k) that one deviation of each name is, as `perturbed` draws them."""
+    velocity, turns = state[VELOCITY], np.linalg.inv(per_rotation)
+    Z = np.zeros((12, len(start)))
+    for k, (name, size) in enumerate(start.items()):
+        if name in EARTH:
+            Z[3:6, k] = size * quaternion_to_matrix(state[ATTITUDE])[EARTH.index(name)]
+        elif name in ANGLES:
+            Z[6:9, k] = size * turns[:, ANGLES.index(name)]
+            if not any(body in start for body in BODY):  # the velocity over the ground is what was measured
+                Z[3:6, k] = np.cross(velocity, Z[6:9, k])
+        else:
+            Z[NAMES.index(name), k] = size
+    return Z
 
 
 def _readouts(path: _Path, per_rotation) -> np.ndarray:

@@ -30,6 +30,8 @@ TOLERANCE = 1e-6
 """Largest acceleration of a trim [m/s^2, rad/s^2]."""
 DEMAND = 100.0
 """Weight of the flight path's slope: where there is no trim, accelerations are left, and the path is as asked."""
+ASKED = {"phi": "bank"}
+"""What `trim` calls it."""
 STEP = 1e-5
 """Of differences of the residual, by an unknown or a fraction of it."""
 STARTS = (0.5, 0.25, 0.75, 0.05)
@@ -50,6 +52,7 @@ class SteadyFlight:
 
     def __init__(self, motion: Motion, given: dict, controls, fixed: dict, limits: dict):
         self.motion, self.fixed = motion, fixed
+        _check_given(given, fixed)
         self.flown = _flown(motion)
         self.controls = self._controls(controls)
         self.given = {name: value for name, value in given.items() if value is not None}
@@ -64,6 +67,9 @@ class SteadyFlight:
             )
         self.limits = {name: self._limits(name) for name in self.unknowns}
         check_names(limits, (*self.unknowns, *fixed), "unknowns of this trim, and the limits given with them,")
+        for name, pair in limits.items():
+            if np.shape(pair) != (2,):
+                raise ValueError(f"Got limits of {name} {pair!r}, but expected two numbers, smallest and largest.")
         self.limits |= {name: tuple(map(float, pair)) for name, pair in limits.items() if name in self.unknowns}
         for name, (low, high) in self.limits.items():
             if not low < high:
@@ -205,6 +211,18 @@ class SteadyFlight:
         units = {"altitude": "m", "turn_rate": "rad/s"}
         asked = [f"{name} {value:g} {units.get(name, 'rad')}" for name, value in self.given.items()]
         return ", ".join([f"airspeed {airspeed:g} m/s", *asked, *(f"{n} {v:g}" for n, v in self.fixed.items())])
+
+
+def _check_given(given: dict, fixed: dict) -> None:
+    """Raise a ValueError at what is asked for that is no number, or an angle in degrees."""
+    for name, value in (given | fixed).items():
+        if value is not None and not (np.ndim(value) == 0 and np.isreal(value) and np.isfinite(value)):
+            raise ValueError(f"Got {ASKED.get(name, name)}={value!r}, but expected a finite number.")
+        if name in ("climb", "phi", "beta") and value is not None and abs(value) >= np.pi / 2:
+            raise ValueError(
+                f"Got {ASKED.get(name, name)}={value:g}, but expected radians, less than {np.pi / 2:.3f}: if these are "
+                "degrees, use numpy.deg2rad."
+            )
 
 
 def _flown(motion: Motion) -> dict[str, tuple[float, float]]:

@@ -63,7 +63,9 @@ class Trim:
 
     def __repr__(self):
         named = {name: getattr(self, name) for name in ("climb", "turn_rate", "alpha", "beta", "phi", "theta")}
-        return f"Trim({self.airspeed:g} m/s, {', '.join(f'{n} {v:.4g}' for n, v in (named | self.controls).items())})"
+        told = [f"{name} {value:.4g}" for name, value in (named | self.controls).items()]
+        told += [f"beyond what was flown in {', '.join(self.beyond)}"] if self.beyond else []
+        return f"Trim({self.airspeed:g} m/s, {', '.join(told)})"
 
     def to_frame(self) -> pd.DataFrame:
         """Return the trim as a table of one row; ``beyond`` lists names."""
@@ -137,7 +139,8 @@ def trim(
     Raises
     ------
     ValueError
-        If there is no such flight: which accelerations are left, and what is at its limit.
+        If there is no such flight: which accelerations are left, and what is at its limit. If what is asked for is
+        not finite, or an angle beyond a right one.
 
     Examples
     --------

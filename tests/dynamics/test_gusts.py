@@ -141,5 +141,14 @@ def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
         200.0, 30.0, 40.0, wind_at_6m=8.0, mean_wind=mean, heading=heading, span=0.01, dt=0.05, random_state=3
     )
     np.testing.assert_array_equal(again, winds[3])
-    with pytest.raises(ValueError, match="Got height=0"):
-        dryden_wind(10.0, 30.0, 0)
+
+
+@pytest.mark.parametrize(("height", "options", "match"), [
+    (0.0, {}, "Got height=0"),
+    (400.0, {}, "at most 304.8 m"),
+    (100.0, {"wind_at_6m": -1.0}, "wind_at_6m=-1"),
+    (100.0, {"mean_wind": [1.0, 2.0]}, "three finite numbers"),
+])  # fmt: skip
+def test_winds_that_are_none(height, options, match):
+    with pytest.raises(ValueError, match=match):
+        dryden_wind(10.0, 30.0, height, **options)

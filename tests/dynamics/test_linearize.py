@@ -254,6 +254,8 @@ class TestBadInput:
     def test_points(self, glider, level):
         with pytest.raises(ValueError, match="expected a Trim or a state of 13"):
             linearize(MODEL, glider, level.state[:12], level.controls, **AIR)
+        with pytest.raises(TypeError, match="Got 2 trims, but expected one"):
+            linearize(MODEL, glider, [level, level], **AIR)
         with pytest.raises(ValueError, match="state without controls"):
             linearize(MODEL, glider, level.state, **AIR)
         with pytest.raises(ValueError, match="at rest"):

@@ -19,6 +19,7 @@ from skdgp.dynamics import (
     simulate,
     standard_density,
     trajectory_bands,
+    trim,
 )
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
@@ -199,6 +200,8 @@ class TestRegressors:
             simulate(model, aircraft, START, {"elevator": 0.0}, duration=1.0, thrust=None)
         with pytest.raises(ValueError, match="only rates have a non-dimensional form"):
             simulate(Aerodynamics(lambda X: X, ["alpha_hat"]), aircraft, START, {}, duration=1.0, thrust=None)
+        with pytest.raises(ValueError, match=r"regressors \['v_north', 'time'\], which are neither controls nor"):
+            simulate(Aerodynamics(lambda X: X, ["alpha", "v_north", "time"]), aircraft, START, table_of(1.0))
 
 
 class TestControls:
@@ -252,13 +255,57 @@ class TestControls:
         (table_of(1.0), {"wind": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"wind": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"initial_std": {"phi": 0.1}}, "nothing would show it"),
+        (table_of(1.0), {"return_std": True, "initial_std": {"phi": -0.1}}, "initial_std of phi -0.1"),
+        (table_of(1.0), {"wind": {"north": 5.0}}, "lack 'north'"),
+        (table_of(1.0), {"wind": lambda t, position: [1.0, 2.0]}, r"wind of shape \(2,\)"),
+        (table_of(1.0).assign(rudder="left"), {}, "controls rudder that is no number"),
+        (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
+        ({"elevator": [0.0] * 50}, {"duration": 1.0}, r"control elevator of shape \(50,\)"),
+        (commands, {"duration": 1.0, "thrust": lambda controls, V, rho: [9.0, 0.0, 0.0]}, r"thrust of shape \(3,\)"),
     ])  # fmt: skip
     def test_mistakes_are_told_at_the_door(self, aircraft, controls, options, match):
         with pytest.raises(ValueError, match=match):
             simulate(linear(), aircraft, START, controls, **options)
 
+    def test_a_law_gives_values_by_name(self, aircraft):
+        with pytest.raises(TypeError, match="Got NoneType as controls"):
+            simulate(linear(), aircraft, START, lambda t, state: None, duration=1.0)
+
+    def test_a_whole_log_may_be_given_whatever_tells_the_thrust(self, aircraft, flown):
+        def thrust(controls, airspeed, density):
+            return 100.0 * controls["throttle"]
+
+        table = table_of(1.0).assign(throttle=0.12)
+        log = table.assign(flight="monday", v_north=np.nan, phi=99.0, elevator_true=5.0)
+        alone = simulate(linear(), aircraft, START, table[["time", *NAMES[5:], "throttle"]], thrust=thrust)
+        pd.testing.assert_frame_equal(simulate(linear(), aircraft, START, log, thrust=thrust)[list(alone)], alone)
+
+    def test_tables_and_starts_of_other_times_are_noticed(self, aircraft):
+        log = table_of(4.0, step=0.02)
+        air = log[["time"]].assign(wind_north=0.0, wind_east=0.0, wind_down=0.0)
+        with pytest.warns(UserWarning, match="begin at time 0 s, but start 0 is of time 2 s"):
+            simulate(linear(), aircraft, START | {"time": 2.0}, log, duration=0.1)
+        with pytest.warns(UserWarning, match="begin at time 2 s, but the wind begins at time 0 s"):
+            simulate(linear(), aircraft, START, log[log["time"] >= 2.0], wind=air, duration=0.1)
+        simulate(linear(), aircraft, START | {"time": 2.0}, log[log["time"] >= 2.0], wind=air[100:], duration=0.1)
+        simulate(linear(), aircraft, START, log.assign(time=log["time"] + 60.0), wind=air, duration=0.1)
+
 
 class TestStarts:
+    def test_several_trims_are_several_starts(self, aircraft):
+        trims = trim(linear(), aircraft, [20.0, 24.0])
+        controls = {name: [t.controls[name] for t in trims] for name in trims[0].controls}
+        flown = simulate(linear(), aircraft, trims, controls, duration=1.0)
+        np.testing.assert_allclose(flown.groupby("start")["airspeed"].agg(np.ptp), 0.0, atol=1e-6)
+        np.testing.assert_allclose(flown.groupby("start")["airspeed"].first(), [20.0, 24.0])
+
+    def test_the_air_is_that_of_the_altitude(self, aircraft):
+        above_home = START | {"down": -50.0, "altitude": 1500.0}
+        flown = simulate(linear(), aircraft, above_home, commands, duration=0.1)
+        assert flown["density"].iloc[0] == pytest.approx(standard_density(1500.0))
+        with pytest.warns(UserWarning, match="altitude of -900 m, below any land"):
+            simulate(linear(), aircraft, {"airspeed": 22.0, "alpha": 0.08, "down": 900.0}, commands, duration=0.1)
+
     def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, aircraft, flown):
         row = flown.iloc[100]
         controls = dict.fromkeys(("elevator", "aileron", "rudder"), 0.01) | {"thrust": 12.0}
@@ -275,6 +322,8 @@ class TestStarts:
     @pytest.mark.parametrize(("start", "match"), [
         ({"phi": 0.1}, "lack 'airspeed'"),
         ({"airspeed": np.nan}, "NaN or infinite"),
+        ({"airspeed": 0.0}, "expected one > 0"),
+        ({"airspeed": 20.0, "aplha": 0.1}, "did you mean 'alpha'"),
         ({"airspeed": 20.0, "phi": 30.0}, "expected radians"),
         (np.zeros(12), r"shape \(12,\)"),
         (np.zeros(13), "quaternion is zero"),
@@ -374,6 +423,22 @@ class TestEnsembles:
                     part[f"{name}_std"].iloc[25::25], spread[name].iloc[25::25], rtol=0.2, atol=1e-9
                 )
 
+    @pytest.mark.parametrize("initial_std", [
+        {"theta": 0.01},
+        {"phi": 0.01, "psi": 0.01, "q": 0.01},
+        {"theta": 0.01, "u": 0.3},
+        {"v_down": 0.3, "v_east": 0.2},
+    ])  # fmt: skip
+    def test_starts_are_off_alike_in_paths_and_to_first_order(self, aircraft, initial_std):
+        options = {"duration": 1.0, "dt": 0.05, "initial_std": initial_std}
+        paths = simulate(uncertain(1e-9), aircraft, START, commands, n_paths=400, **options)
+        mean = simulate(uncertain(1e-9), aircraft, START, commands, return_std=True, **options)
+        names = ["v_north", "v_east", "v_down", "u", "w", "theta", "phi", "psi", "q", "alpha", "beta"]
+        for at in (0.0, 0.5, 1.0):
+            spread = paths[np.isclose(paths["time"], at)][names].std()
+            first = mean[np.isclose(mean["time"], at)][[f"{name}_std" for name in names]].iloc[0].to_numpy()
+            np.testing.assert_allclose(first, spread, rtol=0.15, atol=0.03 * 0.3)
+
     def test_bands_hold_their_share_of_the_paths(self, aircraft):
         paths = simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=60)
         band = trajectory_bands(paths, level=0.8)
@@ -440,5 +505,6 @@ class TestSimulator:
             seen = simulator.step(controls)
         assert simulator.ended == "airspeed"
         assert np.isnan(seen["airspeed"])
+        assert np.isnan(simulator.state).all()
         with pytest.raises(ValueError, match="has ended"):
             simulator.step(controls)

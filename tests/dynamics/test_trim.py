@@ -231,6 +231,18 @@ class TestNoSuchFlight:
         with pytest.raises(ValueError, match="expected one or more numbers > 0"):
             trim(TEXTBOOK, glider, airspeed)
 
+    @pytest.mark.parametrize(("asked", "match"), [
+        ({"bank": 30.0}, "Got bank=30, but expected radians"),
+        ({"climb": 3.0}, "Got climb=3, but expected radians"),
+        ({"bank": np.nan}, "Got bank=nan, but expected a finite number"),
+        ({"altitude": [100.0, 200.0]}, "Got altitude=.*expected a finite number"),
+        ({"fixed": {"rudder": np.nan}}, "Got rudder=nan"),
+        ({"limits": {"rudder": 0.3}}, "limits of rudder 0.3, but expected two numbers"),
+    ])  # fmt: skip
+    def test_what_is_no_angle_or_no_number(self, glider, asked, match):
+        with pytest.raises(ValueError, match=match):
+            trim(TEXTBOOK, glider, 20.0, **asked)
+
     def test_a_model_that_is_not_defined_there(self, glider):
         with pytest.raises(ValueError, match="not defined there"):
             trim(Aerodynamics(lambda X: linear(X) * np.nan, NAMES), glider, 20.0)

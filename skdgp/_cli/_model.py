@@ -14,6 +14,8 @@ from skdgp._faults import TOLD, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.identification import load_model
 
+STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
+
 
 def read_model(options) -> Bunch:
     """Read the model that the options name, with its own aircraft or the one that they name.
@@ -25,7 +27,7 @@ def read_model(options) -> Bunch:
     """
     model = load_model(options.model)
     steps = getattr(model.pipeline, "named_steps", {})
-    if "regressorselector" not in steps or not isinstance(model.pipeline[-1], DependentGPRegressor):
+    if not set(steps) >= STEPS or not isinstance(model.pipeline[-1], DependentGPRegressor):
         raise ValueError(
             f"Got {options.model}, a model of {list(steps) or type(model.pipeline).__name__}, but expected what "
             "make_identification_pipeline makes: its regressors must be known, and how sure it is."

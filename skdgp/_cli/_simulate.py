@@ -14,7 +14,7 @@ from skdgp._cli._source import read_named
 from skdgp._cli._task import Task
 from skdgp._cli._writers import Writer, check_writable, json_writer, picture_writers, table_writer
 from skdgp._validation import check_columns
-from skdgp.dynamics import SimulationWarning, simulate, trajectory_bands, trim
+from skdgp.dynamics import SimulationWarning, as_aerodynamics, simulate, trajectory_bands, trim
 from skdgp.dynamics._trajectory import REASONS
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
@@ -32,7 +32,7 @@ MEASUREMENTS = (FlightCheck, FlightPathReconstruction, FlightSmoother)
 
 @dataclass(frozen=True)
 class Start:
-    """Where a simulation begins, what its controls are, and what is known of the air and of the flight as it was."""
+    """Where a simulation begins, its controls and its air; ``log`` is what happened in flight under these controls."""
 
     state: dict[str, float]
     controls: dict | pd.DataFrame
@@ -98,7 +98,9 @@ def _trimmed(options, model, engine) -> Start:
     if options.controls is None:
         return Start(state, found.controls, options.wind, options.duration or DURATION)
     table = read_flight(options.controls)
-    held = {name: value for name, value in found.controls.items() if name not in table}
+    mixing = as_aerodynamics(model.pipeline).mixing
+    mixed = mixing.controls if mixing is not None and set(mixing.surfaces) <= set(table) else ()
+    held = {name: value for name, value in found.controls.items() if name not in (*table, *mixed)}
     return Start(state, table.assign(**held), options.wind, _duration(options, table))
 
 
@@ -118,8 +120,10 @@ def _logged(options, model) -> Start:
     if wind is None and set(WIND) <= set(log.columns):
         wind = log[["time", *WIND]]
     state = {name: float(log[name].iloc[0]) for name in (*START, "north", "east") if name in log}
-    controls = log if options.controls is None else read_flight(options.controls)
-    return Start(state, controls, wind, _duration(options, log, controls), log)
+    if options.controls is None:
+        return Start(state, log, wind, _duration(options, log), log)
+    table = read_flight(options.controls)
+    return Start(state, table, wind, _duration(options, log, table))
 
 
 def _around(at, flights) -> pd.DataFrame:
@@ -144,7 +148,8 @@ def _picture(trajectories, log) -> dict[str, Writer]:
 def _numbers(options, start, trajectory, paths) -> dict:
     """Return the summary as numbers, SI units and radians."""
     flying = trajectory[trajectory["ended"] == ""]
-    first, last = trajectory.iloc[0], flying.iloc[-1]
+    first = trajectory.iloc[0]
+    last = first if flying.empty else flying.iloc[-1]
     beyond = flying[flying["beyond"] != ""]
     ended = next((REASONS[why] for why in trajectory["ended"] if why), None)
     return {

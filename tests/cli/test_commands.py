@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _outputs, _writers, main
+from skdgp._cli import _outputs, _predict, _writers, main
 from skdgp._vocabulary import COEFFICIENTS
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
 from skdgp.identification import load_model, predict_flight, save_model
@@ -135,6 +136,30 @@ class TestModel:
         assert (tmp_path / "file").read_text() == "mine"
 
 
+class TestAllOrNone:
+    @pytest.mark.parametrize(
+        ("words", "output"),
+        [
+            (["predict", "test.csv"], "out.csv"),
+            (["simulate", "--trim", "35", "--duration", ".1", "--paths", "0"], "out"),
+            (["derivatives", "--airspeed", "35", "--paths", "0"], "out"),
+        ],
+    )
+    def test_when_the_disk_is_full(self, words, output, refused, monkeypatch):
+        def full(table, path, **options):
+            Path(path).write_text("half")
+            raise OSError(28, "No space left on device", str(path))
+
+        monkeypatch.setattr(pd.DataFrame, "to_csv", full)
+        refused("No space left on device", *words, output=f"new/{output}")
+
+    def test_when_stopped(self, path, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_predict, "predict_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT))
+        assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
+        assert not (tmp_path / "new").exists()
+        assert capsys.readouterr().err == "stopped: no output was written\n"
+
+
 class TestValidate:
     def test_says_what_identify_said(self, run, identified, tmp_path):
         said = run("validate", "test.csv", "--horizons", "1")
@@ -200,6 +225,17 @@ class TestSimulate:
         assert flown["aileron"].iloc[-1] == 0.05
         assert np.ptp(flown["elevator"]) == 0
 
+    def test_elevons_of_a_table_stand_for_what_they_mix(self, run, tmp_path):
+        time = np.arange(0, 0.41, 0.1)
+        pd.DataFrame({"time": time, "elevon_left": 0.05, "elevon_right": -0.05}).to_csv(tmp_path / "a.csv", index=False)
+        pd.DataFrame({"time": time, "elevator": 0.0, "aileron": 0.05}).to_csv(tmp_path / "b.csv", index=False)
+        a, b = (
+            run("simulate", "--trim", "35", "--controls", tmp_path / f"{name}.csv", "--paths", "0", output=name)
+            for name in "ab"
+        )
+        assert a["end"] == pytest.approx(b["end"])
+        assert a["end"]["p"] > 0.1
+
     def test_a_moment_of_a_log(self, run, tmp_path):
         words = ("--flight", "test.csv", "--at", "25", "--duration", ".5", "--paths", "2", "--format", "parquet")
         said = run("simulate", *words)
@@ -211,6 +247,15 @@ class TestSimulate:
             assert abs(said["end"][name] - truth[f"{name}_true" if f"{name}_true" in log else name]) < tolerance
         drift = flown["wind_north"].iloc[0]  # told by the reconstruction of the flight's path
         assert abs(drift - log.loc[log["time"] >= 25, "wind_north_true"].iloc[0]) < 1.5
+
+    def test_other_controls_from_a_moment_of_a_log(self, run, tmp_path, capsys):
+        log = pd.read_csv("test.csv").iloc[:40]
+        table = log.assign(time=log["time"] - log["time"].iloc[0], elevon_left=0.1, elevon_right=-0.1)
+        table.drop(columns=["elevator", "aileron"]).to_csv(tmp_path / "roll.csv", index=False)
+        words = ("--flight", "test.csv", "--at", "25", "--controls", tmp_path / "roll.csv", "--paths", "0")
+        said = run("simulate", *words)
+        assert said["duration"] == pytest.approx(np.ptp(table["time"]))
+        assert said["end"]["p"] - said["start"]["p"] > 0.5
 
     def test_wind_carries_the_aircraft(self, run):
         still, windy = (

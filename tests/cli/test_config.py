@@ -32,7 +32,7 @@ def config(tmp_path):
 
 class TestRepeat:
     @pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
-    def test_of_identify(self, identified, tmp_path, monkeypatch):
+    def test_of_identify(self, identified, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_outputs, "render_report", lambda content: "")
         monkeypatch.chdir(tmp_path)  # files are found from anywhere
         output, _, metrics = identified
@@ -40,6 +40,7 @@ class TestRepeat:
         again = json.loads((tmp_path / "again" / "metrics.json").read_text())
         assert again["test"] == metrics["test"]
         assert again["options"] == metrics["options"]
+        assert capsys.readouterr().out.startswith("brumby: fitted in")
         first, second = ((folder / "config.toml").read_text() for folder in (output, tmp_path / "again"))
         assert first == second
 

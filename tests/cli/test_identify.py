@@ -138,10 +138,11 @@ class TestIdentify:
         assert "warning: No test flight was named: the last flight, latlon, is held out" in capsys.readouterr().err
         assert "No test flight was named" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
-    def test_holds_out_the_end_of_a_single_flight(self, tmp_path, monkeypatch):
+    def test_holds_out_the_end_of_a_single_flight(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_outputs, "render_report", lambda content: "")
-        assert identify(output=tmp_path) == 0
+        assert identify("--json", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
+        assert json.loads(capsys.readouterr().out) == metrics
         assert list(metrics["fit"]["flights"].values()) == [525]
         assert [flight["samples"] for flight in metrics["test"].values()] == [175]
         assert "truth" not in next(iter(metrics["test"].values()))["coefficients"]

@@ -10,13 +10,20 @@ from scipy.stats import norm
 from sklearn.base import BaseEstimator, MetaEstimatorMixin, RegressorMixin, _fit_context, clone
 from sklearn.utils import check_array, get_tags
 from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
+from sklearn.utils.metaestimators import available_if
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._targets import check_targets
 from skdgp.calibration._conformal import ROUNDING, unit_weights, units_needed, units_of, weighted_quantile
 from skdgp.calibration._held_out import conformity_scores, fit_and_score, flights_of, splits_of
+from skdgp.calibration._paths import ScaledPaths
 from skdgp.metrics._scorers import predict_with_noise, unwrap
+
+
+def _knows(name: str):
+    """Return what says whether the estimator has a method, before the fit as after it."""
+    return lambda self: hasattr(unwrap(getattr(self, "estimator_", self.estimator)), name)
 
 
 class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
@@ -152,6 +159,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         X = _checked(X)
         Y, self.output_names_, single = check_targets(y, len(X), type(self).__name__)
         y = y if hasattr(y, "iloc") else Y[:, 0] if single else Y
+        self._single = single
         flights = flights_of(X, groups)
         splits = splits_of(flights, self.cv)
         if isinstance(self.cv, str):
@@ -197,7 +205,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             return norm.ppf(0.5 + level / 2) * np.sqrt(weights @ scores**2)
         return weighted_quantile(scores, total * weights, level)
 
-    def predict(self, X, return_std=False, include_noise=True):
+    def predict(self, X, return_std=False, include_noise=True, return_cov=False):
         """Predict with the fitted estimator, standard deviations scaled.
 
         Parameters
@@ -209,14 +217,29 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         include_noise : bool
             Whether that is of a new measurement, which is what was calibrated. Without, the deviation of the function
             is scaled alike, where the estimator tells the two apart.
+        return_cov : bool
+            Also return the joint covariance of the function, scaled alike, without noise, where the estimator has one.
 
         Returns
         -------
         mean : ndarray (n, P), or (n,) where y was
         std : ndarray
             On request.
+        cov : ndarray (P n, P n)
+            On request.
+
+        Raises
+        ------
+        ValueError
+            If both a deviation and a covariance are asked for.
         """
         check_is_fitted(self)
+        if return_cov:
+            if return_std:
+                raise ValueError("Got return_std and return_cov, but expected one of them.")
+            mean, covariance = unwrap(self.estimator_).predict(_checked(X), return_cov=True)
+            scale = np.repeat(self.std_scale_, len(mean))
+            return mean, covariance * scale[:, None] * scale
         if not return_std:
             return self.estimator_.predict(_checked(X))
         if include_noise:
@@ -224,6 +247,49 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         else:
             mean, std = unwrap(self.estimator_).predict(_checked(X), return_std=True)
         return mean, std * (self.std_scale_ if std.ndim > 1 else self.std_scale_[0])
+
+    @available_if(_knows("predict_gradient"))
+    def predict_gradient(self, X, return_std=False):
+        """Return the slopes of the mean, (n, P, d) or (n, d), and on request their deviations, scaled.
+
+        Parameters
+        ----------
+        X : array (n, d)
+        return_std : bool
+
+        Returns
+        -------
+        gradient, std : ndarray
+        """
+        check_is_fitted(self)
+        found = unwrap(self.estimator_).predict_gradient(X, return_std=return_std)
+        return (found[0], found[1] * np.asarray(self._scale)[..., None]) if return_std else found
+
+    @available_if(_knows("sample_paths"))
+    def sample_paths(self, n_paths=1, random_state=0):
+        """Draw functions from the posterior, their distance from the mean scaled: what `predict` says, to be flown.
+
+        A path f of a posterior with mean m becomes m + s (f - m), s the output's ``std_scale_``. Mean and covariance
+        over paths are those of ``predict(..., include_noise=False)``.
+
+        Parameters
+        ----------
+        n_paths : int
+        random_state : int, RandomState or None
+
+        Returns
+        -------
+        sequence of callables
+            As of :meth:`skdgp.DependentGPRegressor.sample_paths`.
+        """
+        check_is_fitted(self)
+        regressor = unwrap(self.estimator_)
+        return ScaledPaths(regressor.sample_paths(n_paths, random_state), regressor, self._scale)
+
+    @property
+    def _scale(self):
+        """What deviations are multiplied with: (P,), or a number where y was (n,)."""
+        return self.std_scale_[0] if self._single else self.std_scale_
 
     def predict_interval(self, X, level=None):
         """Predict bands that hold new measurements.

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from sklearn.base import BaseEstimator
+from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
@@ -188,7 +189,8 @@ def as_aerodynamics(model) -> Aerodynamics:
     model : Aerodynamics, Pipeline or estimator
         A fitted pipeline with a ``RegressorSelector`` (what stands before it treats measurements, which a simulation
         has no need of; what stands behind it is kept), or a fitted estimator that learned from a table whose columns
-        are regressors (``feature_names_in_``). It predicts all six coefficients.
+        are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It predicts
+        all six coefficients.
 
     Returns
     -------
@@ -220,7 +222,7 @@ def as_aerodynamics(model) -> Aerodynamics:
             "Aerodynamics(function, regressors=[...])."
         )
     check_is_fitted(model)
-    steps = [step for _, step in model.steps if step not in (None, "passthrough")] if _is_pipe(model) else [model]
+    steps = _steps_of(model)
     place = max((k for k, step in enumerate(steps) if hasattr(step, "regressors_")), default=-1)
     if place >= 0:
         names = list(steps[place].regressors_)
@@ -313,8 +315,19 @@ class _Chain:
         return slice(None) if order == list(range(len(names))) else order
 
 
-def _is_pipe(model) -> bool:
-    return isinstance(model, Pipeline)
+def _steps_of(model) -> list:
+    """Return the fitted steps of a model: of the pipeline in a search, frozen, or calibrated as a whole, too."""
+    inner = model.estimator if isinstance(model, FrozenEstimator) else getattr(model, "best_estimator_", None)
+    if inner is not None:
+        return _steps_of(inner)
+    if isinstance(model, Pipeline):
+        steps = [step for _, step in model.steps if step not in (None, "passthrough")]
+        return [*steps[:-1], *_steps_of(steps[-1])]
+    if hasattr(model, "std_scale_"):  # deviations are of the outputs, so it may stand around the last step alone
+        model = copy.copy(model)
+        *before, model.estimator_ = _steps_of(model.estimator_)
+        return [*before, model]
+    return [model]
 
 
 def _nameless(step):
@@ -322,7 +335,10 @@ def _nameless(step):
     if not hasattr(step, "feature_names_in_"):
         return step
     step = copy.copy(step)
-    del step.feature_names_in_
+    if "feature_names_in_" in vars(step):
+        del step.feature_names_in_
+    elif hasattr(step, "estimator_"):
+        step.estimator_ = _nameless(step.estimator_)
     return step
 
 

@@ -219,6 +219,57 @@ class TestScaling:
         assert found["test_score"].mean() > 0.7
 
 
+@pytest.fixture(scope="module")
+def rows():
+    X, Y = make_flights(n=40)
+    return X[["alpha", "elevator"]].to_numpy(), Y, X["flight"]
+
+
+@pytest.fixture(scope="module")
+def inside(rows):
+    X, Y, flight = rows
+    return CalibratedRegressor(QUICK, cv=2, level=0.6).fit(X, Y, groups=flight)
+
+
+class TestFunctions:
+    def test_paths_have_the_moments_of_the_prediction(self, inside, rows):
+        at = rows[0][3:60:14] + 0.02
+        paths = inside.sample_paths(4000, random_state=0)
+        mean, std = inside.predict(at, return_std=True, include_noise=False)
+        _, covariance = inside.predict(at, return_cov=True)
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), std.T.ravel())
+        values = paths(at)
+        assert (np.abs(values.mean(axis=0) - mean) < 5 * std / np.sqrt(4000)).all()
+        found = np.cov(values.swapaxes(1, 2).reshape(4000, -1).T)
+        size = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose(found / size / size[:, None], covariance / size / size[:, None], atol=0.1)
+        _, slope_std = inside.predict_gradient(at, return_std=True)
+        np.testing.assert_allclose(paths.gradient(at).std(axis=0), slope_std, rtol=0.1)
+
+    def test_paths_are_functions_with_their_slopes(self, inside, rows):
+        at, step = rows[0][3:60:14], 1e-5
+        paths = inside.sample_paths(3, random_state=1)
+        ahead, behind = (paths(at + sign * np.array([step, 0.0])) for sign in (1, -1))
+        np.testing.assert_allclose(paths.gradient(at)[..., 0], (ahead - behind) / (2 * step), rtol=1e-4, atol=1e-4)
+        own = np.stack([at, at + 0.01, at + 0.02])
+        np.testing.assert_allclose(paths.each(own)[1], paths[1](own[1]))
+        np.testing.assert_allclose(paths.gradient(own)[2], paths[2].gradient(own[2]))
+        np.testing.assert_array_equal(paths[1:](at), paths(at)[1:])
+
+    def test_of_one_output(self, rows):
+        X, Y, flight = rows
+        model = CalibratedRegressor(QUICK, cv=2, level=0.6).fit(X, Y["Cm"], groups=flight)
+        paths, at = model.sample_paths(1000, random_state=0), X[:5]
+        std = model.predict(at, return_std=True, include_noise=False)[1]
+        np.testing.assert_allclose(paths(at).std(axis=0), std, rtol=0.15)
+        assert paths.gradient(at).shape == (1000, 5, 2)
+        assert model.predict_gradient(at, return_std=True)[1].shape == (5, 2)
+
+    def test_only_where_the_estimator_has_them(self):
+        assert not hasattr(CalibratedRegressor(BayesianRidge()), "sample_paths")
+        assert hasattr(CalibratedRegressor(QUICK), "sample_paths")
+
+
 class TestDoor:
     def test_no_deviation_no_calibration(self, flights):
         with pytest.raises(TypeError, match="takes no return_std"):

@@ -3,12 +3,15 @@
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.linear_model import LinearRegression
+from sklearn.frozen import FrozenEstimator
+from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp._vocabulary import COEFFICIENTS
+from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aerodynamics, as_aerodynamics
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
@@ -119,6 +122,35 @@ def test_sampled_functions_have_the_posterior_moments_in_the_units_of_the_flight
     moved = X[:3] + h * np.eye(4)[0]
     difference = (drawn(np.tile(moved, (n, 1, 1))) - values) / h
     np.testing.assert_allclose(slopes[..., 0], difference, atol=1e-3 * np.abs(difference).max())
+
+
+def test_a_model_in_a_search_frozen_or_calibrated_is_the_model_inside(flight, targets, fitted, X):
+    groups = np.repeat([0, 1, 2], 40)
+    expected = as_aerodynamics(fitted)(X)
+    search = GridSearchCV(pipeline(StandardScaler(), Ridge()), {"ridge__alpha": [1.0]}, cv=3).fit(flight, targets)
+    np.testing.assert_allclose(as_aerodynamics(search)(X), as_aerodynamics(search.best_estimator_)(X))
+    around = CalibratedRegressor(FrozenEstimator(fitted), cv="prefit", level=0.6).fit(flight, targets, groups=groups)
+    inside = CalibratedRegressor(fitted[-1], cv="prefit", level=0.6)
+    inside.fit(fitted[:-1].transform(flight), targets, groups=groups)
+    np.testing.assert_allclose(inside.std_scale_, around.std_scale_)
+    for model in (around, make_pipeline(*fitted[:-1], inside)):
+        flown = as_aerodynamics(model)
+        assert flown.regressors == tuple(REGRESSORS)
+        np.testing.assert_allclose(flown(X), expected)
+        np.testing.assert_allclose(flown.gradient(X), as_aerodynamics(fitted).gradient(X))
+        scale = np.repeat(around.std_scale_, len(X))
+        covariance = as_aerodynamics(fitted).covariance(X) * scale * scale[:, None]
+        np.testing.assert_allclose(flown.covariance(X), covariance, atol=1e-12)
+        at = np.broadcast_to(X, (5, *X.shape))
+        off, unscaled = flown.sample(5)(at) - expected, as_aerodynamics(fitted).sample(5)(at) - expected
+        np.testing.assert_allclose(off, around.std_scale_ * unscaled, atol=1e-12)
+
+
+def test_a_calibrated_estimator_that_learned_from_a_table(flight, targets):
+    table = flight[["alpha", "beta"]]
+    regressor = DependentGPRegressor(n_latent=1, optimizer=None).fit(table, targets)
+    model = CalibratedRegressor(regressor, cv="prefit", level=0.6).fit(table, targets, groups=np.repeat([0, 1, 2], 40))
+    np.testing.assert_allclose(as_aerodynamics(model)(table.to_numpy()[:5]), regressor.predict(table[:5]))
 
 
 def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, targets):

@@ -12,8 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "skdgp"
 copyright = author = "the skdgp developers"
-release = version_of("skdgp")
-version = release
+version = release = version_of("skdgp")
 
 extensions = [
     "myst_parser",
@@ -24,12 +23,11 @@ extensions = [
     "mathml",
     "members",
 ]
-exclude_patterns = ["_build", "gallery/*.ipynb", "gallery/*.py"]
+exclude_patterns = ["_build"]
 templates_path = ["_templates"]
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
-myst_links_external_new_tab = False
 
 autodoc_typehints = "none"  # numpydoc's sections say types in words
 numpydoc_show_class_members = False  # the template of a class shows its own, below its docstring
@@ -45,7 +43,6 @@ sphinx_gallery_conf = {
     "thumbnail_size": (560, 400),
     "write_computation_times": False,
     "notebook_extensions": set(),  # the examples are commands
-    "remove_config_comments": True,
 }
 
 html_theme = "furo"

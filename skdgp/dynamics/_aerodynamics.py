@@ -190,7 +190,7 @@ def as_aerodynamics(model) -> Aerodynamics:
         A fitted pipeline with a ``RegressorSelector`` (what stands before it treats measurements, which a simulation
         has no need of; what stands behind it is kept), or a fitted estimator that learned from a table whose columns
         are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It predicts
-        all six coefficients.
+        all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them, as scikit-learn's own.
 
     Returns
     -------
@@ -202,7 +202,7 @@ def as_aerodynamics(model) -> Aerodynamics:
     TypeError
         If it is none of these.
     ValueError
-        If the regressors have no names, or a coefficient is missing.
+        If the regressors have no names, or were scaled before they were chosen, or a coefficient is missing.
 
     Examples
     --------
@@ -233,7 +233,13 @@ def as_aerodynamics(model) -> Aerodynamics:
             f"Got a {type(model).__name__} whose regressors have no names: put RegressorSelector([...]) into the "
             "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
         )
-    chain = _Chain([_nameless(step) for step in steps[place + 1 : -1]], _nameless(steps[-1]), len(names))
+    scaled = [type(step).__name__ for step in steps[: max(place, 0)] if hasattr(step, "scale_")]
+    if scaled:
+        raise ValueError(
+            f"Got {scaled} before the choice of regressors, but expected flight channels in their units there, as a "
+            "simulation gives them: put it behind RegressorSelector."
+        )
+    chain = _Chain([_plain(step) for step in steps[place + 1 : -1]], _nameless(steps[-1]), len(names))
     lengths = next((step for step in reversed(steps[:place]) if hasattr(step, "rates_")), None)
     limits = [getattr(steps[place], name, None) for name in ("data_min_", "data_max_")] if place >= 0 else [None]
     return Aerodynamics(
@@ -328,6 +334,12 @@ def _steps_of(model) -> list:
         *before, model.estimator_ = _steps_of(model.estimator_)
         return [*before, model]
     return [model]
+
+
+def _plain(transform):
+    """Return the transform as it takes and gives arrays, whatever `set_output` said."""
+    transform = copy.deepcopy(_nameless(transform))
+    return transform.set_output(transform="default") if hasattr(transform, "set_output") else transform
 
 
 def _nameless(step):

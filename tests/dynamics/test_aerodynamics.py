@@ -56,6 +56,11 @@ BEHIND = {
     "scaled twice": lambda: (StandardScaler(), StandardScaler(with_mean=False), LinearRegression()),
     "bare": lambda: (LinearRegression(),),
     "polynomial": lambda: (StandardScaler(), PolynomialFeatures(2), LinearRegression()),
+    "tables": lambda: (
+        StandardScaler().set_output(transform="pandas"),
+        PolynomialFeatures(2).set_output(transform="pandas"),
+        LinearRegression(),
+    ),
 }
 
 
@@ -176,6 +181,12 @@ class TestBadInput:
     def test_regressors_without_names(self, targets):
         model = LinearRegression().fit(np.zeros((120, 2)), targets.to_numpy())
         with pytest.raises(ValueError, match="have no names"):
+            as_aerodynamics(model)
+
+    def test_channels_that_were_scaled_before_they_were_chosen(self, flight, targets):
+        first = StandardScaler().set_output(transform="pandas")
+        model = make_pipeline(first, RegressorSelector(["alpha", "beta"]), LinearRegression()).fit(flight, targets)
+        with pytest.raises(ValueError, match=r"Got \['StandardScaler'\] before the choice of regressors"):
             as_aerodynamics(model)
 
     def test_what_cannot_predict(self):

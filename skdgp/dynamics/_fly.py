@@ -138,7 +138,7 @@ def lost(state, now: Instant) -> dict[str, np.ndarray]:
     fine = fine & (np.abs(state[..., RATES]) < SPINNING).all(axis=-1)
     found = {
         "airspeed": now.airspeed < SLOWEST,
-        "altitude": np.isnan(now.density),
+        "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~fine,
         "fixed point": np.logical_not(now.settled),
     }

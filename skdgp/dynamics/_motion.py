@@ -88,6 +88,8 @@ class Motion:
         if not isinstance(aircraft, Aircraft):
             raise TypeError(f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft.")
         self.aircraft, self.gravity, self.thrust = aircraft, gravity, thrust
+        if not (density is None or callable(density) or (np.isfinite(density) and density >= 0)):
+            raise ValueError(f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of altitude [m].")
         self._density = _density_of_air if density is None else density
         self._plan = [self._rule(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, *_ in self._plan)

@@ -256,6 +256,7 @@ class TestControls:
         (table_of(1.0), {"wind": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"initial_std": {"phi": 0.1}}, "nothing would show it"),
         (table_of(1.0), {"return_std": True, "initial_std": {"phi": -0.1}}, "initial_std of phi -0.1"),
+        (table_of(1.0), {"density": np.nan}, "Got density=nan"),
         (table_of(1.0), {"wind": {"north": 5.0}}, "lack 'north'"),
         (table_of(1.0), {"wind": lambda t, position: [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0).assign(rudder="left"), {}, "controls rudder that is no number"),
@@ -504,6 +505,12 @@ class TestSimulator:
         while not simulator.ended:
             seen = simulator.step(controls)
         assert simulator.ended == "airspeed"
+        simulator.reset(START)
+        simulator.step(controls | {"elevator": np.nan})
+        assert simulator.ended == "diverged"
+        simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
+        while not simulator.ended:
+            seen = simulator.step(controls)
         assert np.isnan(seen["airspeed"])
         assert np.isnan(simulator.state).all()
         with pytest.raises(ValueError, match="has ended"):

@@ -195,7 +195,7 @@ def as_aerodynamics(model) -> Aerodynamics:
     Returns
     -------
     Aerodynamics
-        Gives the numbers of the pipeline, one row in some ten microseconds.
+        Gives the numbers of the pipeline, one row in some tens of microseconds.
 
     Raises
     ------

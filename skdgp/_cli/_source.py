@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from skdgp._validation import check_columns
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 
+MEASURED = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r")
+"""What the coefficients follow from."""
 HELD_OUT = 0.25
 """Share of a single flight that is held out, at its end."""
 
@@ -37,6 +40,7 @@ def file_source(options) -> Source:
     """
     aircraft = read_aircraft(options.aircraft)
     train, test = (read_named(paths, options.servos) for paths in (options.train, options.test))
+    check_measured(train | test, [*options.train, *options.test])
     held_out = None
     if not test:
         train, test, held_out = hold_out(train)
@@ -89,6 +93,20 @@ def _remedy(name, first, second) -> str:
     if columns:
         return f"the name stands in column 'flight' of {columns[0]}; change it there"
     return "rename one of the files, or where a file has a column 'flight', change the name there"
+
+
+def check_measured(flights, paths) -> None:
+    """Raise a ValueError if coefficients cannot follow from a flight: before anything is said of its other faults."""
+    logs = [str(path) for path in paths if Path(path).suffix.lower() in AUTOPILOTS]
+    for table in flights.values():
+        try:
+            check_columns(table, MEASURED)
+        except ValueError as error:
+            if not logs:
+                raise
+            raise ValueError(
+                f"{error} What a log has, and why it lacks them: python -m skdgp inspect {logs[0]}"
+            ) from None
 
 
 def hold_out(flights):

@@ -35,6 +35,7 @@ OPTIONS = {
     "thrust=None": "--thrust none",
     "thin_targets(": "--samples 755",
     "inference='sparse'": "--inference sparse",
+    "airborne=False": "--airborne all or --airborne 6",
 }
 """What remedies of the library are called here."""
 

@@ -60,7 +60,7 @@ def engine_of(model) -> str | None:
     return None if learned.get("thrust", "auto") in (None, "none") else "auto"
 
 
-def read_flights(paths, model: Bunch, servos=None) -> dict[str, pd.DataFrame]:
+def read_flights(paths, model: Bunch, options) -> dict[str, pd.DataFrame]:
     """Read flights, and leave out, with a warning, the rows that the model cannot say anything of.
 
     Raises
@@ -68,7 +68,7 @@ def read_flights(paths, model: Bunch, servos=None) -> dict[str, pd.DataFrame]:
     ValueError, OSError
         What the readers raise; or if a flight lacks a column of regressors that those learned from had.
     """
-    flights = checked(read_named(paths, servos))
+    flights = checked(read_named(paths, options))
     warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
     regressors = model.pipeline["regressorselector"].regressors
     learned_from = pd.DataFrame(columns=model.pipeline[0].feature_names_in_)

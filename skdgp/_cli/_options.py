@@ -19,7 +19,7 @@ def _add_identify(parser):
         help="flights to try the model on (default: the last training flight, or the last quarter of a single one, "
         "is held out)",
     )
-    _add_servos(parser)
+    _add_logs(parser)
     _add_loads(parser, thrust="auto", forces=[], said="auto, columns where they stand, else the propeller")
     _add_learning(parser)
     _add_horizons(parser)
@@ -53,7 +53,7 @@ def _add_inspect(parser):
 def _add_predict(parser):
     _add_model(parser)
     parser.add_argument("flight", nargs="+", type=FileName, metavar="FLIGHT", help="flights to predict")
-    _add_servos(parser)
+    _add_logs(parser)
     parser.add_argument(
         "--include-noise",
         action="store_true",
@@ -68,7 +68,7 @@ def _add_validate(parser):
     _add_model(parser)
     parser.add_argument("flight", nargs="+", type=FileName, metavar="FLIGHT", help="flights to try it on")
     _add_aircraft(parser)
-    _add_servos(parser)
+    _add_logs(parser)
     _add_loads(parser, thrust=None, forces=None, said="as the model was learned")
     _add_horizons(parser)
     _add_folder(parser, required=False)
@@ -80,7 +80,7 @@ def _add_simulate(parser):
     start = parser.add_argument_group("start, of a log or of a trim")
     start.add_argument("--flight", type=FileName, metavar="LOG", help="start where this flight was")
     start.add_argument("--at", type=read.number, metavar="S", help="when, on the clock of the log [s]")
-    _add_servos(start)
+    _add_logs(start)
     start.add_argument("--trim", type=read.speed, metavar="V", help="start from steady flight at this airspeed [m/s]")
     start.add_argument("--altitude", type=read.number, metavar="M", help="of the trim [m] (default: 0)")
     start.add_argument(
@@ -137,6 +137,16 @@ def _add_aircraft(parser):
         type=FileName,
         metavar="FILE",
         help="the aircraft, JSON or TOML, such as with another mass (default: the one in the model)",
+    )
+
+
+def _add_logs(parser):
+    _add_servos(parser)
+    parser.add_argument(
+        "--airborne",
+        type=read.airborne,
+        metavar="V|all",
+        help="airspeed [m/s] above which logs of autopilots are flights, or all of a log (default: told by the log)",
     )
 
 

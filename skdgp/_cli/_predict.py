@@ -21,7 +21,7 @@ def predict(task: Task) -> None:
         raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
     task.console.stage("reading")
     model = read_model(options)
-    flights = read_flights(options.flight, model, options.servos)
+    flights = read_flights(options.flight, model, options)
     tables = []
     for name, table in flights.items():
         task.console.stage(f"predicting {name}")

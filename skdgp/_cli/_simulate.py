@@ -73,7 +73,7 @@ def fly(task: Task) -> None:
 def _start(options, model, engine) -> Start:
     if (options.flight is None) == (options.trim is None):
         raise ValueError("Got both or none of --flight and --trim, but expected one of them to start from.")
-    only = {"flight": ("at", "servos"), "trim": ("altitude", "climb", "turn_rate", "bank")}
+    only = {"flight": ("at", "servos", "airborne"), "trim": ("altitude", "climb", "turn_rate", "bank")}
     other = "trim" if options.trim is None else "flight"
     given = [f"--{name.replace('_', '-')}" for name in only[other] if getattr(options, name) is not None]
     if given:
@@ -108,7 +108,7 @@ def _logged(options, model) -> Start:
     """Start from a moment of a log, as the pipeline sees it: noise out, and the wind told where that can be known."""
     if options.at is None:
         raise ValueError("Got --flight without --at, but expected the moment to start from: --at SECONDS.")
-    log = _around(options.at, read_named([options.flight], options.servos))
+    log = _around(options.at, read_named([options.flight], options))
     for step in model.pipeline:
         if isinstance(step, MEASUREMENTS):
             log = step.transform(log)

@@ -39,7 +39,7 @@ def file_source(options) -> Source:
         What the readers raise; or if two files hold a flight of the same name.
     """
     aircraft = read_aircraft(options.aircraft)
-    train, test = (read_named(paths, options.servos) for paths in (options.train, options.test))
+    train, test = (read_named(paths, options) for paths in (options.train, options.test))
     check_measured(train | test, [*options.train, *options.test])
     held_out = None
     if not test:
@@ -70,12 +70,14 @@ def read_aircraft(path) -> Aircraft:
     return readers[path.suffix.lower()](path)
 
 
-def read_named(paths, servos=None) -> dict[str, pd.DataFrame]:
-    """Read files into one table for each flight; ``servos`` is for those that are logs of autopilots."""
+def read_named(paths, options) -> dict[str, pd.DataFrame]:
+    """Read files into one table for each flight, logs of autopilots as the options say."""
     flights, owner = {}, {}
+    airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
     for path in paths:
         of_autopilot = Path(path).suffix.lower() in AUTOPILOTS
-        for name, table in _by_flight(read_flight(path, servos=servos if of_autopilot else None)).items():
+        reading = {"servos": options.servos, "airborne": airborne} if of_autopilot else {}
+        for name, table in _by_flight(read_flight(path, **reading)).items():
             if name in flights:
                 raise FlightReadError(
                     f"Got flight {name!r} in {owner[name]} and in {path}, but expected each once: "

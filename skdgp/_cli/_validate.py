@@ -16,7 +16,7 @@ def validate(task: Task) -> None:
     task.console.stage("reading")
     model = read_model(options)
     loads = loads_of(model, options)
-    flights = read_flights(options.flight, model, options.servos)
+    flights = read_flights(options.flight, model, options)
     for name in flights.keys() & set(model.get("flights", [])):
         warnings.warn(
             f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.",

@@ -13,6 +13,11 @@ class FileName(str):
     """A file or folder that was named: configurations keep where it is, wherever they are read."""
 
 
+def airborne(text):
+    """Read the airspeed above which a log is a flight, or all of it."""
+    return text if text == "all" else speed(text)
+
+
 def at_least(lowest):
     """Return what reads whole numbers from ``lowest`` on."""
 

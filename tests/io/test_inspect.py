@@ -1,6 +1,7 @@
 """What is said of a log: what it holds, where from, and what it lacks for which step."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -164,9 +165,22 @@ class TestCommand:
 
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
         (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")
-        flights = read_named([whole, tmp_path / "table.csv"], SERVOS)
+        flights = read_named([whole, tmp_path / "table.csv"], SimpleNamespace(servos=SERVOS, airborne=None))
         assert set(SERVOS) <= set(flights["whole"].columns)
         assert set(flights["table"].columns) == {"time", "flight", "alpha"}
+
+    def test_identify_is_told_what_of_a_log_is_a_flight(self, whole, tmp_path, capsys):
+        flown, everything = (
+            read_named([whole], SimpleNamespace(servos=None, airborne=airborne))["whole"] for airborne in (None, "all")
+        )
+        assert len(flown) <= len(everything)
+        (tmp_path / "uav.json").write_text(
+            json.dumps({"mass": 2, "inertia": np.eye(3).tolist(), "wing_area": 1, "span": 2, "chord": 0.5})
+        )
+        words = ["identify", str(whole), "--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
+        assert main([*words, "--airborne", "300"]) == 1
+        assert "--airborne all" in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
 
     def test_no_such_file(self, capsys):
         assert main(["inspect", "nowhere.ulg"]) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import NamedTuple
@@ -27,6 +28,7 @@ CONTROLS = (
 """Words of the vocabulary that are set and not rebuilt; a control may also have any name that is not in it."""
 LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
 ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
+LENGTHS_OF_RATES = ("span", "chord")
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 """What follows from the loads, and so from the coefficients that it is a regressor of."""
 STATES = ("airspeed", "alpha", "beta", "density", "altitude", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
@@ -91,6 +93,7 @@ class Motion:
         if not (density is None or callable(density) or (np.isfinite(density) and density >= 0)):
             raise ValueError(f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of altitude [m].")
         self._density = _density_of_air if density is None else density
+        self._check_lengths()
         self._plan = [self._rule(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, *_ in self._plan)
         self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
@@ -103,6 +106,19 @@ class Motion:
         self._needs_angles = any(name in ("phi", "theta", "psi") for name in self.regressors)
         self._implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self._implicit]
+
+    def _check_lengths(self) -> None:
+        """Warn where the model seems to be of another aircraft."""
+        model, aircraft = (
+            [getattr(owner, name) for name in LENGTHS_OF_RATES] for owner in (self.aerodynamics, self.aircraft)
+        )
+        if None not in model and not np.isclose(model, aircraft, rtol=0.01).any():
+            warnings.warn(
+                f"The model's rates were made non-dimensional by span {model[0]:g} m and chord {model[1]:g} m, but "
+                f"{self.aircraft!r} has others: is this the aircraft that the model was learned from?",
+                UserWarning,
+                stacklevel=4,
+            )
 
     @property
     def is_implicit(self) -> bool:

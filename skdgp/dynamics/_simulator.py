@@ -13,7 +13,7 @@ from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._schedules import air_of
 from skdgp.dynamics._starts import as_starts, initial_states, perturbed
-from skdgp.dynamics._trajectory import channels
+from skdgp.dynamics._trajectory import beyond, channels
 
 __all__ = ["Simulator"]
 
@@ -40,6 +40,8 @@ class Simulator:
     ----------
     ended : str or ndarray of str
         Why the flight, or each, is over; "" while it is not.
+    beyond : str or ndarray of str
+        After a step: the regressor that is farthest outside of what the model was learned from, or "".
     control_names : tuple of str
         Controls that the model needs; what tells the thrust is needed besides.
 
@@ -79,7 +81,7 @@ class Simulator:
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
         self.motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
         self.dt, self.ended, self._steps = float(dt), FLYING, 0
-        self._mean, self._air, self._state = self.motion.aerodynamics, air_of(wind), None
+        self._mean, self._air, self._state, self.beyond = self.motion.aerodynamics, air_of(wind), None, ""
 
     @property
     def control_names(self) -> tuple[str, ...]:
@@ -124,7 +126,7 @@ class Simulator:
         self._state = states[0] if single and self._mean_flies else states
         self._single, self._start, self._steps = single, self._state, 0
         self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)
-        self._implicit = None
+        self._implicit, self.beyond = None, "" if single else np.full(len(states), "", dtype=object)
         return self._seen()
 
     def step(self, controls: Mapping) -> dict:
@@ -149,8 +151,11 @@ class Simulator:
         with np.errstate(all="ignore"):  # what diverges is found
             state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
             self._steps += 1
-            for reason, where in lost(state, at(self.time, state)).items():
+            now = at(self.time, state)
+            for reason, where in lost(state, now).items():
                 self._ended[np.broadcast_to(where, self._ended.shape) & (self._ended == FLYING)] = reason
+        names = np.array(["", *self.motion.regressors], dtype=object)[beyond(self.motion, now.regressors)]
+        self.beyond = str(np.reshape(names, -1)[0]) if self._single else names
         flying = self._ended == FLYING
         self._state = state if flying.all() else np.where(flying[..., None], state, self._start)
         return self._seen()

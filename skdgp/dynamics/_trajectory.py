@@ -13,7 +13,7 @@ from skdgp._vocabulary import COEFFICIENTS
 from skdgp.dynamics._frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY
 
-__all__ = ["SimulationWarning", "channels", "trajectory_bands", "trajectory_table", "warn_of"]
+__all__ = ["SimulationWarning", "beyond", "channels", "trajectory_bands", "trajectory_table", "warn_of"]
 
 BEYOND = 0.02
 """By which a regressor may exceed what was flown, as a share of its range, before it is told."""
@@ -82,7 +82,7 @@ def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     table = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
     table |= _identity(shape, n_times)
     table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
-    table["beyond"] = pd.Categorical.from_codes(column(_beyond(record, motion)), ["", *motion.regressors])
+    table["beyond"] = pd.Categorical.from_codes(column(beyond(motion, record.regressors)), ["", *motion.regressors])
     table["ended"] = pd.Categorical(column(np.where(over, record.ended, "")))
     return pd.DataFrame(table)
 
@@ -101,13 +101,13 @@ def _identity(shape, n_times) -> dict:
     return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
 
 
-def _beyond(record, motion) -> np.ndarray:
-    """Return 1 + the regressor that is farthest outside of what was flown, 0 where none is, (n_times, ...)."""
+def beyond(motion, regressors) -> np.ndarray:
+    """Return 1 + the one of the regressors (..., d) that is farthest outside of what was flown, 0 where none is."""
     limits = motion.aerodynamics.limits
     if limits is None:
-        return np.zeros(record.density.shape, dtype=int)
+        return np.zeros(regressors.shape[:-1], dtype=int)
     low, high = limits
-    outside = np.maximum(low - record.regressors, record.regressors - high) / np.maximum(high - low, TINY)
+    outside = np.maximum(low - regressors, regressors - high) / np.maximum(high - low, TINY)
     outside = np.where(np.isfinite(outside), outside, 0.0)
     return np.where(outside.max(axis=-1) > BEYOND, 1 + outside.argmax(axis=-1), 0)
 
@@ -125,9 +125,9 @@ def warn_of(record, motion) -> None:
             SimulationWarning,
             stacklevel=3,
         )
-    beyond = _beyond(record, motion)
-    if beyond.any():
-        flights = beyond.reshape(len(beyond), -1)
+    outside = beyond(motion, record.regressors)
+    if outside.any():
+        flights = outside.reshape(len(outside), -1)
         first = int(np.flatnonzero(flights.any(axis=1))[0])
         k = int(flights[first].max()) - 1
         low, high = motion.aerodynamics.limits[:, k]

@@ -40,6 +40,7 @@ def test_are_the_known_ones(state, regressors):
     assert table.loc["Cm_q", ["coefficient", "regressor", "per"]].tolist() == ["Cm", "q", "rad"]
 
 
+@pytest.mark.filterwarnings("ignore:The model's rates were made non-dimensional")
 def test_by_whatever_rates_the_model_was_given(state):
     """Rates in rad/s, and non-dimensional by other lengths than the aircraft's."""
     lengths = np.array([BRUMBY.span, BRUMBY.chord, BRUMBY.span, BRUMBY.chord, BRUMBY.span])

@@ -150,7 +150,10 @@ class TestRegressors:
         values = model[:3].fit(log).transform(log).to_numpy()
         model.fit(log, INTERCEPT + values[:, :8] @ SLOPES.T + 0.001 * values[:, 8:])
         surfaces = {"elevon_left": 0.01, "elevon_right": -0.03, "rudder": 0.01, "thrust_x": 14.0}
-        with pytest.warns(SimulationWarning, match="left what the model was learned from"):
+        with (
+            pytest.warns(SimulationWarning, match="left what the model was learned from"),
+            pytest.warns(UserWarning, match="is this the aircraft that the model was learned from"),
+        ):
             flown = simulate(model, aircraft, START, surfaces, duration=2.0)
         assert {"elevator", "aileron"} <= set(flown)
         np.testing.assert_allclose(model.predict(flown), flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]], atol=1e-12)
@@ -495,6 +498,24 @@ class TestSimulator:
         assert two[0] == pytest.approx(end(1))
         assert two[0] != two[1]
         assert end(None, pd.DataFrame([START, START])) == pytest.approx(end(None))
+
+    def test_tells_what_is_beyond_what_was_flown(self, aircraft):
+        limits = np.array([[-0.5] * 8, [0.5] * 8])
+        limits[:, 0] = [0.0, 0.07]
+        simulator = Simulator(linear(limits=limits), aircraft, dt=0.02)
+        with pytest.warns(SimulationWarning):
+            flown = simulate(
+                linear(limits=limits), aircraft, START, lambda t, s: commands(0.0), duration=1.0, hold=True
+            )
+        simulator.reset(START)
+        told = [simulator.beyond]
+        for _ in range(50):
+            simulator.step(commands(0.0))
+            told.append(simulator.beyond)
+        assert told[1:] == flown["beyond"].tolist()[1:]
+        simulator.reset(pd.DataFrame([START, START | {"alpha": 0.03}]))
+        simulator.step(commands(0.0))
+        assert simulator.beyond.tolist() == ["alpha", ""]
 
     def test_says_when_it_is_over(self, aircraft):
         simulator = Simulator(linear(0.0 * SLOPES, np.zeros(6)), aircraft, thrust=None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -110,8 +110,9 @@ def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataF
 
 
 def told(findings: list[Finding], done: str) -> str:
-    """Return one message of many findings."""
-    said = [f"flight {each.flight!s}: {each.message}" for each in findings[:SHOWN]]
+    """Return one message of many findings, each flight named once."""
+    by_flight = groupby(findings[:SHOWN], key=lambda each: str(each.flight))
+    said = [f"flight {flight}: {'; '.join(each.message for each in group)}" for flight, group in by_flight]
     more = f"; and {len(findings) - SHOWN} more, see skdgp.preprocessing.inspect_flight" * (len(findings) > SHOWN)
     return f"{TOLD}: {'; '.join(said)}{more}. {done}"
 

@@ -21,9 +21,8 @@ from skdgp.dynamics._starts import ANGLES, BODY, EARTH, checked_std
 
 __all__ = ["linear_std"]
 
-MOST_KNOTS = 200
-CLOSEST = 0.05
-"""Between knots [s], unless steps are longer."""
+MOST_KNOTS = 250
+"""A knot for each step, on longer flights so many: errors that forget themselves from knot to knot count too much."""
 NAMES = ("north", "east", "down", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r")
 SEEN = ("v_north", "v_east", "v_down", "airspeed", "alpha", "beta")
 
@@ -53,7 +52,7 @@ class _Path:
 
     def __init__(self, record: Record, motion: Motion, place, n: int):
         dt = record.time[1]
-        every = max(1, round(CLOSEST / dt), -(-n // MOST_KNOTS))
+        every = max(1, -(-n // MOST_KNOTS))
         self.knots = np.unique(np.append(np.arange(0, n, every), n - 1))
         self.dt, self.n = dt, n
         at = (self.knots, *place)

@@ -259,7 +259,7 @@ class _Chain:
     """What stands behind the choice of regressors: scalings and other transforms, and the regressor at the end."""
 
     def __init__(self, transforms, regressor, n_regressors: int):
-        self.transforms, self.regressor = transforms, regressor
+        self.regressor = regressor
         self.shift, self.scale, affine = np.zeros(n_regressors), np.ones(n_regressors), 0
         for step in transforms:
             if type(step) is not StandardScaler:

@@ -174,12 +174,12 @@ class Motion:
         X = self._explicit(state, controls, airspeed, alpha, beta, density, altitude)
         others = propulsion_of(self.aircraft, self.thrust, controls, airspeed, density)
         if not self._implicit:
-            return self._loaded(state, X, airspeed, alpha, beta, density, others, None, True)
+            return self._loaded(state, X, airspeed, alpha, beta, density, others)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
         tried = []
         for _ in range(MOST_ITERATIONS):
             self._insert(X, guess, airspeed)
-            now = self._loaded(state, X, airspeed, alpha, beta, density, others, guess, True)
+            now = self._loaded(state, X, airspeed, alpha, beta, density, others)
             found = self._follow(state, now, velocity, steady, wind_rate)
             off = ((found - guess) / (1.0 + np.abs(found)))[..., self._follows]
             settled = np.abs(off).max(axis=-1) < TOLERANCE
@@ -215,13 +215,13 @@ class Motion:
             value = implicit[..., IMPLICIT.index(name)]
             X[..., k] = value * (0.5 * length / airspeed) ** power if power else value
 
-    def _loaded(self, state, X, airspeed, alpha, beta, density, others, implicit, settled) -> Instant:
+    def _loaded(self, state, X, airspeed, alpha, beta, density, others) -> Instant:
         C = self._coefficients(X)
         scale = (0.5 * self.aircraft.wing_area) * density * airspeed * airspeed
         force = C[..., :3] * np.asarray(scale)[..., None] + others[0]
         moment = C[..., 3:] * (np.asarray(scale)[..., None] * self.aircraft.moment_lengths) + others[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
-        return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, implicit, settled)
+        return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, None, True)
 
     def _coefficients(self, X) -> np.ndarray:
         """Return the model's coefficients, NaN where a state has diverged: models refuse what is not finite."""

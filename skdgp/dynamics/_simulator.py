@@ -121,9 +121,9 @@ class Simulator:
         starts = as_starts(x0)
         states = initial_states(starts, None if self._air is None else lambda at: self._air(0.0, at)[0])
         states = perturbed(states, initial_std, 1, random_state)[0]
-        single, self._mean_flies = len(states) == 1, random_state is None
-        self.motion.aerodynamics = self._mean if self._mean_flies else self._mean.sample(len(states), random_state)
-        self._state = states[0] if single and self._mean_flies else states
+        single, mean_flies = len(states) == 1, random_state is None
+        self.motion.aerodynamics = self._mean if mean_flies else self._mean.sample(len(states), random_state)
+        self._state = states[0] if single and mean_flies else states
         self._single, self._start, self._steps = single, self._state, 0
         self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)
         self._implicit, self.beyond = None, "" if single else np.full(len(states), "", dtype=object)

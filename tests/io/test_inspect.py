@@ -9,7 +9,7 @@ import pytest
 from skdgp._cli import main
 from skdgp._cli._source import read_named
 from skdgp.dynamics import _inverse
-from skdgp.io import FlightReadError, inspect_log
+from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS
 from skdgp.preprocessing import _flight_log
 from skdgp.preprocessing._selector import REGRESSOR_SETS
@@ -173,7 +173,8 @@ class TestCommand:
         flown, everything = (
             read_named([whole], SimpleNamespace(servos=None, airborne=airborne))["whole"] for airborne in (None, "all")
         )
-        assert len(flown) <= len(everything)
+        assert len(flown) == len(read_flight(whole))
+        assert len(everything) == len(read_flight(whole, airborne=False)) > 0
         (tmp_path / "uav.json").write_text(
             json.dumps({"mass": 2, "inertia": np.eye(3).tolist(), "wing_area": 1, "span": 2, "chord": 0.5})
         )

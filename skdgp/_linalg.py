@@ -10,6 +10,7 @@ from scipy.linalg import eigh, lapack
 from scipy.linalg.blas import dtrsm, dtrsv
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
+CONSTANT = 1e-12  # spread of a constant column, relative to its largest value: sums of equal numbers are rounded
 
 
 class JitterWarning(UserWarning):
@@ -127,7 +128,18 @@ def log_determinant(L: np.ndarray) -> float:
     return 2.0 * float(np.log(np.einsum("ii->i", L)).sum())
 
 
+def constant_columns(Z: np.ndarray) -> np.ndarray:
+    """Return which columns (n, k) have one finite value only, but for rounding, or none: (k,) of bool."""
+    finite = [z[np.isfinite(z)] for z in Z.T]
+    return np.array([not len(z) or np.ptp(z) <= CONSTANT * np.abs(z).max() for z in finite], dtype=bool)
+
+
 def column_scale(Z: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each column over its finite values, one where that is zero."""
-    scale = np.array([np.std(z[np.isfinite(z)]) if np.isfinite(z).any() else 0.0 for z in Z.T])
-    return np.where(scale > 0, scale, 1.0)
+    """Return the standard deviation of each column over its finite values, one where the column is constant."""
+    constant = constant_columns(Z)
+    return np.array([1.0 if same else np.std(z[np.isfinite(z)]) for z, same in zip(Z.T, constant, strict=True)])
+
+
+def unexplained_variance(prior: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """Return prior less explained variance, at least the rounding error of the prior: no deviation is zero."""
+    return np.maximum(prior - explained, np.finfo(float).eps * prior)

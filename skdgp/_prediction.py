@@ -9,7 +9,7 @@ from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._targets import check_memory
+from skdgp._targets import X_RANGE, check_magnitudes, check_memory
 
 FEWER_SAMPLES = "Ask for fewer samples at a time, or for return_std=True, which needs no joint covariance."
 
@@ -238,7 +238,13 @@ class PredictionMixin:
         if self._is_plain(X):
             return X
         check_is_fitted(self)
-        return validate_data(self, X, dtype=np.float64, reset=False)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
+        return X
+
+    def _regressor_names(self) -> list[str]:
+        """Return the names of the regressors, or x0, x1, ... where they have none."""
+        return list(getattr(self, "feature_names_in_", [f"x{k}" for k in range(self.n_features_in_)]))
 
     def _is_plain(self, X):
         """Return whether X is what ``validate_data`` would return as it is: for a row that is most of the time."""
@@ -250,7 +256,7 @@ class PredictionMixin:
             and X.shape[1] == getattr(self, "n_features_in_", None)
             and hasattr(self, "posterior_")
             and not hasattr(self, "feature_names_in_")
-            and bool(np.isfinite(X).all())
+            and float(np.abs(X).max()) <= X_RANGE[1]
         )
 
     def _shaped(self, values):

@@ -13,22 +13,27 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._callbacks import CallbackSupportMixin, FitTask
 from skdgp._checkpoint import kept_in, record_of_fit
+from skdgp._linalg import CONSTANT
 from skdgp._parallel import check_n_jobs, fit_map
 from skdgp._prediction import PredictionMixin
 from skdgp._targets import (
     FEWER_LATER,
     FEWER_VALUES,
+    X_RANGE,
+    Y_RANGE,
     check_compaction,
     check_enough,
+    check_magnitudes,
     check_memory,
     check_same_targets,
     check_targets,
     input_root,
+    warn_of_compaction,
+    warn_of_constant_regressors,
     warn_of_indices,
     warn_of_inducing,
     warn_of_samples,
     warn_of_search,
-    warn_of_tolerance,
 )
 from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, output_correlation, reach_of
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
@@ -221,14 +226,15 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
         Raises
         ------
         ValueError
-            When X is not finite, an output was never observed, there are fewer than two samples, ``n_jobs`` makes no
-            sense, or the posterior would not fit the machine's memory.
+            When X is not finite, an output was never observed, there are fewer than two samples, magnitudes are beyond
+            what double precision can square, ``n_jobs`` makes no sense, or the posterior would not fit the machine's
+            memory.
 
         Warns
         -----
         UserWarning
-            When an output is constant, samples are repeated with the same targets, or there are more inducing inputs
-            than samples.
+            When an output or a regressor is constant, samples are repeated with the same targets, or there are more
+            inducing inputs than samples.
         ConvergenceWarning
             When the search for hyperparameters was interrupted (the best ones so far are kept), or stopped at
             ``max_iter`` far from an optimum.
@@ -241,6 +247,9 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
         used = np.isfinite(Y).any(axis=1)
         X, Y = X[used], Y[used]
         check_enough(Y, self.output_names_)
+        check_magnitudes(X, self._regressor_names(), "regressors", *X_RANGE)
+        check_magnitudes(Y, self.output_names_, "targets", *Y_RANGE)
+        warn_of_constant_regressors(X, self._regressor_names())
         warn_of_samples(X, Y, self.output_names_)
         n_values = int(np.isfinite(Y).sum())
         self.inference_ = (
@@ -252,7 +261,7 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
             warn_of_inducing(self.n_inducing, len(X))
         self._center = np.nanmean(Y, axis=0) if self.trend is not None else np.zeros(Y.shape[1])
         scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
-        self._scale = np.where(scale > 1e-12 * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
+        self._scale = np.where(scale > CONSTANT * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
         best = task.heard(self._search, X, (Y - self._center) / self._scale)
         warn_of_search(best, self.max_iter)
         vars(self).pop("compaction_", None)  # of what was known before
@@ -352,6 +361,8 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
         warn_of_indices(index, y)
         Y, names, _ = check_targets(y, len(X), type(self).__name__)
         check_same_targets(names, self.output_names_)
+        check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
+        check_magnitudes(Y, self.output_names_, "targets", 0.0, Y_RANGE[1])
         reach = None if self._root is None else reach_of(self.posterior_, X, self._root)
         data = Data.from_table(X, (Y - self._center) / self._scale, reach)
         if self.inference_ == "exact":
@@ -395,7 +406,8 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
         Warns
         -----
         UserWarning
-            When ``n_inducing`` variables do not keep the tolerance.
+            When ``n_inducing`` variables do not keep the tolerance; without one, when they change predictions by more
+            than half a standard deviation.
 
         Examples
         --------
@@ -411,8 +423,7 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
         check_is_fitted(self)
         check_compaction(n_inducing, tolerance, max_iter)
         posterior, compaction = compact(self.posterior_, n_inducing, tolerance, max_iter, random_state, _allow_compact)
-        if tolerance is not None and compaction.change > tolerance:
-            warn_of_tolerance(tolerance, compaction.change, compaction.n_inducing)
+        warn_of_compaction(tolerance, compaction.change, compaction.n_inducing)
         small = clone(self)
         vars(small).update({name: value for name, value in vars(self).items() if name not in self.get_params(False)})
         small.posterior_, small.compaction_, small.inference_ = posterior, compaction, "compact"

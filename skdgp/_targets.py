@@ -11,6 +11,11 @@ import pandas as pd
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
+from skdgp._linalg import constant_columns
+
+X_RANGE = (1e-60, 1e60)  # magnitudes of regressors: their fourth powers are numbers
+MUCH = 0.5  # change of a prediction by compacting, in standard deviations, that is warned of unasked
+Y_RANGE = (1e-100, 1e100)  # magnitudes of targets: their squares are numbers
 FEWER_VALUES = (
     "Use inference='sparse', or observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread "
     "over the log."
@@ -37,6 +42,28 @@ def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[s
     table = Y.reshape(len(Y), -1)
     named = names is not None and all(isinstance(name, str) for name in names)
     return table, list(names) if named else unnamed(table.shape[1]), Y.ndim == 1
+
+
+def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
+    """Refuse columns whose powers overflow or vanish in double precision; Z (n, k) with NaN where not observed."""
+    size = np.nanmax(np.abs(Z), axis=0, initial=0.0)
+    extreme = (size > most) | ((size < least) & ~constant_columns(Z))
+    if extreme.any():
+        found = {name: f"{s:.1g}" for name, s, out in zip(names, size, extreme, strict=True) if out}
+        raise ValueError(
+            f"Got {what} of magnitudes {found}, but expected between {least:g} and {most:g}: powers of others "
+            "vanish or overflow. Use another unit, or scale them (StandardScaler)."
+        )
+
+
+def warn_of_constant_regressors(X: np.ndarray, names: list[str]) -> None:
+    """Warn of regressors (n, d) that have the same value in all samples."""
+    constant = [name for name, same in zip(names, constant_columns(X), strict=True) if same]
+    if constant:
+        _warn(
+            f"The regressors {constant} are constant over the samples: their effect cannot be learned, and predictions "
+            "at other values of them mean little. Leave them out, or add samples in which they vary."
+        )
 
 
 def check_enough(Y: np.ndarray, names: list[str]) -> None:
@@ -97,11 +124,14 @@ def check_compaction(n_inducing, tolerance, max_iter) -> None:
         )
 
 
-def warn_of_tolerance(tolerance: float, reached: float, n_inducing: int) -> None:
-    """Warn that a tolerance could not be kept."""
+def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) -> None:
+    """Warn that compacting changed predictions by more than the tolerance, or, where none was asked for, by much."""
+    if change <= (MUCH if tolerance is None else tolerance):
+        return
+    asked = "" if tolerance is None else f", which is more than the tolerance {tolerance:g}"
     warnings.warn(
-        f"Got tolerance={tolerance:g}, but {n_inducing} inducing variables change mean or deviation of an output by "
-        f"{reached:.2g} of its standard deviation. Raise n_inducing, or see compaction_ for which output it is.",
+        f"Compacting to {n_inducing} inducing variables changes mean or deviation of an output by {change:.2g} of its "
+        f"standard deviation (root mean square){asked}. Raise n_inducing, or see compaction_ for which output it is.",
         UserWarning,
         stacklevel=3,
     )
@@ -141,8 +171,7 @@ def warn_of_indices(index, y) -> None:
 
 def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
     """Warn of outputs that are constant and of samples that stand twice."""
-    spread, size = np.nanmax(Y, axis=0) - np.nanmin(Y, axis=0), np.nanmax(np.abs(Y), axis=0)
-    constant = [name for name, still in zip(names, spread <= 1e-12 * size, strict=True) if still]
+    constant = [name for name, same in zip(names, constant_columns(Y), strict=True) if same]
     if constant:
         _warn(
             f"The outputs {constant} are constant over the samples: nothing can be learned of how they depend on the "

@@ -82,7 +82,41 @@ class TestRegressors:
 
     def test_that_are_constant_or_repeat_each_other_do_no_harm(self, X, Y):
         more = np.column_stack([X, np.full(30, 7.0), X[:, 0]])
-        assert np.isfinite(quick().fit(more, Y).predict(more, return_std=True)).all()
+        with pytest.warns(UserWarning, match=r"\['x2'\] are constant"):
+            model = quick().fit(more, Y)
+        assert np.isfinite(model.predict(more, return_std=True)).all()
+
+    @pytest.mark.parametrize("constant", [0.6, 1e-9, 0.1 + 0.2, -1.7e9, 0.0])
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_a_constant_one_is_named_and_changes_nothing(self, X, Y, constant, inference):
+        """The standard deviation of equal numbers is not zero but rounding: np.std([.6] * 20) is 1e-16."""
+        more = pd.DataFrame(np.column_stack([X, np.full(30, constant)]), columns=["alpha", "q", "throttle"])
+        more.loc[3, "throttle"] *= 1 + 1e-15
+        with pytest.warns(UserWarning, match=r"\['throttle'\] are constant") as caught:
+            model = quick(inference=inference, n_inducing=10, covariance_type="tied").fit(more, Y)
+        assert caught[0].filename == __file__
+        plain = quick(inference=inference, n_inducing=10, covariance_type="tied").fit(X, Y)
+        np.testing.assert_allclose(model.predict(more), plain.predict(X), atol=0.05)
+        elsewhere = more.assign(throttle=constant + 0.2)
+        mean, std = model.predict(elsewhere, return_std=True)
+        assert (np.abs(mean) < 10 * np.abs(Y).max()).all()
+        assert (std < 100 * Y.std(axis=0)).all()
+
+    def test_beyond_what_can_be_squared(self, X, Y):
+        with pytest.raises(ValueError, match=r"'x0': '.*e\+1\d\d'.*StandardScaler"):
+            quick().fit(X * [1e150, 1.0], Y)
+        with pytest.raises(ValueError, match=r"'x1'.*StandardScaler"):
+            quick().fit(X * [1.0, 1e-150], Y)
+        model = quick().fit(X, Y)
+        with pytest.raises(ValueError, match=r"'x0'.*StandardScaler"):
+            model.predict(X * [1e150, 1.0])
+        with pytest.raises(ValueError, match=r"'x0'.*StandardScaler"):
+            model.partial_fit(X * [1e150, 1.0], Y)
+        assert np.isfinite(model.predict(X * [1e50, 1e-150], return_std=True)).all()
+
+    def test_of_unlike_scales_share_no_length(self, X, Y):
+        with pytest.raises(ValueError, match=r"from .* to .*StandardScaler.*'diag'"):
+            quick(covariance_type="spherical").fit(X * [1e-6, 1e6], Y)
 
     def test_of_any_size(self, X, Y):
         """1e-30 to 1e30: the units decide nothing."""
@@ -171,6 +205,11 @@ class TestTargets:
         here = quick().fit(X, Y).predict(X)
         scale = np.array([2.0**-300, 2.0**300])
         np.testing.assert_allclose(quick().fit(X, Y * scale).predict(X) / scale, here, atol=0.05)
+
+    @pytest.mark.parametrize("size", [1e300, 1e-300])
+    def test_beyond_what_can_be_squared(self, X, Y, size):
+        with pytest.raises(ValueError, match=r"targets of magnitudes \{'y1': .*StandardScaler"):
+            quick().fit(X, Y * [1.0, size])
 
     def test_exactly_linear_or_noise_free(self, X):
         Y = np.column_stack([X[:, 0] + X[:, 1], np.sin(X[:, 0])])

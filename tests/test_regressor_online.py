@@ -216,10 +216,14 @@ class TestCompact:
 
     def test_a_tolerance_that_cannot_be_kept_is_told(self, models):
         with pytest.warns(
-            UserWarning, match=r"Got tolerance=0\.001, but 16 inducing variables.*Raise n_inducing"
+            UserWarning, match=r"16 inducing variables changes.*more than the tolerance 0\.001.*Raise n_inducing"
         ) as caught:
             models["exact"].compact(10, tolerance=1e-3)
         assert caught[0].filename == __file__
+
+    def test_much_change_is_told_unasked(self, models):
+        with pytest.warns(UserWarning, match=r"16 inducing variables changes.*standard deviation.*Raise n_inducing"):
+            models["exact"].compact(10)
 
     @pytest.mark.parametrize("n", [2, 3, 6])
     @pytest.mark.parametrize("trend", ["linear", "constant", None])

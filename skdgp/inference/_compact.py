@@ -8,11 +8,11 @@ import numpy as np
 from scipy.optimize import brentq
 from sklearn.utils import check_random_state
 
+from skdgp._linalg import column_scale
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
-from skdgp.inference._optimize import maximize
 from skdgp.inference._samples import data_of, shares_of
-from skdgp.inference._sparse import SparsePosterior
+from skdgp.inference._sparse import SparsePosterior, maximize_features
 
 CHECKED = 1000  # training inputs, at most, and as many around them, where the change is measured
 AROUND = 0.5  # standard deviations of the regressors that these are moved by
@@ -105,26 +105,12 @@ def compact(posterior, n_inducing: int, tolerance: float | None, max_iter: int, 
 
     new, found = summary(n_inducing) if tolerance is None else _smallest(summary, n_inducing, tolerance)
     if max_iter > 0 and new is not posterior and len(new.features.theta):
-        improved = _improved(new, max_iter)
+        features, _ = maximize_features(new, column_scale(X), max_iter=max_iter, stage="compact")
+        improved = SparsePosterior(new.kernel, features, new.noise, new.shares)
         after = check.of(improved)
         if tolerance is None or after.change <= max(tolerance, found.change):
             new, found = improved, after
     return new.without_samples(), found
-
-
-def _improved(posterior, max_iter):
-    """Return the posterior after some iterations that raise the bound by moving the variables."""
-    kernel, noise, features = posterior.kernel, posterior.noise, posterior.features
-
-    def moved(theta):
-        return SparsePosterior(kernel, features.rebuild(kernel, theta), noise, posterior.shares)
-
-    def bound(theta):
-        new = moved(theta)
-        return new.log_marginal_likelihood, new.bound_gradient()[kernel.n_dims + len(noise) :]
-
-    best = maximize(bound, features.theta, features.bounds, max_iter=max_iter, stage="compact")
-    return moved(best.theta)
 
 
 def _smallest(summary, most, tolerance):

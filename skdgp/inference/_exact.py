@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from skdgp._linalg import jittered_cholesky, triangular_solve
+from skdgp._linalg import jittered_cholesky, triangular_solve, unexplained_variance
 from skdgp._threads import n_threads, thread_map, threads_for
 from skdgp.inference._factor import Factor
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, tiles_of
@@ -165,7 +165,7 @@ class ExactPosterior:
         mean = K @ self.alpha
         half = self._half(K).T
         prior = np.concatenate([self.kernel.block_diag(i, x) for i in range(P)])
-        variance = np.maximum(prior - np.einsum("ab,ab->a", half, half), 0.0)
+        variance = unexplained_variance(prior, np.einsum("ab,ab->a", half, half))
         return mean.reshape(P, -1).T, variance.reshape(P, -1).T
 
     @cached_property
@@ -210,7 +210,7 @@ class ExactPosterior:
                 if return_variance:
                     half = self._half(K.reshape(-1, K.shape[-1]))
                     explained = np.einsum("ab,ab->b", half, half).reshape(d, -1).T
-                    variance[rows, i] = np.maximum(self.kernel.derivative_diag(i, x) - explained, 0.0)
+                    variance[rows, i] = unexplained_variance(self.kernel.derivative_diag(i, x), explained)
         return (mean, variance) if return_variance else mean
 
     def paths(self, n_paths, random_state) -> Paths:

@@ -18,7 +18,7 @@ from skdgp.inference._optimize import maximize
 from skdgp.inference._repeats import autocorrelation_time
 from skdgp.inference._samples import shares_of
 from skdgp.inference._singles import bounds_of, fit_singles, likelihood_of, spread
-from skdgp.inference._sparse import SparsePosterior
+from skdgp.inference._sparse import SparsePosterior, maximize_features
 
 SUBSET = 2400  # values that sparse inference learns hyperparameters from jointly
 FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
@@ -155,9 +155,9 @@ def fit_sparse(
         found = found._replace(noise=noise / repeats)
     if found.interrupted:
         return _reached(found, posterior, X, Y, repeats, value)
-    best = _learn_features(features, kernel, noise, X, Y, int(repeats.min()))
+    features, best = _learn_features(features, kernel, noise, X, Y, int(repeats.min()))
     with sharing(shares):
-        posterior = SparsePosterior(kernel, features.rebuild(kernel, best.theta), noise, shares)
+        posterior = SparsePosterior(kernel, features, noise, shares)
     return _reached(found, posterior, X, Y, repeats, value, best)
 
 
@@ -178,15 +178,11 @@ def _reached(found, posterior, X, Y, repeats, value=None, more=None) -> Fit:
 
 
 def _learn_features(features, kernel, noise, X, Y, step):
-    """Return the best variational parameters of the features: of neighbours that repeat each other one is enough."""
+    """Return the best features and the Optimum they are of: of neighbours that repeat each other one is enough."""
     shares = shares_of(Data.from_table(X[::step], Y[::step]))
-
-    def bound(theta):
-        posterior = SparsePosterior(kernel, features.rebuild(kernel, theta), noise / step, shares)
-        return posterior.log_marginal_likelihood, posterior.bound_gradient()[-len(theta) :]
-
     with sharing(shares):
-        return maximize(bound, features.theta, features.bounds, max_iter=FEATURE_ITERATIONS, stage="bound")
+        start = SparsePosterior(kernel, features, noise / step, shares)
+        return maximize_features(start, column_scale(X), max_iter=FEATURE_ITERATIONS, stage="bound")
 
 
 def _settled(posterior, repeats, least):

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from skdgp._linalg import semidefinite_root, triangular_solve
+from skdgp._linalg import semidefinite_root, triangular_solve, unexplained_variance
 from skdgp.inference._shares import own_factor
 
 
@@ -51,8 +51,8 @@ class Readout:
         A = self.rows(X)
         variance = np.empty((len(X), len(self.own)))
         for i, (own, root) in enumerate(zip(self.own, roots, strict=True)):
-            variance[:, i] = self.kernel.block_diag(i, X) - learned_from(A[:, own], root)
-        return A @ self.weights, np.maximum(variance, 0.0)
+            variance[:, i] = unexplained_variance(self.kernel.block_diag(i, X), learned_from(A[:, own], root))
+        return A @ self.weights, variance
 
 
 def learned_from(A, root):

@@ -19,10 +19,12 @@ from skdgp._linalg import (
     log_determinant,
     symmetric,
     triangular_solve,
+    unexplained_variance,
 )
 from skdgp._threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
 from skdgp.inference._likelihood import Data
+from skdgp.inference._optimize import maximize
 from skdgp.inference._paths import Paths, sparse_paths
 from skdgp.inference._readout import Readout, learned_from
 from skdgp.inference._samples import data_of, shares_of, sums_of
@@ -204,4 +206,21 @@ class SparsePosterior:
             return mean, None
         learned = [learned_from(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T for i in outputs]
         prior = np.stack([self.kernel.derivative_diag(i, x) for i in outputs], axis=1)
-        return mean, np.maximum(prior - np.stack(learned, axis=1), 0.0)
+        return mean, unexplained_variance(prior, np.stack(learned, axis=1))
+
+
+def maximize_features(start: SparsePosterior, scale, *, max_iter, stage) -> tuple:
+    """Return the features that raise the bound most, found from those of ``start``, and how they were found.
+
+    Steps are in units of ``scale`` (d,), the standard deviations of the regressors, to the nearest power of two: the
+    search does not depend on the units of the regressors, and standardised ones keep their bits.
+    """
+    kernel, features = start.kernel, start.features
+    unit = features.theta_scale(np.exp2(np.round(np.log2(scale))))
+
+    def bound(theta):
+        moved = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
+        return moved.log_marginal_likelihood, unit * moved.bound_gradient()[-len(theta) :]
+
+    best = maximize(bound, features.theta / unit, features.bounds / unit[:, None], max_iter=max_iter, stage=stage)
+    return features.rebuild(kernel, unit * best.theta), best

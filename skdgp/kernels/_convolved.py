@@ -9,7 +9,7 @@ from sklearn.base import clone
 
 from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, number, or_default
 from skdgp.kernels._features import ConvolvedFeatures
-from skdgp.kernels._latents import TIED_AXIS, check_ties, who_feeds
+from skdgp.kernels._latents import TIED_AXIS, check_like_scales, check_ties, who_feeds
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._parts import rank_parts
 from skdgp.kernels._paths import ValuePaths
@@ -179,8 +179,10 @@ class ConvolvedGaussian(MultiOutputKernel):
             start |= {name: coarse._value(name) for name in ("amplitude", "length_scale")}
         axis = TIED_AXIS.get(self.covariance_type)
         if axis is not None:
-            mean = np.log(start["length_scale"]).mean(axis=axis, keepdims=True)
-            start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
+            start["length_scale"] = _geometric_mean(start["length_scale"], axis)
+        if self.covariance_type == "spherical":
+            check_like_scales(X)
+            start["length_scale_bounds"] = _geometric_mean(start["length_scale_bounds"], axis)
         for name, value in start.items():
             if params[name] is None:
                 params[name] = value
@@ -363,6 +365,13 @@ class ConvolvedGaussian(MultiOutputKernel):
         exponents = [exponent for exponent, one in zip(exponents, felt, strict=True) if one]
         return signed_sum(exponents, np.sign(gains[felt]), (len(Xi), len(Xj)))
 
+    def terms(self, i, j, Xi, Xj):
+        """Return what each latent adds to the covariance, side by side, (n_i, n_j times the latents that feed both)."""
+        gains, shape = self._pair(i, j)[1], (len(Xi), len(Xj))
+        exponents = self._exponents(i, j, Xi, Xj)
+        terms = [gain * e.exponential(slice(None), np.empty(shape)) for gain, e in zip(gains, exponents, strict=True)]
+        return np.hstack(terms) if terms else np.empty((len(Xi), 0))
+
     def block_diag(self, i, Xi):
         return np.full(len(Xi), (self._value("amplitude")[:, i] ** 2).sum())
 
@@ -440,6 +449,12 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_stationary(self):
         """Return True: the covariance depends on the separation alone."""
         return True
+
+
+def _geometric_mean(value, axis):
+    """Return the geometric mean along an axis, in the shape of the values."""
+    mean = np.log(value).mean(axis=axis, keepdims=True)
+    return np.exp(np.broadcast_to(mean, value.shape))
 
 
 def _middle(X):

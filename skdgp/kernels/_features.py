@@ -70,6 +70,10 @@ class Features(ABC):
         """Bounds on theta, (n, 2)."""
 
     @abstractmethod
+    def theta_scale(self, scale) -> np.ndarray:
+        """Return by how much each entry of theta varies, where the regressors vary by ``scale`` (d,)."""
+
+    @abstractmethod
     def rebuild(self, kernel, theta) -> Features:
         """Return the features of another kernel of the same shape, with other variational parameters."""
 
@@ -166,6 +170,9 @@ class ConvolvedFeatures(Features):
         around = np.log(self.width).ravel()[:, None] + np.array([-7.0, 7.0])
         return np.concatenate([around, np.tile([-np.inf, np.inf], (self.Z.size, 1))])
 
+    def theta_scale(self, scale):
+        return np.concatenate([np.ones(self.width.size), np.tile(scale, self.Z.size // len(scale))])
+
     def rebuild(self, kernel, theta):
         width = np.exp(theta[: self.width.size]).reshape(self.width.shape)
         return ConvolvedFeatures(kernel, theta[self.width.size :].reshape(self.Z.shape), width)
@@ -228,6 +235,9 @@ class TrendFeatures(Features):
     def bounds(self):
         return np.empty((0, 2))
 
+    def theta_scale(self, scale):
+        return np.empty(0)
+
     def rebuild(self, kernel, theta):
         return TrendFeatures(kernel)
 
@@ -285,6 +295,9 @@ class SumFeatures(Features):
     @property
     def bounds(self):
         return np.concatenate([self.first.bounds, self.second.bounds])
+
+    def theta_scale(self, scale):
+        return np.concatenate([self.first.theta_scale(scale), self.second.theta_scale(scale)])
 
     def rebuild(self, kernel, theta):
         n = len(self.first.theta)

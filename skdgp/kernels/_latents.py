@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from skdgp._linalg import column_scale, constant_columns
+
 TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
+MOST_UNLIKE = 1e5  # standard deviations of regressors that share a length scale, largest over smallest
 
 
 def who_feeds(feeds, n_latent, private_latents, P) -> np.ndarray:
@@ -37,4 +40,15 @@ def check_ties(covariance_type, lengths, feeds) -> None:
         raise ValueError(
             f"Got length scales that differ along the {along} with covariance_type={covariance_type!r}, but "
             "expected equal ones: use covariance_type='diag', or give one length scale to all."
+        )
+
+
+def check_like_scales(X) -> None:
+    """Raise a ValueError where regressors differ too much in scale to share one length scale."""
+    scale = column_scale(X)[~constant_columns(X)]
+    if len(scale) and scale.max() > MOST_UNLIKE * scale.min():
+        raise ValueError(
+            f"Got regressors with standard deviations from {scale.min():.2g} to {scale.max():.2g}, but "
+            "covariance_type='spherical' has one length scale for all of them. Scale the regressors (StandardScaler), "
+            "or use covariance_type='diag'."
         )

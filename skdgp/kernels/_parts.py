@@ -120,6 +120,9 @@ class PartFeatures(Features):
     def bounds(self):
         return np.tile([-np.inf, np.inf], (self.size * self._d, 1))
 
+    def theta_scale(self, scale):
+        return np.tile(scale, self.size)
+
     def rebuild(self, kernel, theta):
         stacked = theta.reshape(self.size, self._d)
         return PartFeatures(kernel, self.parts, [stacked[self._of(f)] for f in range(len(self.parts))])

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from skdgp.kernels._strips import FAR
+
 
 class ExponentialRows:
     """Covariances of outputs with further ones, or with values, of a convolved Gaussian, one column after another.
@@ -25,7 +27,8 @@ class ExponentialRows:
         self.sizes = np.array(
             [sum(len(Z) * len(joint._pair(i, j)[1]) for j, Z in own) for i, own in enumerate(columns)]
         )
-        columns = [(i, j, Z) for i, own in enumerate(columns) for j, Z in own if len(Z)]
+        self.joint = joint
+        self.columns = columns = [(i, j, Z) for i, own in enumerate(columns) for j, Z in own if len(Z)]
         d = joint.n_features
         self.middle = np.concatenate([np.zeros((1, d)), *(Z for *_, Z in columns)]).mean(axis=0)
         roots, slopes, constants, counts = [], [], [], []
@@ -43,9 +46,12 @@ class ExponentialRows:
         self.slopes = np.concatenate([np.zeros((0, d)), *slopes]).T.copy()
         self.constant, self.gain = np.hstack([np.zeros((2, 0)), *constants])
         self.counts = np.array(counts, dtype=int)
+        self.far = -self.constant.min(initial=0.0) > FAR
 
     def __call__(self, X) -> np.ndarray:
         """Return all columns at X (n, d), (n, C)."""
+        if self.far:
+            return np.hstack([np.empty((len(X), 0)), *(self.joint.terms(i, j, X, Z) for i, j, Z in self.columns)])
         x = X - self.middle
         if self.diagonal:
             squares = (x * x) @ self.roots

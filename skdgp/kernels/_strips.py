@@ -9,15 +9,22 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 STRIP = 3 * 2**16  # doubles: fewer strips mean fewer waits of threads for each other
+FAR = 1e9  # |a|^2 / 2 and |b|^2 / 2 above which their cancellation would show: it leaves errors of 1e-16 of them
 
 
 class Exponent(NamedTuple):
-    """left @ right.T is shift - |a - b|^2 / 2 for every row a and b: one matrix product gives the whole exponent."""
+    """left @ right.T is shift - |a - b|^2 / 2 for every row a and b: one matrix product gives the whole exponent.
+
+    Where both are far from the origin, the product would be rounded to less than it means: differences are taken.
+    """
 
     left: np.ndarray
     right: np.ndarray
+    shift: float
+    far: bool
 
     @classmethod
     def between(cls, a, b, shift=0.0) -> Exponent:
@@ -29,12 +36,16 @@ class Exponent(NamedTuple):
         np.einsum("nk,nk->n", b, b, out=right[:, -1])
         left[:, -2] *= -0.5
         right[:, -1] *= -0.5
+        far = bool(len(a) and len(b) and max(-left[:, -2].min(), -right[:, -1].min()) > FAR)
         right[:, -1] += shift
-        return cls(left, right)
+        return cls(left, right, shift, far)
 
     def exponential(self, rows, out):
         """Return exp of some rows, written to ``out``."""
-        np.matmul(self.left[rows], self.right.T, out=out)
+        if self.far:
+            out[:] = self.shift - 0.5 * cdist(self.left[rows, :-2], self.right[:, :-2], "sqeuclidean")
+        else:
+            np.matmul(self.left[rows], self.right.T, out=out)
         return np.exp(out, out=out)
 
 

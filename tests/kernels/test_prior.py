@@ -79,6 +79,7 @@ class TestFit:
         np.testing.assert_allclose(got, value + prior)
         np.testing.assert_allclose(got_gradient, gradient + np.concatenate([slope, np.zeros(3)]))
 
+    @pytest.mark.filterwarnings("ignore:The regressors .* are constant")
     def test_widths_that_the_data_leave_open_go_to_the_median(self, data):
         X, y = data
         X = np.column_stack([X[:, 0], np.full(60, 4.0), X[:, 2]])  # nothing varies with the second regressor

@@ -36,7 +36,8 @@ def flight_segments(time, flight=None) -> list[slice]:
     Raises
     ------
     ValueError
-        If time is not finite, does not increase, or steps so irregularly that no sampling rate can be told.
+        If time is not finite, does not increase, or steps so irregularly that no sampling rate can be told; or a row
+        names no flight.
 
     Examples
     --------
@@ -45,6 +46,32 @@ def flight_segments(time, flight=None) -> list[slice]:
     """
     time, codes = check_clock(time, flight)
     return _split(time, codes)
+
+
+def flight_codes(flight) -> tuple[np.ndarray, list]:
+    """Return the number of each row's flight, (n,), from 0 on in their order, and the flights' names.
+
+    Raises
+    ------
+    ValueError
+        If a row names no flight: its cell is empty, None, NaN or blank.
+    """
+    codes, names = pd.factorize(np.asarray(flight, dtype=object))
+    blank = [code for code, name in enumerate(names) if not str(name).strip()]
+    missing = np.flatnonzero((codes < 0) | np.isin(codes, blank))
+    if missing.size:
+        raise ValueError(
+            f"Got {missing.size} of {len(codes)} rows without a flight (the first is row {missing[0]}), but expected "
+            "each to name its own: fill in these cells, or drop these rows."
+        )
+    return codes, names.tolist()
+
+
+def flight_rows(flight) -> dict:
+    """Return the rows of each flight by its name, in the order of the flights; empty names as in flight_codes."""
+    codes, names = flight_codes(flight)
+    parts = np.split(np.argsort(codes, kind="stable"), np.cumsum(np.bincount(codes))[:-1])
+    return dict(zip(names, parts, strict=False))  # of no rows at all there is one empty part
 
 
 def part_restarts(time, flight) -> tuple[np.ndarray, np.ndarray]:
@@ -65,14 +92,15 @@ def part_restarts(time, flight) -> tuple[np.ndarray, np.ndarray]:
         The rows at which a clock begins again.
     """
     flight = np.asarray(flight, dtype=object)
-    same = flight[1:] == flight[:-1]
+    codes, taken = flight_codes(flight)
+    same = np.diff(codes) == 0
     back = np.flatnonzero(same & (np.diff(time) < 0)) + 1
     edges = np.r_[0, np.flatnonzero(~same) + 1, back, len(time)]
     if not back.size or np.any(same & (np.diff(time) == 0)) or np.diff(np.sort(edges)).min() < SHORTEST_PART:
         return flight, np.empty(0, int)
-    names, taken = flight.copy(), set(flight)
+    names, taken = flight.copy(), set(taken)
     for row in back:
-        end = row + np.argmin(np.r_[flight[row:] == flight[row], False])
+        end = row + np.argmin(np.r_[codes[row:] == codes[row], False])
         name = next(new for k in count(2) if (new := f"{flight[row]}#{k}") not in taken)
         taken.add(name)
         names[row:end] = name
@@ -84,7 +112,7 @@ def check_clock(time, flight):
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or not np.isfinite(time).all():
         raise ValueError(f"Got time of shape {time.shape}, but expected (n,), every value finite [s].")
-    codes = np.zeros(len(time), int) if flight is None else pd.factorize(np.asarray(flight))[0]
+    codes = np.zeros(len(time), int) if flight is None else flight_codes(flight)[0]
     if len(codes) != len(time):
         raise ValueError(f"Got {len(codes)} flight identifiers and {len(time)} times, but expected as many.")
     step = np.diff(time)

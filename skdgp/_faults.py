@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._clock import GAP
+from skdgp._clock import GAP, flight_codes
 from skdgp._fault_signs import ENOUGH, holds, lost, spikes, stops
 from skdgp._validation import FASTEST, LARGEST_ANGLE, SLACK
 
@@ -84,17 +84,17 @@ class Finding(NamedTuple):
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
     """Return the faults of each flight in a table whose time increases within each; none of the columns to ignore."""
     left = [name for name in POSSIBLE if name not in set(ignore)]
-    names = table["flight"].to_numpy() if "flight" in table else np.full(len(table), "flight", dtype=object)
+    codes, names = flight_codes(table["flight"] if "flight" in table else np.full(len(table), "flight"))
     time = table["time"].to_numpy(float)
     channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in left if _is_numeric(table, name)}
     found = []
-    edges = np.flatnonzero(np.r_[True, names[1:] != names[:-1], True])
+    edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
         here = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
         for channel, kind, rows, words in _of_flight(here, part):
             ends = float(here[rows[0]]), float(here[rows[-1]])
-            found.append(Finding(names[first], channel, kind, *ends, first + rows, words))
+            found.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, words))
     return found
 
 

@@ -30,7 +30,7 @@ def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[s
     """Return the targets as (n, P) with NaN where not observed, their names, and whether they were (n,)."""
     if y is None:
         raise ValueError(f"This {estimator} estimator requires y to be passed, but the target y is None.")
-    names = y.columns if isinstance(y, pd.DataFrame) else [y.name] if isinstance(y, pd.Series) else None
+    names = target_names(y)
     Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
     if Y.ndim > 2:
         raise ValueError(f"Got y of shape {Y.shape}, but expected (n,) or (n, P).")
@@ -40,8 +40,13 @@ def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[s
             "each of X; NaN where an output was not observed."
         )
     table = Y.reshape(len(Y), -1)
-    named = names is not None and all(isinstance(name, str) for name in names)
-    return table, list(names) if named else unnamed(table.shape[1]), Y.ndim == 1
+    return table, names or unnamed(table.shape[1]), Y.ndim == 1
+
+
+def target_names(y) -> list[str]:
+    """Return the columns of a dataframe of any library, or the name of a series; empty if they are not all texts."""
+    names = list(getattr(y, "columns", [getattr(y, "name", None)]))
+    return names if all(isinstance(name, str) and name for name in names) else []
 
 
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:

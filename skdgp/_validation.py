@@ -28,7 +28,8 @@ def check_table(table, *, what: str = "flight") -> pd.DataFrame:
     if not isinstance(table, pd.DataFrame):
         raise TypeError(
             f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named columns "
-            "(one row per sample): build one with skdgp.io.read_flight or pandas.DataFrame."
+            "(one row per sample): build one with skdgp.io.read_flight or pandas.DataFrame, or convert another "
+            "library's with its to_pandas()."
         )
     if len(table) == 0:
         raise ValueError(f"Got {what} with no rows, but expected at least one sample.")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from skdgp._clock import flight_rows
 from skdgp._validation import check_columns
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
@@ -131,5 +132,5 @@ def _by_flight(table) -> dict[str, pd.DataFrame]:
     """Return one table for each flight, in their order."""
     if "flight" not in table:
         return {"flight": table}
-    table = table.assign(flight=table["flight"].astype(str))
-    return {name: part.reset_index(drop=True) for name, part in table.groupby("flight", sort=False)}
+    rows = flight_rows(table["flight"])
+    return {name: table.iloc[here].reset_index(drop=True).assign(flight=name) for name, here in rows.items()}

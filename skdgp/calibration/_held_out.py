@@ -12,6 +12,7 @@ from sklearn.model_selection import GroupKFold
 from sklearn.utils import _safe_indexing
 from sklearn.utils.validation import _num_samples
 
+from skdgp._clock import flight_codes
 from skdgp.metrics._scorers import predict_observed
 from skdgp.model_selection import BlockSplit
 from skdgp.model_selection._blocks import held_out
@@ -26,12 +27,9 @@ def flights_of(X, groups) -> pd.DataFrame:
     """Return the flight of each row, numbered, and its time where X has one."""
     n, columns = _num_samples(X), getattr(X, "columns", ())
     ids = groups if groups is not None else X["flight"] if "flight" in columns else np.zeros(n)
-    codes = pd.factorize(np.asarray(ids))[0]
-    if len(codes) != n or (codes < 0).any():
-        raise ValueError(
-            f"Got {len(codes)} flight identifiers, {(codes < 0).sum()} of them missing, for {n} rows, but expected "
-            "each row to name its flight."
-        )
+    codes, _ = flight_codes(ids)
+    if len(codes) != n:
+        raise ValueError(f"Got {len(codes)} flight identifiers for {n} rows, but expected one for each row.")
     table = pd.DataFrame({"flight": codes})
     return table.assign(time=X["time"].to_numpy(dtype=float)) if "time" in columns else table
 

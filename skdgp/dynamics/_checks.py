@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from skdgp._signal import flight_segments
+from skdgp._clock import flight_codes, flight_segments
 from skdgp._validation import LARGEST_ANGLE, check_columns, check_radians, check_table
 from skdgp.dynamics._atmosphere import HIGHEST, LOWEST, standard_density
 
@@ -112,7 +112,7 @@ def _roll_over_a_second(flight: pd.DataFrame) -> tuple[float, float]:
         return 0.0, 0.0
     step = np.nanmedian(np.diff(time))
     lag = int(min(max(round(1.0 / step), 1), len(flight) - 1))
-    codes = pd.factorize(flight["flight"])[0] if "flight" in flight else np.zeros(len(flight))
+    codes = flight_codes(flight["flight"])[0] if "flight" in flight else np.zeros(len(flight))
     whole = (codes[lag:] == codes[:-lag]) & (np.abs(time[lag:] - time[:-lag] - lag * step) < step)
     change = np.angle(np.exp(1j * (phi[lag:] - phi[:-lag])))[whole]
     integral = np.convolve(p, np.ones(lag), mode="valid")[: len(phi) - lag][whole] * step

@@ -218,7 +218,7 @@ def measured_state(flight: pd.DataFrame) -> np.ndarray:
 
 
 def _coefficient_array(coefficients: pd.DataFrame | ArrayLike, flight: pd.DataFrame) -> np.ndarray:
-    if isinstance(coefficients, pd.DataFrame):
+    if hasattr(coefficients, "columns"):
         check_columns(coefficients, COEFFICIENTS, what="table of coefficients")
         coefficients = coefficients[list(COEFFICIENTS)]
     values = np.asarray(coefficients, dtype=float)

@@ -44,6 +44,8 @@ def as_starts(x0) -> pd.DataFrame | np.ndarray:
         _check_spelling(x0)
     if not isinstance(x0, Mapping | pd.Series | pd.DataFrame):
         x0 = getattr(x0, "state", x0)
+    if hasattr(x0, "columns") and not isinstance(x0, pd.DataFrame):
+        x0 = {name: np.asarray(x0[name]) for name in x0.columns}
     if isinstance(x0, Mapping | pd.Series):
         x0 = pd.DataFrame({name: np.atleast_1d(value) for name, value in dict(x0).items()})
     if isinstance(x0, pd.DataFrame) and len(x0):

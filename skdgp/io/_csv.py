@@ -2,70 +2,116 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import warnings
+from collections import deque
+from itertools import islice
 from pathlib import Path
 
 import pandas as pd
 
+from skdgp._faults import FlightDataWarning
 from skdgp._vocabulary import CHANNELS
 from skdgp.io._errors import FlightReadError
-from skdgp.io._units import base_name, known_unit, to_si
+from skdgp.io._limits import check_width
+from skdgp.io._units import base_name, check_names, known_unit, to_si
 
 HEADING = re.compile(r"^\s*(?P<name>[^\[(]*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
+DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."}
 
 
 def read_csv(path: Path) -> pd.DataFrame:
-    """Read a CSV with one header line, ``name`` or ``name [unit]``, and perhaps a line of units under it.
+    """Read a CSV with a header, ``name`` or ``name [unit]``, and perhaps a row of units under it.
+
+    Lines before the header that are empty or begin with # are left out, as are columns without a name. Quotes are
+    those of the csv module, in the header and below it.
 
     Raises
     ------
     FlightReadError
-        If it is empty, not a table of text, or states a unit that does not fit.
+        If it is empty, not a table of text, states a unit that does not fit, or has rows that are longer or shorter
+        than the header.
+
+    Warns
+    -----
+    FlightDataWarning
+        If the last row is shorter, which leaves it out.
     """
-    head = _first_lines(path)
-    separator = max(",;\t", key=head[0].count)
-    cells = [[cell.strip().strip('"') for cell in line.split(separator)] for line in head]
-    names, units = _split_headings(cells[0])
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise FlightReadError(f"Got {path} with columns {twice} repeated, but expected each name once: drop one.")
-    skipped = 1
-    if len(cells) > 1 and _is_units_row(cells[1], names):
-        units |= {n: u for n, u in zip(names, cells[1], strict=True) if base_name(n) in CHANNELS and u}
-        skipped = 2
-    numbers = head[skipped] if len(head) > skipped else ""
-    decimal = "," if separator == ";" and "," in numbers and "." not in numbers else "."
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
-            table = pd.read_csv(
-                path,
-                sep=separator,
-                decimal=decimal,
-                names=names,
-                skiprows=skipped,
-                encoding="utf-8-sig",
-                index_col=False,
-                skipinitialspace=True,
-            )
-    except (pd.errors.ParserError, pd.errors.ParserWarning, UnicodeDecodeError) as error:
-        raise FlightReadError(f"Got {path}, which is not a CSV table ({error}), but expected one.") from error
-    texts = [name for name in units if not pd.api.types.is_numeric_dtype(table[name])]
-    return to_si(table, {name: unit for name, unit in units.items() if name not in texts})
-
-
-def _first_lines(path):
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            lines = [file.readline().rstrip("\r\n") for _ in range(3)]
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            return _table(file, path.name)
     except UnicodeDecodeError as error:
         raise FlightReadError(
-            f"Got {path}, which is not text ({error.reason}), but expected a CSV in UTF-8: is the suffix right?"
+            f"Got {path}, which is not text ({error.reason}), but expected a CSV in UTF-8: save it so, if it is one."
         ) from error
-    if not lines[0].strip():
-        raise FlightReadError(f"Got {path}, which is empty or starts with an empty line, but expected a header line.")
-    return [line for line in lines if line]
+    except (csv.Error, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise FlightReadError(f"Got {path}, which is not a CSV table ({error}), but expected one.") from error
+
+
+def _table(file, said_name):
+    above = _lines_above_header(file)
+    separator = _separator(file, above)
+    records = _records(file, above, separator)
+    names, units = _split_headings(next(records))
+    check_width(len(names))
+    check_names(name for name in names if name)
+    below = above + records.line_num
+    beneath = _units_row(next(records, []), names)
+    if beneath:
+        units, below = _merged(units, beneath), above + records.line_num
+    records = _records(file, below, separator)
+    n_rows, cut, decimal = _check_rows(records, names, separator, below)
+    _forward(file, below)
+    table = pd.read_csv(
+        file,
+        sep=separator,
+        decimal=decimal,
+        header=None,
+        names=[name for name in names if name],
+        usecols=[place for place, name in enumerate(names) if name],
+        dtype={"flight": str} if "flight" in names else None,
+        index_col=False,
+        skipinitialspace=True,
+        low_memory=False,
+    )
+    if len(table) != n_rows:
+        raise FlightReadError(f"Got {n_rows} or {len(table)} rows, by how quotes are read, but expected one number.")
+    if cut:
+        warnings.warn(f"{said_name}: {cut}, so it was cut off and is left out.", FlightDataWarning, stacklevel=4)
+        table = table.iloc[:-1]
+    return to_si(table, units)
+
+
+def _forward(file, n_lines):
+    """Go to the begin of the file, then past some lines."""
+    file.seek(0)
+    deque(islice(file, n_lines), maxlen=0)
+
+
+def _records(file, n_lines, separator):
+    _forward(file, n_lines)
+    return csv.reader(file, delimiter=separator, skipinitialspace=True)
+
+
+def _lines_above_header(file) -> int:
+    for n_lines, line in enumerate(file):
+        if line.strip(" \t\r\n,;") and not line.lstrip().startswith("#"):
+            return n_lines
+    raise FlightReadError("Got a file that is empty, but expected a header line, and a row for each sample under it.")
+
+
+def _separator(file, above) -> str:
+    """Return the separator by which the header has most names of the vocabulary, then most names."""
+
+    def found(separator):
+        try:
+            names, _ = _split_headings(next(_records(file, above, separator)))
+        except csv.Error:  # a wide header without this separator is one long cell
+            return 0, 0
+        return sum(base_name(name) in CHANNELS for name in names), len(names)
+
+    return max(",;\t", key=found)
 
 
 def _split_headings(headings):
@@ -77,16 +123,29 @@ def _split_headings(headings):
             units[match["name"]] = match["unit"]
             names.append(match["name"])
         else:
-            names.append(heading)
+            names.append(heading.strip())
     return names, units
 
 
-def _is_units_row(cells, names):
-    """Whether a line holds units: no number in it, and a known unit under every known name but the flight's."""
+def _units_row(cells, names) -> dict[str, str]:
+    """Return the units if a row holds units: no number in it, and a known unit, or none, under every known name."""
+    cells = [cell.strip(" \t[]()") for cell in cells]
     if len(cells) != len(names) or any(_is_number(cell) for cell in cells):
-        return False
-    known = [cell for cell, name in zip(cells, names, strict=True) if base_name(name) in CHANNELS and name != "flight"]
-    return bool(known) and any(known) and all(known_unit(cell) is not None for cell in known)
+        return {}
+    units = {name: cell for name, cell in zip(names, cells, strict=True) if base_name(name) in CHANNELS}
+    units.pop("flight", None)
+    known = any(units.values()) and all(known_unit(unit) is not None for unit in units.values())
+    return {name: unit for name, unit in units.items() if unit} if known else {}
+
+
+def _merged(above, beneath):
+    for name in above.keys() & beneath.keys():
+        if known_unit(above[name]) != known_unit(beneath[name]):
+            raise FlightReadError(
+                f"Got units {above[name]!r} in and {beneath[name]!r} under the header of column {name!r}, but expected "
+                "one: delete the wrong one."
+            )
+    return above | beneath
 
 
 def _is_number(text):
@@ -95,3 +154,47 @@ def _is_number(text):
     except ValueError:
         return False
     return text.lower() not in ("nan", "inf", "-inf")
+
+
+def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
+    """Return the number of rows, words if the last one is cut off, and the decimal mark.
+
+    Raises
+    ------
+    FlightReadError
+        If a row is longer or shorter than the header, or numbers have both decimal marks.
+    """
+    width = len(names)
+    needed = max((place + 1 for place, name in enumerate(names) if name), default=0)
+    numbers = [place for place, name in enumerate(names) if base_name(name) in CHANNELS and name != "flight"]
+    n_rows, cut, shown, wanted = 0, "", {}, "" if separator == "," else ",."
+    for cells in records:
+        if len(cells) < 2 and not "".join(cells).strip():
+            continue
+        if cut:
+            raise _uneven(cut, width, separator)
+        n_rows += 1
+        if len(cells) != width:
+            words = f"line {above + records.line_num} has {len(cells)} cells"
+            if any(cell.strip() for cell in cells[width:]):
+                raise _uneven(words, width, separator)
+            cut = words if len(cells) < needed else ""
+        for mark in wanted:
+            if mark in "".join(cells):
+                cell = next((cells[k] for k in numbers if k < len(cells) and DECIMAL[mark].fullmatch(cells[k])), None)
+                if cell is not None:
+                    shown[mark], wanted = cell, wanted.replace(mark, "")
+    if len(shown) == 2:
+        raise FlightReadError(
+            f"Got {shown[',']!r} with a decimal comma and {shown['.']!r} with a decimal point, but expected one kind: "
+            "write all with a point, and no separators of thousands."
+        )
+    return n_rows, cut, "," if "," in shown else "."
+
+
+def _uneven(words, width, separator):
+    hint = " (decimal commas need another one)" if separator == "," else ""
+    return FlightReadError(
+        f"Got rows of unequal length ({words}, the header has {width}), but expected a cell for each name: quote cells "
+        f"that hold the separator {separator!r}{hint}, and leave missing values empty between separators."
+    )

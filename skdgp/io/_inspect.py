@@ -9,6 +9,7 @@ from textwrap import fill
 
 import numpy as np
 
+from skdgp._clock import flight_rows
 from skdgp._faults import SENSORS
 from skdgp.io._autopilot import READERS, on_one_clock, read_log
 from skdgp.io._columns import gaps
@@ -247,7 +248,7 @@ def _of_table(path, table) -> LogSummary:
         for name in table.columns
         if name not in ("time", "flight", *table.attrs["unknown_columns"])
     ]
-    flights = [_flight(part) for _, part in table.groupby("flight", sort=False)]
+    flights = [_flight(table.iloc[rows]) for rows in flight_rows(table["flight"]).values()]
     return LogSummary(
         path=str(path),
         format="table",

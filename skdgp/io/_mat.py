@@ -21,7 +21,8 @@ def read_mat(path: Path) -> pd.DataFrame:
     Raises
     ------
     FlightReadError
-        If it is damaged, of another version, holds no vector ``time``, or vectors of the vocabulary differ in length.
+        If it is damaged, far larger unpacked, of another version, holds no vector ``time``, or vectors of the
+        vocabulary differ in length.
     """
     data = path.read_bytes()
     if data.startswith(HDF5):
@@ -31,6 +32,8 @@ def read_mat(path: Path) -> pd.DataFrame:
         )
     try:
         content = parse_mat5(data)
+    except FlightReadError:
+        raise
     except ValueError as error:
         raise FlightReadError(
             f"Got {path}, which is not a whole MATLAB file ({error}), but expected one of version 5 to 7: save it "
@@ -64,7 +67,7 @@ def _structs(name, content):
 def _vector(value):
     """Return numbers or texts as a vector, or None if they are none."""
     if isinstance(value, list):
-        return np.array(value, dtype=str)
+        return np.array(value, dtype=object)
     if isinstance(value, np.ndarray) and value.size and value.size == max(value.shape):
         return value.astype(float).ravel()
     return None

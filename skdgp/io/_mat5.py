@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
+
+from skdgp.io._limits import check_room, check_width, room_for
 
 HEADER_SIZE = 128
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -19,8 +23,6 @@ CELL, STRUCT, CHAR, NUMERIC = 1, 2, 4, range(6, 16)
 COMPLEX = 0x0800
 DEEPEST = 8
 """Levels of structs and cells."""
-LARGEST = 2**31
-"""Bytes that one compressed variable may take."""
 
 
 def parse_mat5(data: bytes) -> dict[str, object]:
@@ -30,96 +32,135 @@ def parse_mat5(data: bytes) -> dict[str, object]:
 
     Raises
     ------
+    FlightReadError
+        If there are too many variables, or they take far more memory than the file.
     ValueError
         If an element does not fit into the file or into itself.
     """
     mark = data[126:128]
     if mark not in (b"IM", b"MI"):
         raise ValueError("it does not begin as a MAT-file of version 5 to 7 does")
-    order = "<" if mark == b"IM" else ">"
-    variables = {}
-    for kind, content in _elements(data[HEADER_SIZE:], order):
-        if kind == COMPRESSED:
-            ((kind, content),) = _elements(_unpacked(content), order)
-        if kind == MATRIX:
-            name, value = _matrix(content, order, 0)
-            variables[name] = value
-    return variables
+    return _Reader(len(data), "<" if mark == b"IM" else ">").variables(memoryview(data)[HEADER_SIZE:])
 
 
-def _unpacked(content):
-    try:
-        unpacking = zlib.decompressobj()
-        unpacked = unpacking.decompress(content, LARGEST)
-    except zlib.error as error:
-        raise ValueError(f"a variable cannot be unpacked: {error}") from error
-    if not unpacking.eof:
-        raise ValueError("a variable is not whole")
-    return unpacked
+class _Reader:
+    def __init__(self, n_bytes, order):
+        self.order, self.room, self.taken = order, room_for(n_bytes), 0
 
+    def _take(self, n_bytes):
+        self.taken += n_bytes
+        check_room(self.taken, self.room)
 
-def _elements(data, order) -> list[tuple[int, bytes]]:
-    """Return types and contents of the elements that stand one after another."""
-    position, found, view = 0, [], memoryview(data)
-    while position + 8 <= len(data):
-        kind, size = np.frombuffer(data, f"{order}u4", 2, position).tolist()
-        start, padded = position + 8, (size + 7) // 8 * 8
-        if kind >> 16:  # up to four bytes stand in the place of the length
-            kind, size, start, padded = kind & 0xFFFF, kind >> 16, position + 4, 4
-        if start + size > len(data) or size > padded:
-            raise ValueError(f"an element of {size} bytes is larger than what it is in")
-        found.append((kind, bytes(view[start : start + size])))
-        position = start + (size if kind == COMPRESSED else padded)
-    return found
+    def variables(self, data) -> dict[str, object]:
+        found = {}
+        for kind, content in self._elements(data):
+            if kind == COMPRESSED:
+                ((kind, content),) = self._elements(self._unpacked(content))
+            if kind == MATRIX:
+                name, value = self._matrix(content, 0)
+                found[name] = value
+                check_width(len(found))
+        return found
 
+    def _unpacked(self, content):
+        """Return what was compressed: an element, whose size stands in its first bytes and is asked for first."""
+        try:
+            head = zlib.decompressobj().decompress(content, 8)
+            size = 8 + int(np.frombuffer(head, f"{self.order}u4")[1]) if len(head) == 8 else 8
+            self._take(size)
+            unpacking = zlib.decompressobj()
+            unpacked = unpacking.decompress(content, size + 8)
+        except zlib.error as error:
+            raise ValueError(f"a variable cannot be unpacked: {error}") from error
+        if not unpacking.eof:
+            raise ValueError("a variable is not whole")
+        return unpacked
 
-def _matrix(content, order, depth):
-    """Return name and value of one variable, field or cell."""
-    if not content:
-        return "", np.empty(0)
-    parts = _elements(content, order)
-    if len(parts) < 3 or len(parts[0][1]) != 8 or depth > DEEPEST:
-        raise ValueError("a variable has no head, or is nested too deep")
-    (flags, _), shape = (
-        np.frombuffer(parts[0][1], f"{order}u4").tolist(),
-        _numbers(parts[1], order).astype(int).tolist(),
-    )
-    name, rest, kind = parts[2][1].decode("latin-1"), parts[3:], flags & 0xFF
-    value = None
-    if kind in NUMERIC and not flags & COMPLEX and len(rest) == 1:
-        value = _numbers(rest[0], order)
+    def _elements(self, data) -> Iterator[tuple[int, memoryview]]:
+        """Yield types and contents of the elements that stand one after another."""
+        position, view = 0, memoryview(data)
+        while position + 8 <= len(view):
+            kind, size = np.frombuffer(view, f"{self.order}u4", 2, position).tolist()
+            start, padded = position + 8, (size + 7) // 8 * 8
+            if kind >> 16:  # up to four bytes stand in the place of the length
+                kind, size, start, padded = kind & 0xFFFF, kind >> 16, position + 4, 4
+            if start + size > len(view) or size > padded:
+                raise ValueError(f"an element of {size} bytes is larger than what it is in")
+            yield kind, view[start : start + size]
+            position = start + (size if kind == COMPRESSED else padded)
+
+    def _matrix(self, content, depth):
+        """Return name and value of one variable, field or cell."""
+        if not content:
+            return "", np.empty(0)
+        parts = self._elements(content)
+        head = list(islice(parts, 3))
+        if len(head) < 3 or len(head[0][1]) != 8 or depth > DEEPEST:
+            raise ValueError("a variable has no head, or is nested too deep")
+        flags, _ = np.frombuffer(head[0][1], f"{self.order}u4").tolist()
+        shape, name = self._numbers(head[1]).astype(int).tolist(), _letters(head[2])
+        kind, value = flags & 0xFF, None
+        if kind in NUMERIC and not flags & COMPLEX:
+            rest = list(islice(parts, 2))
+            value = self._array(rest[0], shape, name) if len(rest) == 1 else None
+        elif kind == CHAR:
+            rest = list(islice(parts, 2))
+            value = self._texts(rest[0], shape) if len(rest) == 1 else None
+        elif kind == CELL:
+            value = self._cells(parts, depth)
+        elif kind == STRUCT and math.prod(shape) == 1:
+            value = self._struct(parts, depth)
+        return name, value
+
+    def _array(self, part, shape, name):
+        value = self._numbers(part)
         if value.size != math.prod(shape):
             raise ValueError(f"{name} holds {value.size} numbers, but should hold {shape}")
-        value = value.reshape(shape, order="F")
-    elif kind == CHAR and len(rest) == 1:
-        value = _texts(rest[0], order, shape)
-    elif kind == CELL:
-        cells = [_matrix(part[1], order, depth + 1)[1] for part in rest]
-        texts = all(isinstance(cell, list) and len(cell) == 1 for cell in cells)
-        value = [cell[0] for cell in cells] if cells and texts else None
-    elif kind == STRUCT and math.prod(shape) == 1 and len(rest) > 1:
-        length = _numbers(rest[0], order)
+        return value.reshape(shape, order="F")
+
+    def _cells(self, parts, depth):
+        """Return one text of each cell, or None if a cell holds something else."""
+        texts = []
+        for _, content in parts:
+            cell = self._matrix(content, depth + 1)[1]
+            if not isinstance(cell, list) or len(cell) != 1:
+                return None
+            texts += cell
+        return texts or None
+
+    def _struct(self, parts, depth):
+        head = list(islice(parts, 2))
+        if len(head) < 2:
+            return None
+        length, letters = self._numbers(head[0]), bytes(head[1][1])
         width = int(length[0]) if length.size else 0
-        names = [rest[1][1][i : i + width] for i in range(0, len(rest[1][1]), width)] if width > 0 else []
-        values = [_matrix(part[1], order, depth + 1)[1] for part in rest[2:]]
-        value = {key.split(b"\0")[0].decode("latin-1"): each for key, each in zip(names, values, strict=False)}
-    return name, value
+        starts = range(0, len(letters), width) if width > 0 else ()
+        check_width(len(starts))
+        names = [letters[start : start + width].split(b"\0")[0].decode("latin-1") for start in starts]
+        fields = zip(names, parts, strict=False)
+        return {name: self._matrix(content, depth + 1)[1] for name, (_, content) in fields}
+
+    def _numbers(self, part):
+        """Return an element's numbers, which become floats in a table."""
+        kind, content = part
+        if kind not in NUMBERS:
+            raise ValueError(f"an element of type {kind} holds no numbers")
+        dtype = np.dtype(self.order + NUMBERS[kind])
+        if len(content) % dtype.itemsize:
+            raise ValueError(f"{len(content)} bytes are no numbers of {dtype.itemsize}")
+        self._take(8 * (len(content) // dtype.itemsize))
+        return np.frombuffer(content, dtype).astype(dtype.newbyteorder("="))
+
+    def _texts(self, part, shape):
+        """Return the rows of a matrix of letters, without blanks at their ends."""
+        kind, content = part
+        coding = LETTERS.get(kind, "latin-1")
+        if coding == "utf-16":
+            coding += {"<": "-le", ">": "-be"}[self.order]
+        letters = bytes(content).decode(coding, "replace")
+        rows = shape[0] if shape else 0
+        return [letters[row::rows].rstrip() for row in range(min(rows, len(letters)))]
 
 
-def _numbers(part, order):
-    kind, content = part
-    if kind not in NUMBERS:
-        raise ValueError(f"an element of type {kind} holds no numbers")
-    dtype = np.dtype(order + NUMBERS[kind])
-    if len(content) % dtype.itemsize:
-        raise ValueError(f"{len(content)} bytes are no numbers of {dtype.itemsize}")
-    return np.frombuffer(content, dtype).astype(dtype.newbyteorder("="))
-
-
-def _texts(part, order, shape):
-    """Return the rows of a matrix of letters, without blanks at their ends."""
-    kind, content = part
-    coding = LETTERS.get(kind, "latin-1") + ({"<": "-le", ">": "-be"}[order] if LETTERS.get(kind) == "utf-16" else "")
-    letters = content.decode(coding, "replace")
-    rows = shape[0] if shape else 0
-    return [letters[row::rows].rstrip() for row in range(min(rows, len(letters)))]
+def _letters(part) -> str:
+    return bytes(part[1]).decode("latin-1")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp._clock import part_restarts
+from skdgp._clock import flight_codes, part_restarts
 from skdgp._faults import FlightDataWarning
 from skdgp._vocabulary import CHANNELS
 from skdgp.io._autopilot import READERS as AUTOPILOTS
@@ -18,7 +18,8 @@ from skdgp.io._autopilot import flight_table, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
 from skdgp.io._mat import read_mat
-from skdgp.io._units import base_name, check_magnitudes
+from skdgp.io._parquet import read_parquet
+from skdgp.io._units import base_name, check_magnitudes, check_names, to_floats
 
 UNKNOWN = "unknown_columns"
 
@@ -153,23 +154,7 @@ def read_flights(paths, **options) -> pd.DataFrame:
     return joined
 
 
-def _read_parquet(path):
-    try:
-        import pyarrow
-    except ImportError as error:
-        raise ImportError(
-            "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]', or write a CSV."
-        ) from error
-    try:
-        return pd.read_parquet(path, engine="pyarrow")
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise FlightReadError(
-            f"Got {path}, which is not a whole parquet file ({str(error).splitlines()[0]}), but expected one: copy or "
-            "export it again."
-        ) from error
-
-
-TABLES = {".csv": read_csv, ".parquet": _read_parquet, ".pq": _read_parquet, ".mat": read_mat}
+TABLES = {".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet, ".mat": read_mat}
 DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None}
 
 
@@ -199,6 +184,7 @@ def _as_flight(table, flight, *, overrides):
             f"Got a table of {table.shape[0]} rows and {table.shape[1]} columns, but expected samples."
         )
     table = table.reset_index(drop=True).rename(columns=lambda name: str(name).strip())
+    check_names(table.columns)
     _hint_at_names(table)
     if "time" not in table:
         raise FlightReadError(
@@ -207,7 +193,7 @@ def _as_flight(table, flight, *, overrides):
     if overrides or "flight" not in table:
         table["flight"] = flight
     table = table.assign(**_as_numbers(table))
-    table["flight"] = table["flight"].astype(str)
+    table["flight"] = _flight_names(table["flight"])
     table = _parted(_without_repeats(table))
     _check_time(table)
     check_magnitudes(table)
@@ -223,41 +209,41 @@ def _as_numbers(table):
     numbers, infinite = {}, []
     for name in names:
         column = table[name]
-        if pd.api.types.is_datetime64_any_dtype(column):
-            column = (column - column.iloc[0]).dt.total_seconds()
-        values = _floats(column)
+        if name == "time" and pd.api.types.is_datetime64_any_dtype(column):
+            column = column - column.iloc[0]
+        if name == "time" and pd.api.types.is_timedelta64_dtype(column):
+            column = column.dt.total_seconds()
+        values = to_floats(column)
         if np.isinf(values).any():
             infinite.append(name)
             values = np.where(np.isinf(values), np.nan, values)
         numbers[name] = values
     if infinite:
-        warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", UserWarning, stacklevel=5)
+        warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", UserWarning, stacklevel=4)
     return numbers
 
 
-def _floats(column):
-    """Return a column as floats, or say where it is not numbers."""
-    if pd.api.types.is_numeric_dtype(column):
-        return column.to_numpy(dtype=float, na_value=np.nan)
-    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
-    bad = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
-    if bad.size:
-        raise FlightReadError(
-            f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} rows are not numbers), "
-            f"but expected numbers [{CHANNELS[base_name(column.name)].unit}]: leave missing values empty."
-        )
-    return values
+def _flight_names(flight):
+    """Return the name of each row's flight as str; whole numbers without a point, whatever type held them."""
+    try:
+        codes, names = flight_codes(flight)
+    except ValueError as error:
+        raise FlightReadError(f"{error} read_flight(path, flight='name') names all rows alike.") from error
+    whole = [int(name) if isinstance(name, float) and name.is_integer() else name for name in names]
+    return np.array([str(name).strip() for name in whole], dtype=object)[codes]
 
 
 def _without_repeats(table):
-    repeated = table.duplicated() & (table["time"].diff() == 0)
+    repeated = table["time"].diff() == 0
+    if repeated.any():
+        repeated &= table.duplicated()
     if not repeated.any():
         return table
     warnings.warn(
         f"{int(repeated.sum())} rows repeat the row before them exactly (first: row {int(np.argmax(repeated))}) and "
         "are dropped.",
         UserWarning,
-        stacklevel=5,
+        stacklevel=4,
     )
     return table[~repeated].reset_index(drop=True)
 
@@ -272,7 +258,7 @@ def _parted(table):
     warnings.warn(
         f"Time goes back where a clock was restarted, and from there on flights are named apart ({'; '.join(said)}).",
         FlightDataWarning,
-        stacklevel=5,
+        stacklevel=4,
     )
     return table.assign(flight=names)
 

@@ -20,7 +20,7 @@ SYNC = bytes.fromhex("2f731320250cbb12")
 KINDS = b"BFIMPQARDLCSO"
 HEAD = struct.Struct("<HB")
 NEXT = re.compile(rb"(?=..[" + KINDS + rb"])", re.DOTALL)
-NAME, FORMAT = re.compile(rb"[\w/]+"), re.compile(rb"([\w/]+):([\w\[\] ;]*)")
+NAME, FORMAT = re.compile(rb"[\w/]{1,255}"), re.compile(rb"([\w/]{1,255}+):([\w\[\] ;]*+)")
 KEY = re.compile(rb"(\w+)(?:\[(\d{1,5})\])? ([\w.\-/]+)")
 FIELD = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
 TYPES = {
@@ -77,20 +77,17 @@ def read_ulog(path: Path) -> Log:
 class _Subscription:
     """Where the messages of one topic stand."""
 
-    def __init__(self, name, instance, dtype):
+    def __init__(self, name, instance, layout):
         self.name, self.instance = name, instance
-        names = list(dtype.names)
-        while names and names[-1].startswith("_padding"):  # at the end it is not logged
-            names.pop()
-        self.dtype = np.dtype([(name, dtype[name]) for name in names])
-        self.largest = dtype.itemsize
+        self.dtype, self.largest = layout
         self.starts = []
 
 
 class _Reader:
     def __init__(self, data):
         self.data = data
-        self.formats, self.subscriptions, self.finished = {}, {}, []
+        self.formats, self.dtypes, self.layouts = {}, {}, {}
+        self.subscriptions, self.finished = {}, []
         self.parameters, self.information = {}, {}
         self.appended, self.skipped, self.lost, self.cut = [], 0, 0, False
         take = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum, "S": self._sync}
@@ -166,18 +163,36 @@ class _Reader:
             return False
         instance, number = struct.unpack_from("<BH", self.data, start)
         name = match[0].decode()
-        try:
-            subscription = _Subscription(name, instance, self._dtype(name))
-        except (KeyError, ValueError, TypeError):  # a definition that is lost, or makes no sense
-            return True
-        if subscription.dtype.names and subscription.dtype.fields.get("timestamp", (None,))[0] == np.dtype("<u8"):
-            if number in self.subscriptions:
+        if name not in self.layouts:
+            self.layouts[name] = self._layout(name)
+        if self.layouts[name] is not None:
+            if number in self.subscriptions and self.subscriptions[number].starts:
                 self.finished.append(self.subscriptions[number])
-            self.subscriptions[number] = subscription
+            self.subscriptions[number] = _Subscription(name, instance, self.layouts[name])
         return True
 
+    def _layout(self, name):
+        """Return the layout of a topic as it is logged and its largest size; None if its definition makes no sense."""
+        try:
+            dtype = self._dtype(name)
+        except (KeyError, ValueError, TypeError):  # a definition that is lost, or makes no sense
+            return None
+        names = list(dtype.names)
+        while names and names[-1].startswith("_padding"):  # at the end it is not logged
+            names.pop()
+        timed = "timestamp" in names and dtype["timestamp"] == np.dtype("<u8")
+        return (np.dtype([(name, dtype[name]) for name in names]), dtype.itemsize) if timed else None
+
     def _dtype(self, name, depth=0):
-        """Return the layout of a message; nested ones and arrays stay nested, so that no size can be abused."""
+        """Return the layout of a message, made once; nested ones and arrays stay nested, so no size can be abused."""
+        if name not in self.dtypes:
+            self.dtypes[name] = None  # until it is made: a message that holds itself is none
+            self.dtypes[name] = self._made(name, depth)
+        if self.dtypes[name] is None:
+            raise ValueError(f"Got a definition of {name} that is no message.")
+        return self.dtypes[name]
+
+    def _made(self, name, depth):
         if depth > DEEPEST:
             raise ValueError(f"Got messages nested deeper than {DEEPEST}.")
         fields = [FIELD.fullmatch(text) for text in self.formats[name].split(";") if text]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+
 import numpy as np
 import pandas as pd
 
@@ -46,6 +49,38 @@ def known_unit(text: str) -> str | None:
     return next((unit for unit in TO_SI if unit.lower() == text.lower()), None)
 
 
+def check_names(names: Iterable[str]) -> None:
+    """Raise a FlightReadError if a column name stands twice."""
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        raise FlightReadError(f"Got columns {twice} repeated, but expected each name once: drop one.")
+
+
+def to_floats(column: pd.Series) -> np.ndarray:
+    """Return a column as floats, whatever type holds its numbers.
+
+    Raises
+    ------
+    FlightReadError
+        Naming the first row that is no number.
+    """
+    if isinstance(column.dtype, pd.CategoricalDtype):
+        column = pd.Series(np.asarray(column), name=column.name)
+    if pd.api.types.is_numeric_dtype(column):
+        return column.to_numpy(dtype=float, na_value=np.nan)
+    timed = pd.api.types.is_datetime64_any_dtype(column) or pd.api.types.is_timedelta64_dtype(column)
+    numbers = pd.Series(np.nan, column.index) if timed else pd.to_numeric(column, errors="coerce")
+    values = numbers.to_numpy(dtype=float, na_value=np.nan)
+    bad = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
+    if bad.size:
+        raise FlightReadError(
+            f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} rows are not numbers), "
+            f"but expected numbers [{CHANNELS[base_name(column.name)].unit}]: leave missing values empty, and write "
+            "no separators of thousands."
+        )
+    return values
+
+
 def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
     """Convert columns whose unit the file states.
 
@@ -62,7 +97,7 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
             fitting = [unit for unit, (si, _) in TO_SI.items() if si == expected]
             raise FlightReadError(f"Got unit {text!r} for column {name!r}, but expected one of {fitting}.")
         if factor != 1.0:
-            converted[name] = table[name] * factor
+            converted[name] = to_floats(table[name]) * factor
     return table.assign(**converted)
 
 

@@ -63,4 +63,4 @@ def warn_undefined(which, state, consequence):
 def output_names(y) -> list:
     """Return the outputs' names of a DataFrame, or of a Series that has one; else an empty list."""
     name = getattr(y, "name", None)
-    return list(getattr(y, "columns", [] if name is None else [name]))
+    return list(getattr(y, "columns", [] if name is None or name == "" else [name]))

@@ -14,6 +14,7 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils import _safe_indexing
 
+from skdgp._clock import flight_rows
 from skdgp._validation import check_columns, check_table
 from skdgp.metrics._arrays import output_names
 from skdgp.metrics._point import median_relative_error, normalized_rmse
@@ -161,9 +162,7 @@ def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") 
     for full, part in zip(predicted, observed, strict=True):
         full[rows] = part.reshape(len(rows), -1)
     tables = {}
-    codes, names = pd.factorize(table[flight])
-    for code, name in enumerate(names):
-        rows = np.flatnonzero(codes == code)
+    for name, rows in flight_rows(table[flight]).items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UndefinedMetricWarning)  # NaN says it
             scores = pd.DataFrame(_scores(Y.iloc[rows], *(part[rows] for part in predicted)))

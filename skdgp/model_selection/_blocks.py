@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from sklearn.model_selection import BaseCrossValidator
 
-from skdgp._clock import check_clock
+from skdgp._clock import check_clock, flight_rows
 from skdgp._validation import check_columns, check_table
 
 FEWEST = 3
@@ -91,7 +91,7 @@ class BlockSplit(BaseCrossValidator):
             raise ValueError(f"Got gap={gap!r}, but expected seconds, 0 or more.")
         check_columns(check_table(X), ["time"])
         time = X["time"].to_numpy(dtype=float, na_value=np.nan)
-        flights = flight_rows(X, groups)
+        flights = rows_by_flight(X, groups)
         for name, rows in flights.items():
             check_clock(time[rows], None)
             if len(rows) < FEWEST * n_splits:
@@ -119,17 +119,12 @@ def held_out(cv, table: pd.DataFrame, groups) -> list[tuple[np.ndarray, np.ndarr
         return list(cv.split(table, groups=groups))
 
 
-def flight_rows(X: pd.DataFrame, groups=None) -> dict:
+def rows_by_flight(X: pd.DataFrame, groups=None) -> dict:
     """Return the rows of each flight, by the column ``flight``, else by ``groups``, else of all as one."""
     ids = X["flight"] if "flight" in X else np.zeros(len(X), int) if groups is None else groups
     if len(ids) != len(X):
         raise ValueError(f"Got {len(ids)} groups for {len(X)} rows, but expected as many.")
-    codes, names = pd.factorize(np.asarray(ids))
-    if (codes < 0).any():
-        raise ValueError(
-            f"Got {(codes < 0).sum()} rows without a flight, but expected each to name its own: drop them."
-        )
-    return {name: np.flatnonzero(codes == code) for code, name in enumerate(names)}
+    return flight_rows(ids)
 
 
 def _cut(rows, time, n_splits, k, gap):

@@ -7,11 +7,12 @@ import pandas as pd
 from sklearn.base import clone
 from sklearn.metrics import check_scoring
 from sklearn.model_selection import LeaveOneGroupOut
+from sklearn.utils import _safe_indexing
 from sklearn.utils.parallel import Parallel, delayed
 
 from skdgp._validation import check_columns, check_table
 from skdgp.metrics import score_outputs
-from skdgp.model_selection._blocks import flight_rows, held_out
+from skdgp.model_selection._blocks import held_out, rows_by_flight
 from skdgp.model_selection._thin import thin_targets
 
 
@@ -91,11 +92,12 @@ def flight_learning_curve(
     points = [(float(second), k) for second in np.atleast_1d(seconds) for k in range(len(splits))]
     parts = [_first(second, table, splits[k][0]) for second, k in points]
     judges = [
-        (test_table, test_Y) if test_table is not None else (table.iloc[test], _take(Y, test)) for _, test in splits
+        (test_table, test_Y) if test_table is not None else (table.iloc[test], _safe_indexing(Y, test))
+        for _, test in splits
     ]
     scorer = check_scoring(estimator, scoring=scoring)
     scores = Parallel(n_jobs=n_jobs)(
-        delayed(_fit_and_score)(estimator, table.iloc[rows], _take(Y, rows), *judges[k], n_samples, scorer)
+        delayed(_fit_and_score)(estimator, table.iloc[rows], _safe_indexing(Y, rows), *judges[k], n_samples, scorer)
         for (_, k), rows in zip(points, parts, strict=True)
     )
     return pd.concat([pd.DataFrame(points, columns=["seconds", "split"]), pd.DataFrame(scores)], axis=1)
@@ -114,7 +116,7 @@ def _first(second: float, table: pd.DataFrame, train: np.ndarray) -> np.ndarray:
         raise ValueError(f"Got {second:g} s, but expected a positive number of seconds to learn from.")
     time = table["time"].to_numpy(float)[train]
     kept, longest = [], 0.0
-    for rows in flight_rows(table.iloc[train]).values():
+    for rows in rows_by_flight(table.iloc[train]).values():
         step = float(np.median(np.diff(time[rows]))) if len(rows) > 1 else 0.0
         longest = max(longest, step * len(rows))
         kept.append(rows[np.arange(len(rows)) * step < second * (1 - 1e-9)])
@@ -128,7 +130,7 @@ def _first(second: float, table: pd.DataFrame, train: np.ndarray) -> np.ndarray:
 
 def _held_out(cv, table: pd.DataFrame) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return pairs of training and test rows, of each flight in turn by default."""
-    flights = flight_rows(table)
+    flights = rows_by_flight(table)
     if cv is None and len(flights) < 2:
         raise ValueError(
             "Got one flight, but expected several, of which each is held out in turn: give test_table and test_Y, or "
@@ -138,7 +140,3 @@ def _held_out(cv, table: pd.DataFrame) -> list[tuple[np.ndarray, np.ndarray]]:
     for code, rows in enumerate(flights.values()):
         groups[rows] = code
     return held_out(LeaveOneGroupOut() if cv is None else cv, table, groups)
-
-
-def _take(Y, rows):
-    return Y.iloc[rows] if hasattr(Y, "iloc") else np.asarray(Y, dtype=float)[rows]

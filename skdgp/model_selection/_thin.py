@@ -7,6 +7,8 @@ from numbers import Integral
 import numpy as np
 import pandas as pd
 
+from skdgp._targets import target_names
+
 
 def thin_targets(Y, n_samples: int):
     """Leave ``n_samples`` evenly spread rows of the targets observed; the others become NaN, not observed.
@@ -52,4 +54,6 @@ def thin_targets(Y, n_samples: int):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):
         return pd.Series(values, index=Y.index, name=Y.name)
+    if target_names(Y):  # polars and its kin, which have no index
+        return type(Y)(dict(zip(Y.columns, values.T, strict=True))) if values.ndim == 2 else type(Y)(Y.name, values)
     return values

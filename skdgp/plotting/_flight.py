@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
+from skdgp._clock import flight_rows
 from skdgp._validation import check_columns, check_table
 from skdgp.plotting._arrays import check_time, choose
 from skdgp.plotting._envelope import line_points
@@ -237,7 +238,7 @@ def named_flights(flights) -> dict[str, pd.DataFrame]:
     if not isinstance(flights, Mapping):
         table = check_table(flights)
         if "flight" in table.columns:
-            flights = {str(name): part for name, part in table.groupby("flight", sort=False)}
+            flights = {name: table.iloc[rows] for name, rows in flight_rows(table["flight"]).items()}
         else:
             flights = {"flight": table}
     if not flights:

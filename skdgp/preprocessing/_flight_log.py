@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from skdgp._clock import check_clock, runs_by_flight
+from skdgp._clock import check_clock, flight_rows, runs_by_flight
 from skdgp.preprocessing._kinematics import CONSTANTS, Log, Path
 from skdgp.preprocessing._table import numeric
 
@@ -25,7 +25,7 @@ def flight_logs(table: pd.DataFrame, gravity: float) -> list[tuple[object, np.nd
         If time does not increase, or an inertial sensor, the GPS, the attitude or the airspeed is silent throughout a
         flight.
     """
-    names = table["flight"].to_numpy() if "flight" in table else np.zeros(len(table), int)
+    names = np.asarray(table["flight"], dtype=object) if "flight" in table else np.zeros(len(table), int)
     time, codes = check_clock(numeric(table, ["time"])[:, 0], names)
     logs = []
     for runs in runs_by_flight(time, codes):
@@ -38,7 +38,8 @@ def flight_logs(table: pd.DataFrame, gravity: float) -> list[tuple[object, np.nd
 def missing_in(table: pd.DataFrame) -> list[str]:
     """Return which needed channels are not there, or silent throughout some flight."""
     absent = [name for name in ("time", *NEEDED) if name not in table]
-    flights = [table] if "flight" not in table else [part for _, part in table.groupby("flight", observed=True)]
+    rows = flight_rows(table["flight"]).values() if "flight" in table else [slice(None)]
+    flights = [table.iloc[of_one] for of_one in rows]
     return absent + sorted({name for part in flights for name in _silent(part, absent)}, key=NEEDED.index)
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 from sklearn.utils._param_validation import StrOptions
 
-from skdgp._clock import flight_segments, uniform_grid
+from skdgp._clock import flight_codes, flight_segments, uniform_grid
 from skdgp._validation import check_columns
 from skdgp.preprocessing._flight_log import NEEDED
 from skdgp.preprocessing._lag_estimate import FORCE, RATE, SURFACES, UNKNOWN, Lag, air_lag, stretches, surface_lag
@@ -166,8 +166,8 @@ def _estimated(table) -> dict[str, Lag]:
 
 def _kinematic(table) -> dict[str, Lag]:
     """Return the lags of attitude and GPS against integrated gyros and accelerometers."""
-    flight = table["flight"].to_numpy() if "flight" in table else np.zeros(len(table))
-    since = table["time"] - table.groupby(flight)["time"].transform("min")
+    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
+    since = table["time"] - table.groupby(codes)["time"].transform("min")
     bare = table[since < ENOUGH].drop(columns=["alpha", "beta"], errors="ignore")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of what flights do not show: the standard deviation says it

@@ -122,10 +122,10 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
         """Return the columns that come out for those that go in."""
 
     def _recognises(self, X) -> bool:
-        return isinstance(X, pd.DataFrame) and any(name in self._known for name in X.columns)
+        return any(isinstance(name, str) and name in self._known for name in getattr(X, "columns", ()))
 
     def _as_table(self, X) -> pd.DataFrame:
-        if isinstance(X, pd.DataFrame) and self._recognises(X):
+        if self._recognises(X):
             return check_table(X)
         array = validate_data(self, X, reset=False, ensure_all_finite=False)
         return pd.DataFrame(array, columns=self.feature_names_in_, index=getattr(X, "index", None))

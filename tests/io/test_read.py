@@ -129,7 +129,7 @@ class TestRefusals:
             ("head.csv", "time,alpha\n", "0 rows"),
             ("log.txt", "time,alpha\n0,0\n", "suffix '.txt', but expected one of"),
             ("log.csv", "time,alpha,alpha\n0,0,0\n", r"columns \['alpha'\] repeated"),
-            ("log.csv", "time,alpha\n0,0,0,0\n1,1,1,1\n", "is not a CSV table"),
+            ("log.csv", "time,alpha\n0,0,0,0\n1,1,1,1\n", "line 2 has 4 cells, the header has 2"),
             ("log.csv", "alpha,q\n0,0\n", "no column 'time'"),
             ("log.csv", "time,alpha\n0,0.1\n1,high\n", "'high' in column 'alpha' at row 1"),
             ("log.csv", "time,alpha\n0,0.1\n,0.2\n", "no time at row 1"),

@@ -1,0 +1,109 @@
+"""Parquet: the flat columns of a file, as what they hold."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from skdgp._faults import FlightDataWarning
+from skdgp._vocabulary import CHANNELS
+from skdgp.io._errors import FlightReadError
+from skdgp.io._limits import check_room, check_width, room_for
+from skdgp.io._units import base_name, check_names
+
+INDEX = "__index_level_"
+"""How pandas names an index without a name."""
+NUMBER = 8
+
+
+def read_parquet(path: Path) -> pd.DataFrame:
+    """Read a Parquet file; an index that pandas wrote into it is a column if it has a name.
+
+    Raises
+    ------
+    FlightReadError
+        If it is damaged, or too wide, or takes far more memory than its size tells.
+    ImportError
+        If pyarrow is not installed.
+
+    Warns
+    -----
+    FlightDataWarning
+        If columns are left out that hold neither numbers nor texts nor times: lists, structs, bytes.
+    """
+    try:
+        import pyarrow.compute
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ImportError(
+            "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]', or write a CSV."
+        ) from error
+    try:
+        return _table(path, pyarrow)
+    except FlightReadError:
+        raise
+    except Exception as error:  # a damaged file makes pyarrow raise nearly anything
+        said = next(iter(str(error).splitlines()), type(error).__name__)
+        raise FlightReadError(
+            f"Got {path}, which is not a whole parquet file ({said}), but expected one: copy or export it again."
+        ) from error
+
+
+def _table(path, pyarrow):
+    with pyarrow.parquet.ParquetFile(path) as file:
+        schema, size, room = file.schema_arrow, file.metadata, room_for(path.stat().st_size)
+    check_width(len(schema.names))
+    check_names(name.strip() for name in schema.names)
+    plain = {field.name: _plain(field, pyarrow) for field in schema if not field.name.startswith(INDEX)}
+    _check_left({name: str(schema.field(name).type) for name, kind in plain.items() if kind is None}, path.name)
+    plain = {name: kind for name, kind in plain.items() if kind is not None}
+    packed = [size.row_group(g).total_byte_size for g in range(size.num_row_groups)]
+    check_room(max(NUMBER * size.num_rows * len(plain), sum(packed)), room)
+    texts = [name for name, kind in plain.items() if kind == pyarrow.large_string()]
+    with pyarrow.parquet.ParquetFile(path, read_dictionary=texts) as file:  # a text that repeats is read once
+        table = file.read(columns=list(plain))
+    check_room(sum(_letters(table[name], pyarrow) for name in texts), room)
+    return table.cast(pyarrow.schema(plain)).to_pandas(ignore_metadata=True)
+
+
+def _plain(field, pyarrow):
+    """Return the type of a column's values as a table holds them: numbers, texts or times; None for others."""
+    types, kind = pyarrow.types, field.type
+    kind = kind.value_type if types.is_dictionary(kind) else kind
+    of_bytes = types.is_binary(kind) or types.is_large_binary(kind)
+    if types.is_string(kind) or types.is_large_string(kind) or (of_bytes and field.name.strip() == "flight"):
+        return pyarrow.large_string()
+    if types.is_decimal(kind):
+        return pyarrow.float64()
+    simple = types.is_integer, types.is_floating, types.is_boolean, types.is_null, types.is_temporal
+    return kind if any(is_one(kind) for is_one in simple) else None
+
+
+def _check_left(left, said_name):
+    needed = [name for name in left if base_name(name.strip()) in CHANNELS]
+    if needed:
+        raise FlightReadError(
+            f"Got column {needed[0]!r} of type {left[needed[0]]}, but expected one value in each row: write one column "
+            "for each value."
+        )
+    if left:
+        warnings.warn(
+            f"{said_name}: columns that hold neither numbers, texts nor times are left out: {left}.",
+            FlightDataWarning,
+            stacklevel=5,
+        )
+
+
+def _letters(column, pyarrow) -> int:
+    """Return how many bytes the texts of a column take, without writing them out."""
+    total = 0
+    for chunk in column.chunks:
+        if pyarrow.types.is_dictionary(chunk.type):
+            lengths = np.append(pyarrow.compute.binary_length(chunk.dictionary).fill_null(0).to_numpy(False), 0)
+            total += int(lengths[chunk.indices.fill_null(-1).to_numpy(False)].sum())
+        else:
+            total += chunk.nbytes
+    return total

@@ -1,0 +1,124 @@
+"""Which rows are of which flight: one rule, whatever holds the names, and no row without one."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.dummy import DummyRegressor
+
+from skdgp._cli._source import _by_flight
+from skdgp._clock import flight_codes, flight_rows, flight_segments, part_restarts
+from skdgp._faults import find_faults
+from skdgp.calibration import CalibratedRegressor
+from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.dynamics._checks import check_flight
+from skdgp.io import FlightReadError, inspect_log, read_flight
+from skdgp.metrics import score_flights
+from skdgp.model_selection import BlockSplit, flight_learning_curve
+from skdgp.plotting._flight import named_flights
+from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector, inspect_flight
+
+MISSING = [None, np.nan, pd.NA, pd.NaT, "", "  "]
+DTYPES = ["object", "string", "str", "category"]
+N = 60
+
+
+def table(flight):
+    """Two flights of 60 samples, every channel that something asks for."""
+    time, noise = np.tile(0.02 * np.arange(N), 2), np.random.default_rng(0).normal(0, 0.01, (2 * N, 13))
+    names = ["alpha", "beta", "p", "q", "r", "ax", "ay", "phi", "theta", "psi", "v_north", "v_east", "v_down"]
+    columns = dict(zip(names, noise.T, strict=True))
+    return pd.DataFrame({"time": time, "airspeed": 20 + noise[:, 0], "az": -9.8, "density": 1.2, **columns}).assign(
+        flight=flight
+    )
+
+
+def holed(missing):
+    return np.array([missing] * N + ["b"] * N, dtype=object)
+
+
+def model(flights):
+    return DummyRegressor().fit(flights[["alpha"]], flights["alpha"])
+
+
+# What asks for the flight of each row. A new one has a line here.
+ASKING = {
+    "flight_segments": lambda flights: flight_segments(flights["time"], flights["flight"]),
+    "part_restarts": lambda flights: part_restarts(flights["time"], flights["flight"]),
+    "find_faults": find_faults,
+    "check_flight": lambda flights: check_flight(flights, ["time"]),
+    "aerodynamic_coefficients": lambda flights: aerodynamic_coefficients(flights, None),
+    "inspect_flight": inspect_flight,
+    "FlightCheck": lambda flights: FlightCheck().fit_transform(flights),
+    "FlightSmoother": lambda flights: FlightSmoother(cutoff=2.0).fit_transform(flights),
+    "LagCorrector": lambda flights: LagCorrector().fit(flights),
+    "FlightPathReconstruction": lambda flights: FlightPathReconstruction().fit(flights),
+    "BlockSplit": lambda flights: list(BlockSplit(2).split(flights)),
+    "BlockSplit, groups": lambda flights: list(
+        BlockSplit(2).split(flights.drop(columns="flight"), groups=flights["flight"])
+    ),
+    "flight_learning_curve": lambda flights: flight_learning_curve(
+        DummyRegressor(), flights, flights["alpha"], seconds=1
+    ),
+    "score_flights": lambda flights: score_flights(model(flights), flights, flights["alpha"]),
+    "CalibratedRegressor": lambda flights: CalibratedRegressor(DummyRegressor()).fit(
+        flights[["alpha"]], flights["alpha"], groups=flights["flight"]
+    ),
+    "plotting": named_flights,
+    "command line": _by_flight,
+}
+
+
+@pytest.mark.parametrize("asking", ASKING.values(), ids=ASKING)
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_rows_without_a_flight_are_refused(asking, dtype):
+    with pytest.raises(ValueError, match=r"Got 60 of 120 rows without a flight \(the first is row 0\), but expected"):
+        asking(table(pd.Series(holed(None)).astype(dtype)))
+
+
+@pytest.mark.parametrize("missing", MISSING, ids=repr)
+def test_what_is_no_name(missing):
+    with pytest.raises(ValueError, match="fill in these cells, or drop these rows"):
+        flight_codes(holed(missing))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize("read", [read_flight, inspect_log])
+def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
+    path, flights = tmp_path / f"log.{suffix}", table(holed(None))
+    flights.to_csv(path, index=False) if suffix == "csv" else flights.to_parquet(path)
+    with pytest.raises(FlightReadError, match=r"60 of 120 rows .* read_flight\(path, flight='name'\) names all"):
+        read(path)
+
+
+def test_one_name_for_the_whole_file(tmp_path):
+    table(holed(None))[:N].to_csv(tmp_path / "log.csv", index=False)
+    assert read_flight(tmp_path / "log.csv", flight="b").flight.unique().tolist() == ["b"]
+
+
+@pytest.mark.parametrize("dtype", [*DTYPES, "int64", "Int64", "float64"])
+def test_what_holds_the_names_changes_nothing(dtype):
+    names = ["7"] * N + ["11"] * N if dtype in DTYPES else [7] * N + [11] * N
+    flights = table(pd.Series(names).astype(dtype))
+    assert flight_segments(flights["time"], flights["flight"]) == [slice(0, N), slice(N, 2 * N)]
+    assert [rows.tolist() for rows in flight_rows(flights["flight"]).values()] == [
+        list(range(N)),
+        list(range(N, 2 * N)),
+    ]
+    plain = FlightSmoother(cutoff=2.0).fit_transform(table(["a"] * N + ["b"] * N))
+    smooth = FlightSmoother(cutoff=2.0).fit_transform(flights)
+    np.testing.assert_array_equal(smooth["alpha_dot"], plain["alpha_dot"])
+
+
+def test_the_order_of_flights_changes_nothing():
+    flights = table(["a"] * N + ["b"] * N)
+    turned = pd.concat([flights[N:], flights[:N]])
+    smooth = [FlightSmoother(cutoff=2.0).fit_transform(each) for each in (flights, turned)]
+    np.testing.assert_array_equal(*(each.sort_values(["flight", "time"])["alpha_dot"] for each in smooth))
+
+
+def test_rows_of_flights_that_take_turns():
+    assert {name: rows.tolist() for name, rows in flight_rows(["b", "a", "b", "a"]).items()} == {
+        "b": [0, 2],
+        "a": [1, 3],
+    }
+    assert flight_rows([]) == {}

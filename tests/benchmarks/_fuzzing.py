@@ -53,12 +53,14 @@ class Campaign(NamedTuple):
 
 
 @contextlib.contextmanager
-def only(*messages, category=UserWarning):
-    """Let documented warnings pass; any other one is an exception."""
+def only(*messages, others=()):
+    """Let documented warnings pass, by what they say or by their classes; any other one is an exception."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for message in messages:
-            warnings.filterwarnings("ignore", message, category)
+            warnings.filterwarnings("ignore", message, UserWarning)
+        for category in others:
+            warnings.simplefilter("ignore", category)
         yield
 
 
@@ -103,9 +105,9 @@ def run(campaign, seed, folder, jobs, seconds, count, told=print):
                 told(f"  {campaign.name}:{result.number} {result.outcome}: {result.what}")
         tally.memory = max(tally.memory, memory)
 
-    if jobs:
+    if jobs and count:
         _in_workers(campaign, seed, folder, jobs, began + seconds, count, take)
-    else:
+    elif count:
         prepared = campaign.prepare(folder, seed)
         for number in range(count):
             take([judged(campaign, prepared, seed, number)], _peak())
@@ -239,7 +241,7 @@ def _in_workers(campaign, seed, folder, jobs, deadline, count, take):
             if worker.pipe.poll():
                 try:
                     results, memory = worker.pipe.recv()
-                except EOFError:
+                except (EOFError, OSError):
                     worker.process.join()
                     lost(worker, f"the process died (exit code {worker.process.exitcode})")
                     continue

@@ -15,6 +15,7 @@ if any exception was foreign or any difference silent:
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tempfile
 import time
@@ -22,32 +23,40 @@ from pathlib import Path
 
 from _common import finish, parser_of
 from _fuzz_fits import FITS
+from _fuzz_flips import FLIPS
+from _fuzz_logs import LOGS
 from _fuzzing import rng_of, run
 from threadpoolctl import threadpool_limits
 
-CAMPAIGNS = {campaign.name: campaign for campaign in (FITS,)}
+CAMPAIGNS = {campaign.name: campaign for campaign in (LOGS, FITS, FLIPS)}
 SMOKE = {"logs": 60, "fits": 3, "flips": 6}
 
 
 def main(words=None):
     options = parsed(words)
     with tempfile.TemporaryDirectory() as folder:
+        if options.data:
+            shutil.copytree(options.data / "logs", Path(folder) / "real", copy_function=shutil.copyfile)
         if options.case:
             return one(options.case, options.seed, Path(folder))
-        rows, failures = [], []
-        left = list(CAMPAIGNS.values())
-        ends = time.monotonic() + options.seconds
-        while left:
-            campaign = left[0]
-            seconds = (ends - time.monotonic()) * campaign.share / sum(each.share for each in left)
-            count = SMOKE[campaign.name] if options.smoke else getattr(options, campaign.name)
-            print(f"{campaign.name}: {count} cases, at most {seconds:.0f} s", flush=True)
-            row, found = run(campaign, options.seed, Path(folder), options.jobs, seconds, count)
-            rows.append(row)
-            failures += found
-            left.pop(0)
+        rows, failures = all_of(options, Path(folder))
     finish(options, "fuzz", cases=rows, failures=failures)
     return int(bool(failures))
+
+
+def all_of(options, folder):
+    """Return the rows of counts and of failures of all campaigns; each has its part of the time that is left."""
+    rows, failures = [], []
+    counts = SMOKE if options.smoke else {name: getattr(options, name) for name in CAMPAIGNS}
+    left = [campaign for campaign in CAMPAIGNS.values() if counts[campaign.name]]
+    ends = time.monotonic() + options.seconds
+    for k, campaign in enumerate(left):
+        seconds = (ends - time.monotonic()) * campaign.share / sum(each.share for each in left[k:])
+        print(f"{campaign.name}: {counts[campaign.name]} cases, at most {seconds:.0f} s", flush=True)
+        row, found = run(campaign, options.seed, folder, options.jobs, seconds, counts[campaign.name])
+        rows.append(row)
+        failures += found
+    return rows, failures
 
 
 def parsed(words):
@@ -55,6 +64,7 @@ def parsed(words):
     parser.add_argument("--seconds", type=float, default=600.0, help="for all campaigns together")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2, help="processes; 0: this one, where nothing stops what hangs")
+    parser.add_argument("--data", type=Path, help="folder of the shared data: logs/ are spoiled too")
     parser.add_argument("--case", metavar="CAMPAIGN:NUMBER", help="run this case alone")
     for campaign in CAMPAIGNS.values():
         parser.add_argument(f"--{campaign.name}", type=int, default=campaign.count, help="cases; 0 leaves them out")

@@ -29,12 +29,13 @@ from _fuzzing import rng_of, run
 from threadpoolctl import threadpool_limits
 
 CAMPAIGNS = {campaign.name: campaign for campaign in (LOGS, FITS, FLIPS)}
+IN_MEMORY = Path("/dev/shm")  # on a disk, to open files takes as long as to read them
 SMOKE = {"logs": 60, "fits": 3, "flips": 6}
 
 
 def main(words=None):
     options = parsed(words)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
         if options.data:
             shutil.copytree(options.data / "logs", Path(folder) / "real", copy_function=shutil.copyfile)
         if options.case:

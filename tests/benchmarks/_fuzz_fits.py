@@ -291,7 +291,9 @@ def _prior(model, points):
 def _joint(model, points, prior, rounding):
     _, cov = model.predict(points, return_cov=True)
     _finite("covariance", cov)
-    unit = np.where(prior > 0, prior, 1.0).T.ravel()
+    if prior.min() < 1e-145:
+        return  # squares of such deviations are no normal numbers
+    unit = prior.T.ravel()
     cov = (cov / unit[:, None]) / unit  # one after the other: squares may underflow
     if np.abs(cov - cov.T).max() > rounding:
         raise Difference(f"covariance is not symmetric, by {np.abs(cov - cov.T).max():.3g} of the prior's variance")

@@ -58,7 +58,7 @@ def holds(values, step: float) -> list[np.ndarray]:
     leap = np.abs(np.diff(seen[runs.start], append=np.nan))
     steps = leap[:-1]
     quantum = np.quantile(steps, 0.01)
-    bend = np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps)
+    bend = np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps) if len(steps) > 1 else np.inf
     stuck = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_HOLD)
     if bend < SMOOTH or np.median(steps) <= LOST * quantum:
         stuck &= leap > max(3 * quantum, np.quantile(steps, 0.99))

@@ -8,6 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import eigh, lapack
 from scipy.linalg.blas import dtrsm, dtrsv
+from sklearn.cluster import KMeans
+from sklearn.exceptions import ConvergenceWarning
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
 CONSTANT = 1e-12  # spread of a constant column, relative to its largest value: sums of equal numbers are rounded
@@ -138,6 +140,14 @@ def column_scale(Z: np.ndarray) -> np.ndarray:
     """Return the standard deviation of each column over its finite values, one where the column is constant."""
     constant = constant_columns(Z)
     return np.array([1.0 if same else np.std(z[np.isfinite(z)]) for z, same in zip(Z.T, constant, strict=True)])
+
+
+def cluster_centres(X: np.ndarray, scale: np.ndarray, n: int, random_state, max_iter=300) -> np.ndarray:
+    """Return n centres of the rows of X (m, d), in the metric of the scales (d,), by k-means."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # of rows that are alike but for rounding
+        means = KMeans(n, n_init=1, max_iter=max_iter, random_state=random_state).fit(X / scale)
+    return means.cluster_centers_ * scale
 
 
 def unexplained_variance(prior: np.ndarray, explained: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._callbacks import CallbackSupportMixin, FitTask
 from skdgp._checkpoint import kept_in, record_of_fit
-from skdgp._linalg import CONSTANT
 from skdgp._parallel import check_n_jobs, fit_map
 from skdgp._prediction import PredictionMixin
 from skdgp._targets import (
@@ -28,6 +27,7 @@ from skdgp._targets import (
     check_same_targets,
     check_targets,
     input_root,
+    standardized,
     warn_of_compaction,
     warn_of_constant_regressors,
     warn_of_indices,
@@ -259,10 +259,8 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
             check_memory(n_values, "Exact inference on", FEWER_VALUES)
         else:
             warn_of_inducing(self.n_inducing, len(X))
-        self._center = np.nanmean(Y, axis=0) if self.trend is not None else np.zeros(Y.shape[1])
-        scale = np.sqrt(np.nanmean((Y - self._center) ** 2, axis=0)) if self.normalize_y else np.ones(Y.shape[1])
-        self._scale = np.where(scale > CONSTANT * np.nanmax(np.abs(Y), axis=0), scale, 1.0)
-        best = task.heard(self._search, X, (Y - self._center) / self._scale)
+        Z, self._center, self._scale = standardized(Y, self.trend is not None, self.normalize_y)
+        best = task.heard(self._search, X, Z)
         warn_of_search(best, self.max_iter)
         vars(self).pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
@@ -278,7 +276,7 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
     def _search(self, X, Z):
         """Return the best fit over the starting points."""
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
-        root = input_root(self.input_noise, X.shape[1])
+        root = input_root(self.input_noise, X, self._regressor_names())
         options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
         record = record_of_fit(X, Z, seeds, self.get_params(deep=False))

@@ -11,8 +11,9 @@ import pandas as pd
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
-from skdgp._linalg import constant_columns
+from skdgp._linalg import column_scale, constant_columns
 
+MOST_NOISE = 10  # standard deviation of a regressor's noise, over that of the regressor
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors: their fourth powers are numbers
 MUCH = 0.5  # change of a prediction by compacting, in standard deviations, that is warned of unasked
 Y_RANGE = (1e-100, 1e100)  # magnitudes of targets: their squares are numbers
@@ -47,6 +48,19 @@ def target_names(y) -> list[str]:
     """Return the columns of a dataframe of any library, or the name of a series; empty if they are not all texts."""
     names = list(getattr(y, "columns", [getattr(y, "name", None)]))
     return names if all(isinstance(name, str) and name for name in names) else []
+
+
+def standardized(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return targets with mean 0 and mean square 1 where asked, and the center and scale of each output, (P,).
+
+    The center of a constant output is its value, its scale the size of that: it is 0 or 1 everywhere, without rounding.
+    """
+    constant, size = constant_columns(Y), np.nanmax(np.abs(Y), axis=0)
+    Y = np.where(constant & np.isfinite(Y), Y[np.isfinite(Y).argmax(axis=0), range(Y.shape[1])], Y)
+    center = np.where(constant, np.nanmax(Y, axis=0), np.nanmean(Y, axis=0)) if centered else np.zeros(Y.shape[1])
+    scale = np.sqrt(np.nanmean((Y - center) ** 2, axis=0)) if scaled else np.ones(Y.shape[1])
+    scale = np.where(constant & scaled, np.where(size > 0, size, 1.0), scale)
+    return (Y - center) / scale, center, scale
 
 
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
@@ -142,10 +156,23 @@ def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) 
     )
 
 
-def input_root(input_noise, d: int):
+def input_root(input_noise, X: np.ndarray, names: list[str]):
     """Return R (d, r) of the covariance R R^T of the regressors' noise, or what asks for none or for learning."""
     if input_noise is None or isinstance(input_noise, str):
         return input_noise
+    root = _root_of(input_noise, X.shape[1])
+    noise = np.sqrt(np.einsum("dr,dr->d", root, root))
+    drowned = (noise > MOST_NOISE * column_scale(X)) & ~constant_columns(X)
+    if drowned.any():
+        found = {name: f"{s:.2g}" for name, s, out in zip(names, X.std(axis=0), drowned, strict=True) if out}
+        raise ValueError(
+            f"Got input_noise that is more than {MOST_NOISE} times what the regressors vary by (standard deviations: "
+            f"{found}), but expected the noise that is part of this. Give it in the units of X, one for each column."
+        )
+    return root
+
+
+def _root_of(input_noise, d):
     given = np.asarray(input_noise, dtype=float)
     expected = f"expected a standard deviation, {d} of them, or a covariance ({d}, {d}), in the units of X."
     if given.shape not in ((), (d,), (d, d)) or not np.isfinite(given).all():

@@ -114,6 +114,26 @@ class TestRegressors:
             model.partial_fit(X * [1e150, 1.0], Y)
         assert np.isfinite(model.predict(X * [1e50, 1e-150], return_std=True)).all()
 
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    @pytest.mark.parametrize("offset", [1e4, 1.7e9])
+    def test_that_are_far_from_zero(self, X, Y, inference, offset):
+        """Unix time stamps: few rows, many rows, deviations and slopes are those of the same numbers near zero."""
+        here = quick(inference=inference, n_inducing=30, max_iter=10).fit(X, Y)
+        there = quick(inference=inference, n_inducing=30, max_iter=10).fit(X + offset, Y)
+        for rows in (slice(0, 5), slice(None)):
+            for got, expected in zip(there.predict(X[rows] + offset, True), here.predict(X[rows], True), strict=True):
+                np.testing.assert_allclose(got, expected, rtol=0.01, atol=0.01)  # rounded to 2e-7 of their spread
+        np.testing.assert_allclose(there.predict_gradient(X + offset), here.predict_gradient(X), rtol=0.01, atol=0.01)
+        np.testing.assert_allclose(there.sample_paths(3)(X[:5] + offset).mean(), Y[:5].mean(), atol=0.5)
+
+    def test_whose_noise_is_more_than_they_vary(self, X, Y):
+        with pytest.raises(ValueError, match=r"input_noise.*'x0'.*in the units of X"):
+            quick(input_noise=0.1).fit(X * [1e-8, 1.0], Y)
+
+    def test_that_are_alike_but_for_rounding_are_few_inducing_inputs(self, X, Y):
+        X = np.repeat(X[:6], 5, axis=0) * (1 + 1e-15 * np.random.default_rng(2).integers(0, 3, (30, 1)))
+        assert np.isfinite(quick(inference="sparse", n_inducing=10).fit(X, Y).predict(X, return_std=True)).all()
+
     def test_of_unlike_scales_share_no_length(self, X, Y):
         with pytest.raises(ValueError, match=r"from .* to .*StandardScaler.*'diag'"):
             quick(covariance_type="spherical").fit(X * [1e-6, 1e6], Y)
@@ -210,6 +230,20 @@ class TestTargets:
     def test_beyond_what_can_be_squared(self, X, Y, size):
         with pytest.raises(ValueError, match=r"targets of magnitudes \{'y1': .*StandardScaler"):
             quick().fit(X, Y * [1.0, size])
+
+    @pytest.mark.parametrize("value", [0.6, 1e-9, -3e25])
+    @pytest.mark.parametrize("trend", ["linear", "constant", None])
+    def test_that_are_constant_are_told_in_their_own_size(self, X, Y, value, trend):
+        """And leave the others alone: the deviation of equal numbers is rounding."""
+        Y[:, 0] = value
+        Y[::2, 0] = np.nextafter(value, 2 * value)
+        with pytest.warns(UserWarning, match=r"\['y0'\] are constant"):
+            model = quick(trend=trend).fit(X, Y)
+        mean, std = model.predict(X, return_std=True)
+        np.testing.assert_allclose(mean[:, 0], value, rtol=0.3 if trend is None else 1e-3)
+        assert (std[:, 0] < 0.5 * abs(value)).all()
+        alone = quick(trend=trend).fit(X, Y[:, 1])
+        np.testing.assert_allclose(mean[:, 1], alone.predict(X), atol=0.5)
 
     def test_exactly_linear_or_noise_free(self, X):
         Y = np.column_stack([X[:, 0] + X[:, 1], np.sin(X[:, 0])])

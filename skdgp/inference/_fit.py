@@ -6,10 +6,9 @@ from threading import Event
 from typing import NamedTuple
 
 import numpy as np
-from sklearn.cluster import KMeans
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import column_scale
+from skdgp._linalg import cluster_centres, column_scale
 from skdgp._parallel import sharing
 from skdgp._targets import check_memory
 from skdgp.inference._exact import ExactPosterior
@@ -301,6 +300,4 @@ def _centres(X, n_inducing, random_state):
     if len(distinct) <= n_inducing:
         return distinct
     some = X[random_state.permutation(len(X))[: 50 * n_inducing]]
-    scale = np.where(X.std(axis=0) > 0, X.std(axis=0), 1.0)
-    means = KMeans(n_inducing, n_init=1, random_state=random_state).fit(some / scale)
-    return means.cluster_centers_ * scale
+    return cluster_centres(some, column_scale(X), n_inducing, random_state)

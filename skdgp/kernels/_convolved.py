@@ -9,7 +9,7 @@ from sklearn.base import clone
 
 from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, number, or_default
 from skdgp.kernels._features import ConvolvedFeatures
-from skdgp.kernels._latents import TIED_AXIS, check_like_scales, check_ties, who_feeds
+from skdgp.kernels._latents import TIED_AXIS, check_ties, common_scale, who_feeds
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._parts import rank_parts
 from skdgp.kernels._paths import ValuePaths
@@ -178,11 +178,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         if coarse:
             start |= {name: coarse._value(name) for name in ("amplitude", "length_scale")}
         axis = TIED_AXIS.get(self.covariance_type)
-        if axis is not None:
-            start["length_scale"] = _geometric_mean(start["length_scale"], axis)
         if self.covariance_type == "spherical":
-            check_like_scales(X)
-            start["length_scale_bounds"] = _geometric_mean(start["length_scale_bounds"], axis)
+            start |= {name: common_scale(start[name], X) for name in ("length_scale", "length_scale_bounds")}
+        elif axis is not None:
+            start["length_scale"] = _geometric_mean(start["length_scale"], axis)
         for name, value in start.items():
             if params[name] is None:
                 params[name] = value
@@ -383,12 +382,13 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_derivative(self, i, j, Xi, Xj):
         Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
         _, gains, _, _, shift = self._pair(i, j)
+        middle = _middle(Xj)
         D = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
         for k, exponent in enumerate(self._exponents(i, j, Xi, Xj)):
             S = self._precision(i, j, k)
             E = exponent.exponential(slice(None), np.empty(D.shape[1:]))
             E *= gains[k]
-            D -= E * (((Xi - shift[k]) @ S).T[:, :, None] - (Xj @ S).T[:, None, :])
+            D -= E * (((Xi - middle - shift[k]) @ S).T[:, :, None] - ((Xj - middle) @ S).T[:, None, :])
         return D
 
     def derivative_diag(self, i, Xi):

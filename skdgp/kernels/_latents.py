@@ -43,12 +43,23 @@ def check_ties(covariance_type, lengths, feeds) -> None:
         )
 
 
-def check_like_scales(X) -> None:
-    """Raise a ValueError where regressors differ too much in scale to share one length scale."""
-    scale = column_scale(X)[~constant_columns(X)]
-    if len(scale) and scale.max() > MOST_UNLIKE * scale.min():
+def common_scale(scales, X) -> np.ndarray:
+    """Return one scale for all regressors: the geometric mean over those that vary in X; scales are (M, P, d, ...).
+
+    Raises
+    ------
+    ValueError
+        Where regressors differ too much in scale to share one.
+    """
+    varies = ~constant_columns(X)
+    if not varies.any():
+        return scales
+    spread = column_scale(X)[varies]
+    if spread.max() > MOST_UNLIKE * spread.min():
         raise ValueError(
-            f"Got regressors with standard deviations from {scale.min():.2g} to {scale.max():.2g}, but "
+            f"Got regressors with standard deviations from {spread.min():.2g} to {spread.max():.2g}, but "
             "covariance_type='spherical' has one length scale for all of them. Scale the regressors (StandardScaler), "
             "or use covariance_type='diag'."
         )
+    mean = np.exp(np.log(scales[:, :, varies]).mean(axis=2, keepdims=True))
+    return np.broadcast_to(mean, scales.shape).copy()

@@ -16,13 +16,22 @@ def diagonal_pair(li, lj):
 
 
 def full_pair(Ri, Rj):
-    """Return c (m,) and F (m, d, d) for roots (m, d, d)."""
-    Ai, Aj = precision(Ri), precision(Rj)
-    logdet_i, logdet_j, logdet_sum = (np.linalg.slogdet(B)[1] for B in (Ai, Aj, Ai + Aj))
-    c = np.exp(0.5 * Ai.shape[-1] * np.log(2.0) + 0.25 * (logdet_i + logdet_j) - 0.5 * logdet_sum)
-    # Sigma = (A_i^-1 + A_j^-1)^-1: symmetric, although the product does not look it.
-    S = Ai @ np.linalg.solve(Ai + Aj, Aj)
-    return c, np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2)))
+    """Return c (m,) and F (m, d, d) for lower triangular roots (m, d, d).
+
+    A_i + A_j and A_i^-1 + A_j^-1 are sums of squares: their roots are the triangles of QR factorisations, which exist
+    however unlike the length scales are.
+    """
+    log_diagonals = (np.log(np.abs(np.einsum("mkk->mk", B))).sum(axis=1) for B in (Ri, Rj, _root_of_sum(Ri, Rj)))
+    log_i, log_j, log_sum = log_diagonals
+    c = np.exp(0.5 * Ri.shape[-1] * np.log(2.0) + 0.5 * (log_i + log_j) - log_sum)
+    # Sigma = (A_i^-1 + A_j^-1)^-1 = U^-1 U^-T, where U^T U is the sum of the inverses, A^-1 = (R^-T R^-1) / 2.
+    inverses = (np.swapaxes(np.linalg.inv(R), -1, -2) / np.sqrt(2) for R in (Ri, Rj))
+    return c, np.linalg.inv(_root_of_sum(*inverses))
+
+
+def _root_of_sum(Ri, Rj):
+    """Return the upper triangle U (m, d, d) with U^T U = R_i R_i^T + R_j R_j^T."""
+    return np.linalg.qr(np.swapaxes(np.concatenate([Ri, Rj], axis=-1), -1, -2), mode="r")
 
 
 def precision(R):

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from sklearn.cluster import KMeans
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import pivoted_cholesky
+from skdgp._linalg import cluster_centres, pivoted_cholesky
 from skdgp.kernels._features import JITTER, Features
 from skdgp.kernels._paths import FeaturePaths
 from skdgp.kernels._rows import ExponentialRows
@@ -198,5 +197,4 @@ def _centres(X, length_scale, n, seed):
     """Return n centres of the samples in the metric of the length scales, or all samples where n is as many."""
     if n >= len(X):
         return X
-    scaled = X / length_scale
-    return KMeans(n, n_init=1, max_iter=30, random_state=seed).fit(scaled).cluster_centers_ * length_scale
+    return cluster_centres(X, length_scale, n, seed, max_iter=30)

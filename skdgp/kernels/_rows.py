@@ -30,7 +30,7 @@ class ExponentialRows:
         self.joint = joint
         self.columns = columns = [(i, j, Z) for i, own in enumerate(columns) for j, Z in own if len(Z)]
         d = joint.n_features
-        self.middle = np.concatenate([np.zeros((1, d)), *(Z for *_, Z in columns)]).mean(axis=0)
+        self.middle = np.concatenate([Z for *_, Z in columns]).mean(axis=0) if columns else np.zeros(d)
         roots, slopes, constants, counts = [], [], [], []
         for i, j, Z in columns:
             _, gains, _, F, shifts = joint._pair(i, j)

@@ -48,6 +48,7 @@ def _directions(Y, n_latent, rng):
     Z = np.where(seen, Y - np.nanmean(np.where(seen.any(axis=0), Y, 0.0), axis=0), 0.0) / column_scale(Y)
     counts = np.maximum(seen.T.astype(float) @ seen, 1.0)
     values, vectors = np.linalg.eigh(Z.T @ Z / counts)
+    vectors = vectors * np.where(np.arange(P, 0, -1) @ vectors < 0, -1.0, 1.0)  # of either sign LAPACK might choose
     principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]
     rows = principal[:n_latent]
     if n_latent > P:

@@ -35,6 +35,7 @@ MAKERS = {
 }
 
 
+LARGEST = 1e60  # of a regressor: squares of larger numbers overflow in what follows
 STILL = 1e-9
 """A regressor that varies by less than this fraction of itself was not moved."""
 
@@ -231,8 +232,8 @@ def _warn_of_untold(values, targets, names):
 
 
 def _check_whole(values, names, table):
-    """Raise a ValueError that tells where regressors are NaN or infinite, by the columns that they were made from."""
-    holes = ~np.isfinite(values)
+    """Raise a ValueError that tells where regressors are no numbers, by the columns that they were made from."""
+    holes = ~(np.abs(values) < LARGEST)
     if not holes.any():
         return
     measured, made = {}, {}
@@ -262,6 +263,6 @@ def _sources(name, table) -> dict[str, int]:
     rate = name.removesuffix(SUFFIX)
     sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
     sources += ELEVONS if name in MIXED else ()
-    holes = {source: ~np.isfinite(numeric(table, [source])) for source in sources if source in table}
+    holes = {source: ~(np.abs(numeric(table, [source])) < LARGEST) for source in sources if source in table}
     found = {source: int(where.sum()) for source, where in holes.items() if where.any()}
     return {source: n for source, n in found.items() if source in ELEVONS} or found

@@ -1,0 +1,258 @@
+"""What holds of the regressor for every problem: units, order, uncertainty, bounds, draws. Problems by hypothesis."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
+
+from skdgp import DependentGPRegressor
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:The regressors .* are constant", "ignore:Got n_inducing", "ignore:.* samples repeat another"
+)
+EXAMPLES = settings(max_examples=40)
+FEW = settings(max_examples=15)
+INFERENCE = st.sampled_from(["exact", "sparse"])
+
+
+def problem(seed, d=None, P=None, missing=True):
+    """Return X (n, d) and Y (n, P) on scales of the seed's choice, smooth functions with noise, some values missing."""
+    rng = np.random.default_rng(seed)
+    n, d, P = int(rng.integers(8, 30)), d or int(rng.integers(1, 5)), P or int(rng.integers(1, 4))
+    X = rng.normal(size=(n, d)) * 10.0 ** rng.uniform(-4, 4, d)
+    waves = np.sin(X / X.std(axis=0) @ rng.normal(size=(d, P)) + rng.uniform(0, 6, P))
+    Y = (waves + 0.1 * rng.normal(size=(n, P))) * 10.0 ** rng.uniform(-4, 4, P)
+    if missing and n > 12:
+        Y[rng.random((n, P)) < 0.2] = np.nan
+        Y[:4] = np.where(np.isnan(Y[:4]), np.nanmean(Y, axis=0) + np.nanstd(Y, axis=0), Y[:4])
+    return X, Y
+
+
+def options(seed):
+    """Return some options of the regressor; hyperparameters are those that a fit starts from."""
+    rng = np.random.default_rng(seed + 1)
+    return {
+        "optimizer": None,
+        "random_state": 0,
+        "n_latent": int(rng.integers(0, 3)),
+        "covariance_type": str(rng.choice(["diag", "tied", "full"])),
+        "trend": [None, "constant", "linear"][rng.integers(3)],
+        "n_inducing": 40,
+        "input_noise": [None, None, "learned"][rng.integers(3)],
+    }
+
+
+def given_kernel(seed, X, Y, order=slice(None), outputs=slice(None)):
+    """Return a prior with values for these data, its regressors and outputs in another order."""
+    rng = np.random.default_rng(seed + 2)
+    d, P = X.shape[1], Y.shape[1]
+    w = rng.uniform(0.3, 1.0, (1 + P, P)) * rng.choice([-1, 1], (1 + P, P)) * np.nanstd(Y, axis=0)
+    lengths = rng.uniform(0.8, 3.0, (1 + P, P, d)) * X.std(axis=0)
+    slopes = rng.uniform(0.1, 1.0, (P, d)) * np.nanstd(Y, axis=0)[:, None] / X.std(axis=0)
+    private = np.concatenate([[0], 1 + np.arange(P)[outputs]])
+    process = ConvolvedGaussian(
+        1, amplitude=w[private][:, outputs], length_scale=lengths[private][:, outputs][..., order]
+    )
+    return process + LinearTrend(np.nanstd(Y, axis=0)[outputs], slopes[outputs][:, order], X.mean(axis=0)[order])
+
+
+def fixed(kernel, **more):
+    """Return a regressor of given hyperparameters, in the units of the targets."""
+    return DependentGPRegressor(kernel, trend=None, normalize_y=False, optimizer=None, random_state=0, **more)
+
+
+def close(got, expected, spread, rtol=1e-6):
+    """Assert that predictions agree, relative to the spread of the outputs."""
+    np.testing.assert_allclose(got / spread, expected / spread, rtol=rtol, atol=rtol)
+
+
+SEEDS = st.integers(0, 2**20)
+
+
+@EXAMPLES
+@given(SEEDS, INFERENCE)
+def test_units_and_zero_points_decide_nothing(seed, inference):
+    """Regressors and targets in other units, from other zeros: the same model, in these units."""
+    X, Y = problem(seed)
+    how = options(seed) | {"inference": inference}
+    rng = np.random.default_rng(seed + 3)
+    unit, gain = 2.0 ** rng.integers(-30, 30, X.shape[1]), 2.0 ** rng.integers(-30, 30, Y.shape[1])
+    zero, level = (
+        10.0 ** rng.uniform(0, 5) * rng.normal(size=unit.shape) * X.std(axis=0),
+        10 * rng.normal(size=gain.shape),
+    )
+    if how["trend"] is None:
+        level = 0.0
+    level = level * np.nanstd(Y, axis=0)
+    here = DependentGPRegressor(**how).fit(X, Y)
+    there = DependentGPRegressor(**how).fit((X + zero) * unit, (Y + level) * gain)
+    at = X + 0.3 * rng.normal(size=X.shape) * X.std(axis=0)
+    mean, std = (each.reshape(len(X), -1) for each in here.predict(at, return_std=True))
+    other, other_std = (each.reshape(len(X), -1) for each in there.predict((at + zero) * unit, return_std=True))
+    spread = np.nanstd(Y, axis=0)
+    close(other / gain - level, mean, spread, 1e-5)
+    close(other_std / gain, std, spread, 1e-5)
+
+
+@EXAMPLES
+@given(SEEDS, INFERENCE)
+def test_the_order_of_regressors_outputs_and_rows_decides_nothing(seed, inference):
+    X, Y = problem(seed)
+    rng = np.random.default_rng(seed + 3)
+    order, outputs, rows = (rng.permutation(n) for n in (X.shape[1], Y.shape[1], len(X)))
+    here = fixed(given_kernel(seed, X, Y), inference=inference, n_inducing=40).fit(X, Y)
+    there = fixed(given_kernel(seed, X, Y, order, outputs), inference=inference, n_inducing=40)
+    there.fit(X[rows][:, order], Y[rows][:, outputs])
+    for got, expected in zip(there.predict(X[:, order], True), here.predict(X, True), strict=True):
+        close(got.reshape(len(X), -1), expected.reshape(len(X), -1)[:, outputs], np.nanstd(Y, axis=0)[outputs])
+
+
+@EXAMPLES
+@given(SEEDS, INFERENCE, st.sampled_from([0.0, 0.6, -1e-7, 1e6, 0.1 + 0.2]))
+def test_a_constant_regressor_changes_nothing(seed, inference, constant):
+    """Whatever its unit: the deviation of equal numbers is rounding."""
+    X, Y = problem(seed)
+    how = options(seed) | {"inference": inference, "covariance_type": "diag"}
+    more = np.column_stack([X, np.full(len(X), constant)])
+    plain, model = (DependentGPRegressor(**how).fit(x, Y) for x in (X, more))
+    # Starting widths grow with the root of the number of regressors: so the models are like, not the same.
+    mean = model.predict(more).reshape(len(X), -1)
+    assert (np.abs(mean - plain.predict(X).reshape(len(X), -1)) < 1.5 * np.nanstd(Y, axis=0)).all()
+    more[:, -1] += 1.0
+    away, std = (each.reshape(len(X), -1) for each in model.predict(more, return_std=True))
+    assert (np.abs(away - mean) < 3 * np.nanstd(Y, axis=0)).all()
+    assert (std < 10 * np.nanstd(Y, axis=0)).all()
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_a_regressor_given_twice_is_one_with_a_longer_scale(seed):
+    """exp(-2 (x / l)^2 / 2) = exp(-(x / (l / sqrt 2))^2 / 2)."""
+    X, Y = problem(seed)
+    once = given_kernel(seed, X, Y).k1
+    lengths = once.length_scale[..., [0, *range(X.shape[1])]].copy()
+    lengths[..., :2] *= np.sqrt(2)
+    # Each of two equal columns has half the squared distance; the normalisation of unlike filters is the product over
+    # columns, so amplitudes of shared latents would differ: private latents alone.
+    private = {"feeds": np.eye(Y.shape[1]), "amplitude": np.diag(np.diag(once.amplitude[1:]))}
+    single = fixed(ConvolvedGaussian(length_scale=once.length_scale[1:], **private)).fit(X, Y)
+    double = fixed(ConvolvedGaussian(length_scale=lengths[1:], **private)).fit(X[:, [0, *range(X.shape[1])]], Y)
+    for got, expected in zip(double.predict(X[:, [0, *range(X.shape[1])]], True), single.predict(X, True), strict=True):
+        close(got.reshape(len(X), -1), expected.reshape(len(X), -1), np.nanstd(Y, axis=0))
+
+
+@EXAMPLES
+@given(SEEDS, INFERENCE)
+def test_uncertainty_is_one(seed, inference):
+    """The joint covariance is positive semidefinite, its diagonal the squared deviations, below those of the prior."""
+    X, Y = problem(seed)
+    model = DependentGPRegressor(**options(seed) | {"inference": inference}).fit(X, Y)
+    rng = np.random.default_rng(seed + 3)
+    at = np.concatenate([X[:5], X.mean(axis=0) + 3 * rng.normal(size=(5, X.shape[1])) * X.std(axis=0)])
+    spread = np.repeat(np.nanstd(Y, axis=0), len(at))
+    _, std = model.predict(at, return_std=True)
+    _, cov = model.predict(at, return_cov=True)
+    cov = cov / np.multiply.outer(spread, spread)
+    np.testing.assert_allclose(cov, cov.T, atol=1e-9 * cov.max())
+    assert np.linalg.eigvalsh(cov).min() > -1e-9 * cov.max()
+    own = std.reshape(len(at), -1).T.ravel() / spread
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)), own, rtol=1e-6, atol=1e-7 * np.sqrt(cov.max()))
+    assert (own > 0).all()
+    prior = np.sqrt(model.kernel_.diag(at)) * np.repeat(model._scale, len(at))
+    assert (own <= prior / spread * (1 + 1e-9)).all()
+
+
+@EXAMPLES
+@given(SEEDS, INFERENCE)
+def test_slopes_are_those_of_the_mean(seed, inference):
+    X, Y = problem(seed)
+    model = DependentGPRegressor(**options(seed) | {"inference": inference}).fit(X, Y)
+    slopes = model.predict_gradient(X[:4]).reshape(4, -1, X.shape[1])
+    for k, size in enumerate(X.std(axis=0)):
+        step = np.zeros(X.shape[1])
+        step[k] = 1e-4 * size
+        ahead, behind = (model.predict(X[:4] + sign * step).reshape(4, -1) for sign in (1, -1))
+        close(slopes[..., k] * size, (ahead - behind) / 2e-4, np.nanstd(Y, axis=0), 1e-5)
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_the_bound_is_below_the_likelihood(seed):
+    """Titsias (2009), equation 9; it is reached where every sample is an inducing input, but for their own noise."""
+    X, Y = problem(seed)
+    how = options(seed) | {"input_noise": None}
+    few = int(np.random.default_rng(seed + 3).integers(1, 40))
+    sparse = DependentGPRegressor(**how | {"inference": "sparse", "n_inducing": few}).fit(X, Y)
+    exact = DependentGPRegressor(**how | {"inference": "exact"}).fit(X, Y).log_marginal_likelihood(sparse.theta_)
+    assert sparse.log_marginal_likelihood_value_ <= exact + 1e-8 * abs(exact)
+
+
+@EXAMPLES
+@given(SEEDS, INFERENCE)
+def test_learning_step_by_step_is_learning_at_once(seed, inference):
+    """``partial_fit`` is conditioning: the order and size of the steps decide nothing, and knowledge never shrinks."""
+    X, Y = problem(seed, missing=False)
+    how = {"inference": inference, "n_inducing": 40}
+    half = len(X) // 2
+    first, other, start = (fixed(given_kernel(seed, X, Y), **how).fit(X[:half], Y[:half]) for _ in range(3))
+    first.partial_fit(X[half:], Y[half:])
+    for row in range(len(X) - 1, half - 1, -1):
+        other.partial_fit(X[row : row + 1], Y[row : row + 1])
+    spread = np.std(Y, axis=0)
+    for got, expected in zip(other.predict(X, True), first.predict(X, True), strict=True):
+        close(got.reshape(len(X), -1), expected.reshape(len(X), -1), spread)
+    before, after = (each.predict(X, True)[1] for each in (start, first))
+    assert (after <= before * (1 + 1e-6)).all()
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_exact_inference_is_the_textbook(seed):
+    """Rasmussen & Williams (2006), equations 2.25 and 2.26, typed from the page."""
+    X, Y = problem(seed)
+    kernel = given_kernel(seed, X, Y)
+    model = fixed(kernel, inference="exact").fit(X, Y)
+    seen = np.isfinite(Y)
+    observed = [X[s] for s in seen.T]
+    noise = np.repeat(np.atleast_1d(model.noise_variance_), seen.sum(axis=0))
+    K, k = kernel(observed) + np.diag(noise), kernel([X] * Y.shape[1], observed)
+    mean = k @ np.linalg.solve(K, np.concatenate([y[s] for y, s in zip(Y.T, seen.T, strict=True)]))
+    variance = kernel.diag(X) - np.einsum("ab,ba->a", k, np.linalg.solve(K, k.T))
+    got, std = (each.reshape(len(X), -1).T.ravel() for each in model.predict(X, return_std=True))
+    spread = np.repeat(np.nanstd(Y, axis=0), len(X))
+    close(got, mean, spread)
+    close(std, np.sqrt(variance), spread)
+
+
+@FEW
+@given(SEEDS, INFERENCE)
+def test_draws_are_of_what_is_predicted(seed, inference):
+    X, Y = problem(seed)
+    model = DependentGPRegressor(**options(seed) | {"inference": inference}).fit(X, Y)
+    at, n = X[:3], 600
+    mean, std = (each.reshape(3, -1) for each in model.predict(at, return_std=True))
+    values = np.moveaxis(model.sample_y(at, n, random_state=1), -1, 0).reshape(n, 3, -1)
+    paths = model.sample_paths(n, random_state=1)(at).reshape(n, 3, -1)
+    for draws in (values, paths):  # a mean of 600 is known within 5 / sqrt(600) deviations, a deviation within 15 %
+        assert (np.abs(draws.mean(axis=0) - mean) < 0.21 * std).all()
+        np.testing.assert_allclose(draws.std(axis=0), std, rtol=0.15)
+
+
+@EXAMPLES
+@given(SEEDS, st.floats(0, 8), st.sampled_from(["diag", "tied", "full"]))
+def test_covariances_are_right_however_far_points_are_from_each_other(seed, decades, covariance_type):
+    """In length scales, against differences one by one: nothing cancels."""
+    rng = np.random.default_rng(seed)
+    d = int(rng.integers(1, 4))
+    base = 10.0**decades * rng.normal(size=(4, d))
+    X, Z = (np.concatenate([base + rng.normal(size=base.shape), rng.normal(size=(2, d))]) for _ in range(2))
+    kernel = ConvolvedGaussian(
+        1, private_latents=False, amplitude=[[1.0, 2.0]], length_scale=np.ones(d), covariance_type=covariance_type
+    )
+    expected = np.exp(-0.5 * cdist(X, Z, "sqeuclidean"))
+    assume(np.isfinite(expected).all())
+    K = kernel(X, Z).reshape(2, len(X), 2, len(Z))
+    for i, j in np.ndindex(2, 2):
+        np.testing.assert_allclose(K[i, :, j], (1 + i) * (1 + j) * expected, rtol=2e-6, atol=1e-9)

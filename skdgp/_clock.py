@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import count, pairwise
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -95,15 +95,16 @@ def part_restarts(time, flight) -> tuple[np.ndarray, np.ndarray]:
     codes, taken = flight_codes(flight)
     same = np.diff(codes) == 0
     back = np.flatnonzero(same & (np.diff(time) < 0)) + 1
-    edges = np.r_[0, np.flatnonzero(~same) + 1, back, len(time)]
-    if not back.size or np.any(same & (np.diff(time) == 0)) or np.diff(np.sort(edges)).min() < SHORTEST_PART:
+    edges = np.sort(np.r_[0, np.flatnonzero(~same) + 1, back, len(time)])
+    if not back.size or np.any(same & (np.diff(time) == 0)) or np.diff(edges).min() < SHORTEST_PART:
         return flight, np.empty(0, int)
-    names, taken = flight.copy(), set(taken)
-    for row in back:
-        end = row + np.argmin(np.r_[codes[row:] == codes[row], False])
-        name = next(new for k in count(2) if (new := f"{flight[row]}#{k}") not in taken)
+    names, taken, numbers = flight.copy(), set(taken), {}
+    for row, end in zip(back, edges[np.searchsorted(edges, back) + 1], strict=True):
+        number = numbers.get(flight[row], 1) + 1
+        while (name := f"{flight[row]}#{number}") in taken:
+            number += 1
         taken.add(name)
-        names[row:end] = name
+        numbers[flight[row]], names[row:end] = number, name
     return names, back
 
 

@@ -1,11 +1,20 @@
 """What every test may ask for."""
 
+import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis.configuration import set_hypothesis_home_dir
 from threadpoolctl import threadpool_limits
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+set_hypothesis_home_dir(Path(tempfile.gettempdir()) / "hypothesis")  # nothing is written beside the tests
+settings.register_profile(
+    "skdgp", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("skdgp")
 
 collect_ignore = ["benchmarks"]  # scripts, which find each other only when they are run
 

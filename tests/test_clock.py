@@ -1,5 +1,7 @@
 """Which rows are of which flight: one rule, whatever holds the names, and no row without one."""
 
+from time import monotonic as clock
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,7 +20,7 @@ from skdgp.plotting._flight import named_flights
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector, inspect_flight
 
 MISSING = [None, np.nan, pd.NA, pd.NaT, "", "  "]
-DTYPES = ["object", "string", "str", "category"]
+DTYPES = ["object", "string", "category", *["str"] * (int(pd.__version__.split(".")[0]) > 2)]
 N = 60
 
 
@@ -122,3 +124,14 @@ def test_rows_of_flights_that_take_turns():
         "a": [1, 3],
     }
     assert flight_rows([]) == {}
+
+
+def test_restarts_are_named_apart_and_soon():
+    time, flight = np.tile(0.02 * np.arange(10), 6), ["a"] * 30 + ["a#2"] * 20 + ["b"] * 10
+    names, restarts = part_restarts(time, flight)
+    assert list(dict.fromkeys(names)) == ["a", "a#3", "a#4", "a#2", "a#2#2", "b"]
+    assert restarts.tolist() == [10, 20, 40]
+    began = clock()
+    names, _ = part_restarts(np.tile(0.02 * np.arange(10), 10_000), ["a"] * 100_000)
+    assert names[-1] == "a#10000"
+    assert clock() - began < 5

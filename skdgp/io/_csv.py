@@ -74,7 +74,7 @@ def _table(file, said_name):
         index_col=False,
         skipinitialspace=True,
         low_memory=False,
-    )
+    ).copy()  # one piece of memory instead of one for each column
     if len(table) != n_rows:
         raise FlightReadError(f"Got {n_rows} or {len(table)} rows, by how quotes are read, but expected one number.")
     if cut:

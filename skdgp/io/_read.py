@@ -27,9 +27,9 @@ UNKNOWN = "unknown_columns"
 def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu_position=None) -> pd.DataFrame:
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
-    Tables are read as they are. A CSV header may state units, ``alpha [deg]``, or have a line of units under it: these
-    are converted. Columns that the vocabulary does not know are kept as they are and listed in
-    ``table.attrs["unknown_columns"]``; one that looks like a misspelt word is warned of.
+    Tables are read as they are. A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these
+    are converted; the page on logs lists what else a CSV may hold. Columns that the vocabulary does not know are kept
+    as they are and listed in ``table.attrs["unknown_columns"]``; one that looks like a misspelt word is warned of.
 
     Logs of autopilots, PX4 ULog and ArduPilot DataFlash, hold messages of many rates: these are brought to one clock
     (low-passed where faster, interpolated where slower, NaN in gaps), the stretches in the air are found, and
@@ -64,9 +64,10 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
     Raises
     ------
     FlightReadError
-        If the file is empty, damaged, not a table or log, of unknown suffix; has no ``time``; has text among numbers;
-        time does not increase within a flight; the numbers give away other units than SI and radians; a log holds no
-        flight; or an option makes no sense.
+        If the file is empty, damaged, not a table or log, of unknown suffix; has more than 10,000 columns, or takes
+        more than 256 MiB and 100 times its size when unpacked; has no ``time``; has text among numbers, rows of unequal
+        length or without a flight; time does not increase within a flight; the numbers give away other units than SI
+        and radians; a log holds no flight; or an option makes no sense.
     FileNotFoundError
         If there is no such file.
     ImportError
@@ -75,7 +76,8 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
     Warns
     -----
     FlightDataWarning
-        If a log of an autopilot is damaged, has gaps, its clock jumped, or channels were never valid.
+        If a log of an autopilot is damaged, has gaps, its clock jumped, or channels were never valid; if the last row
+        of a CSV is cut off; if columns of a Parquet file hold neither numbers, texts nor times.
 
     Examples
     --------

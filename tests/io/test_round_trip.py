@@ -1,0 +1,128 @@
+"""Whatever a table is written as, the same numbers are read."""
+
+import csv
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from skdgp.io import read_flight
+
+FEW = settings(max_examples=60)
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
+FLIGHTS = ["a", "007", "1e3", "Höhe 3", "a, b", "x;y", 'the "last"']
+STRANGE = ["wind, left", 'a "b"', "two\nlines", "x;y", "plain", "tab\there", "[deg]"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("tables")
+
+
+@st.composite
+def tables(draw):
+    """Times that increase in each flight, numbers of any size, cells that are missing, columns in any order."""
+    n = draw(st.integers(2, 8))
+    column = st.lists(NUMBERS, min_size=n, max_size=n)
+    columns = {name: draw(column) for name in ("north", "east")} | {draw(st.sampled_from(STRANGE)): draw(column)}
+    table = pd.DataFrame(columns).assign(
+        time=0.02 * np.cumsum(draw(st.lists(st.integers(1, 50), min_size=n, max_size=n)))
+    )
+    missing = draw(st.lists(st.booleans(), min_size=n, max_size=n))
+    table["north"] = table["north"].mask(missing)
+    if draw(st.booleans()):
+        first, second = draw(st.permutations(FLIGHTS))[:2]
+        table["flight"] = [first] * (n // 2) + [second] * (n - n // 2)
+    return table[draw(st.permutations(list(table.columns)))]
+
+
+def same(found, table, **tolerance):
+    """Compare what was read with what was written, by name."""
+    for name in table:
+        if name == "flight":
+            assert found[name].tolist() == table[name].tolist()
+        else:
+            np.testing.assert_allclose(found[name], table[name].to_numpy(float), err_msg=name, **tolerance)
+    assert set(found) == {"flight", *table}
+
+
+@FEW
+@given(
+    table=tables(),
+    separator=st.sampled_from(",;\t"),
+    comma=st.booleans(),
+    quoting=st.sampled_from([csv.QUOTE_MINIMAL, csv.QUOTE_ALL, csv.QUOTE_NONNUMERIC]),
+    end=st.sampled_from(["\n", "\r\n"]),
+    mark=st.booleans(),
+    units=st.sampled_from(["", "header", "row", "brackets"]),
+)
+def test_csv(folder, table, separator, comma, quoting, end, mark, units):
+    def written(value):
+        text = value if isinstance(value, str) else "" if np.isnan(value) else repr(float(value))
+        decimal = comma and separator != "," and not isinstance(value, str)
+        return text.replace(".", ",") if decimal else text
+
+    unit = {"time": "ms", "east": "ft"}
+    heads = [f"{name} [{unit[name]}]" if units == "header" and name in unit else name for name in table]
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=separator, quoting=quoting, lineterminator=end)
+    writer.writerow(heads)
+    if units in ("row", "brackets"):
+        known = [unit.get(name, "m" if name == "north" else "") for name in table]
+        writer.writerow([f"[{each}]" if units == "brackets" and each else each for each in known])
+    logged = table.assign(time=table["time"] * 1e3) if units else table
+    for row in logged.itertuples(index=False):
+        writer.writerow([written(value) for value in row])
+    path = folder / "log.csv"
+    path.write_bytes((("\ufeff" if mark else "") + text.getvalue()).encode())
+    expected = table.assign(east=table["east"] * 0.3048) if units else table
+    same(read_flight(path), expected, rtol=4e-16 if not units else 1e-15)
+
+
+HOLDERS = ["float64", "float32", "Float64", "double[pyarrow]", "category", "object", "text"]
+NAMES = ["object", "string", "str", "category", "large_string[pyarrow]"]
+
+
+@FEW
+@given(table=tables(), holder=st.sampled_from(HOLDERS), names=st.sampled_from(NAMES), index=st.booleans())
+def test_parquet(folder, table, holder, names, index):
+    with np.errstate(over="ignore"):
+        single = table["east"].astype("float32").replace([np.inf, -np.inf], 0.0)
+    table = table.assign(east=single.astype(float)) if holder == "float32" else table
+    written = table.assign(east=table["east"].map(repr) if holder == "text" else table["east"].astype(holder))
+    written["north"] = written["north"].astype("Float64")
+    if "flight" in written:
+        written["flight"] = written["flight"].astype(names)
+    if index:
+        written.index = np.arange(len(written))[::-1] * 3
+    written.to_parquet(folder / "log.parquet")
+    same(read_flight(folder / "log.parquet"), table, rtol=4e-16)
+
+
+@FEW
+@given(table=tables(), within=st.booleans(), packed=st.booleans(), row=st.booleans())
+def test_matlab(folder, table, within, packed, row):
+    table = table.rename(columns=dict.fromkeys(STRANGE, "my_sensor"))
+    content = {name: table[name].to_numpy(object if name == "flight" else float) for name in table}
+    path = folder / "log.mat"
+    oned = "row" if row else "column"
+    savemat(path, {"log": content} if within else content, do_compression=packed, oned_as=oned)
+    same(read_flight(path), table, rtol=0)
+
+
+@pytest.mark.parametrize("kind", ["int8", "uint16", "int64", "Int32", "boolean", "bool"])
+def test_whole_numbers(folder, kind):
+    table = pd.DataFrame({"time": [0.0, 0.02, 0.04], "north": pd.Series([1, 0, 1]).astype(kind)})
+    table.to_parquet(folder / "log.parquet")
+    assert read_flight(folder / "log.parquet").north.tolist() == [1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("kind", ["int64", "float64", "Int64", "object", "str"])
+def test_flights_that_are_numbers(folder, kind):
+    flight = pd.Series([1, 1, 12]).astype("int64").astype(kind)
+    pd.DataFrame({"time": [0.0, 0.02, 0.0], "flight": flight}).to_parquet(folder / "log.parquet")
+    assert read_flight(folder / "log.parquet").flight.tolist() == ["1", "1", "12"]

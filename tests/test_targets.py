@@ -1,0 +1,102 @@
+"""Targets keep their names, whichever library their table is of."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.compose import make_column_transformer
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import make_pipeline
+
+from skdgp import DependentGPRegressor
+from skdgp._targets import check_targets, target_names
+from skdgp.calibration import CalibratedRegressor
+from skdgp.dynamics._replay import _coefficient_array
+from skdgp.dynamics._starts import STATE_NAMES, as_starts
+from skdgp.metrics import coverage_curve, score_outputs
+from skdgp.model_selection import flight_learning_curve, thin_targets
+from skdgp.preprocessing import FlightSmoother
+
+X = np.random.default_rng(0).normal(size=(40, 2))
+TARGETS = {"CZ": -4.0 * X[:, 0], "Cm": np.where(np.arange(40) % 4, -X[:, 1], np.nan)}
+
+
+@pytest.fixture(params=["pandas", "polars"])
+def library(request):
+    """Return a library of dataframes."""
+    return pytest.importorskip(request.param)
+
+
+def test_names(library):
+    Y = library.DataFrame(TARGETS)
+    values, names, single = check_targets(Y, 40, "test")
+    assert (names, single) == (["CZ", "Cm"], False)
+    np.testing.assert_array_equal(values, np.column_stack(list(TARGETS.values())))
+    assert check_targets(Y["Cm"], 40, "test")[1:] == (["Cm"], True)
+    assert target_names(library.Series([1.0, 2.0])) == []
+
+
+@pytest.mark.parametrize("y", [X, X.tolist(), pd.DataFrame(X), pd.DataFrame(X, columns=["CZ", 1]), pd.Series([1.0])])
+def test_what_has_no_names(y):
+    assert target_names(y) == []
+
+
+def test_missing_values_are_not_observed():
+    polars = pytest.importorskip("polars")
+    values, *_ = check_targets(polars.DataFrame({"CZ": [1.0, None], "n": [None, 2]}), 2, "test")
+    np.testing.assert_array_equal(values, [[1.0, np.nan], [np.nan, 2.0]])
+
+
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+def test_regressor(library):
+    model = DependentGPRegressor(n_latent=1, max_iter=1, random_state=0)
+    inputs, Y = library.DataFrame({"alpha": X[:, 0], "q": X[:, 1]}), library.DataFrame(TARGETS)
+    model.fit(inputs, Y)
+    assert model.output_names_ == ["CZ", "Cm"]
+    assert model.feature_names_in_.tolist() == ["alpha", "q"]
+    assert {name.split("_")[-1] for name in score_outputs(model, inputs, Y)} == {"CZ", "Cm"}
+    with pytest.raises(ValueError, match=r"columns \['Cm', 'CZ'\], but expected those of the fit"):
+        model.partial_fit(inputs, Y[["Cm", "CZ"]])
+
+
+@pytest.mark.filterwarnings("ignore:Got .* flights|The fit stopped at max_iter")
+def test_the_model_inside_a_calibration_learns_the_names(library):
+    model = DependentGPRegressor(n_latent=0, max_iter=1)
+    model = CalibratedRegressor(model, cv=2, level=0.5).fit(X, library.DataFrame(TARGETS), groups=[1, 2] * 20)
+    assert model.output_names_ == model.estimator_.output_names_ == ["CZ", "Cm"]
+
+
+def test_thinned(library):
+    for Y in (library.DataFrame(TARGETS), library.DataFrame(TARGETS)["CZ"]):
+        thin = thin_targets(Y, 10)
+        assert type(thin) is type(Y)
+        assert target_names(thin) == target_names(Y)
+        assert np.isfinite(np.asarray(thin, float).reshape(40, -1)[:, 0]).sum() == 10
+
+
+def test_learning_curve(library):
+    table = pd.DataFrame({"time": 0.1 * np.arange(40), "alpha": X[:, 0]})
+    Y = library.DataFrame({"CZ": TARGETS["CZ"]})
+    model = make_pipeline(make_column_transformer(("passthrough", ["alpha"])), LinearRegression())
+    curve = flight_learning_curve(model, table, Y, seconds=[1, 3], test_table=table, test_Y=Y)
+    assert "normalized_rmse_CZ" in curve
+
+
+def test_coverage(library):
+    assert list(coverage_curve(library.DataFrame(TARGETS), X, np.ones((40, 2)))) == ["CZ", "Cm"]
+
+
+def test_coefficients_and_starts_are_taken_by_name(library):
+    names = ["Cn", "Cm", "Cl", "CZ", "CY", "CX"]
+    values = _coefficient_array(library.DataFrame({name: [float(k)] for k, name in enumerate(names)}), X[:1])
+    assert values.tolist() == [[5, 4, 3, 2, 1, 0]]
+    starts = as_starts(library.DataFrame({name: [1.0] for name in reversed(STATE_NAMES)}))
+    assert isinstance(starts, pd.DataFrame)
+    assert list(starts) == list(reversed(STATE_NAMES))
+
+
+def test_flights_of_another_library_are_refused():
+    polars = pytest.importorskip("polars")
+    flight = polars.DataFrame({"time": [0.0, 0.1], "alpha": [0.0, 0.1]})
+    with pytest.raises(TypeError, match=r"expected a pandas DataFrame .* its to_pandas\(\)"):
+        FlightSmoother().fit(flight)
+    assert LinearRegression().fit(flight[["alpha"]], [0, 1]).feature_names_in_.tolist() == ["alpha"]

@@ -45,8 +45,8 @@ class Console:
     def __exit__(self, kind, error, trace):
         self.close()
         self._catching.__exit__(kind, error, trace)
-        self._write("")
-        self.print("", end="")
+        self._write()
+        self.print()
 
     def close(self) -> None:
         """Take the line away for good."""
@@ -55,11 +55,13 @@ class Console:
             self._ticker.join()
             self._write(CLEAR)
 
-    def print(self, text: str, end: str = "\n") -> None:
-        """Print a result on standard output, for whom reads it; raise an OSError if it cannot be written there."""
+    def print(self, text: str | None = None) -> None:
+        """Print a result on standard output, and what waits there; raise an OSError if it cannot be written."""
         self.close()
         try:
-            print(text, end=end, flush=True)
+            if text is not None:
+                print(text)
+            sys.stdout.flush()
         except BrokenPipeError:  # nobody reads any more
             _give_up(sys.stdout)
         except OSError as error:
@@ -129,9 +131,10 @@ class Console:
                     line = " · ".join(part for part in parts if part)
                     self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
 
-    def _write(self, text):
+    def _write(self, text=None):
         try:
-            self.stream.write(text)
+            if text is not None:  # in UTF-16 even an empty text is a mark
+                self.stream.write(text)
             self.stream.flush()
         except OSError:  # no reason to end what can go on in silence
             _give_up(self.stream)

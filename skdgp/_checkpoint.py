@@ -19,14 +19,13 @@ from pathlib import Path
 from pickle import PicklingError
 from threading import Lock
 from time import monotonic
-from zipfile import BadZipFile
 
 import joblib
 import numpy as np
 
 from skdgp._files import write_atomically
 
-FORMAT = 1
+FORMAT = 2
 SHARE = 0.05  # of the time, at most, goes into writing, however slow the disk
 FILES = "skdgp-*.npz"
 LEFT_OVER = ".skdgp-*.part.npz"
@@ -171,7 +170,7 @@ class _Block:
         self.strange = any(folder.glob(FILES))  # until a fit of this block finds its own there
 
     def record(self, X, Y, seeds, settings):
-        facts = {"format": FORMAT, "data": _hash_of_arrays(X, Y), "settings": _hashes(settings)}
+        facts = {"format": FORMAT, "data": _hash_of_arrays(X=X, Y=Y), "settings": _hashes(settings)}
         facts["versions"] = {name: _version(name) for name in VERSIONS}
         name = hashlib.blake2b(json.dumps(facts, sort_keys=True).encode(), digest_size=8).hexdigest()
         own = [_load(path) for path in sorted(self.folder.glob(f"skdgp-{name}-*.npz"))]
@@ -262,6 +261,7 @@ class _Part:
             elif answers.past:
                 thetas, values, gradients = map(np.array, zip(*answers.past, strict=True))
                 arrays |= {f"{stage}/thetas": thetas, f"{stage}/values": values, f"{stage}/gradients": gradients}
+        arrays["checksum"] = np.array(_hash_of_arrays(**arrays))
         try:
             self.record.folder.mkdir(exist_ok=True)
             write_atomically(self.path, lambda path: np.savez(path, **arrays))
@@ -277,6 +277,8 @@ def _load(path) -> dict | None:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
+        if str(arrays.pop("checksum")) != _hash_of_arrays(**arrays):
+            raise ValueError("its checksum does not fit")
         facts, done = json.loads(str(arrays.pop("facts"))), bool(arrays.pop("done"))
         stages = {}
         for stage in {name.rpartition("/")[0] for name in arrays}:
@@ -285,7 +287,7 @@ def _load(path) -> dict | None:
             else:
                 columns = [arrays[f"{stage}/{name}"] for name in ("thetas", "values", "gradients")]
                 stages[stage] = None, list(zip(*columns, strict=True))
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except Exception as error:  # a damaged archive may raise anything
         _warn(f"Got {path}, which cannot be read as a checkpoint ({error}): it is left aside.")
         return None
     return {"facts": facts, "done": done, "stages": stages}
@@ -302,10 +304,10 @@ def _alike(first, second) -> bool:
     return first.shape == second.shape and np.allclose(first, second, rtol=1e-9, atol=1e-12)
 
 
-def _hash_of_arrays(*arrays) -> str:
+def _hash_of_arrays(**arrays) -> str:
     found = hashlib.blake2b(digest_size=16)
-    for array in arrays:
-        found.update(repr(array.shape).encode())
+    for name, array in sorted(arrays.items()):
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
         found.update(np.ascontiguousarray(array).data)
     return found.hexdigest()
 

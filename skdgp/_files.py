@@ -1,11 +1,16 @@
-"""Files appear whole or not at all."""
+"""Files: written whole or not at all; read, where they are JSON or TOML, or refused in one line."""
 
 from __future__ import annotations
 
+import json
 import os
 import secrets
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+
+LARGEST = 2**24
+"""Bytes of a file that people write; a larger one is another file."""
 
 
 def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -> Path:
@@ -32,6 +37,8 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
         If the folder does not exist.
     IsADirectoryError
         If ``path`` is a folder.
+    OSError
+        If it cannot be written; ``filename`` is ``path``, whatever the system calls it.
 
     Examples
     --------
@@ -56,6 +63,10 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
         write(temporary)
         _flush_to_disk(temporary)
         os.replace(temporary, target)
+    except OSError as error:
+        if error.filename not in (None, str(temporary)):  # another file's
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
     return path
@@ -65,3 +76,63 @@ def _flush_to_disk(path: Path) -> None:
     """Force the bytes out before the rename, or a power cut could leave an empty file in its place."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
+
+
+def read_json(path: str | os.PathLike):
+    """Return what a file of JSON holds.
+
+    Raises
+    ------
+    ValueError
+        If it is not UTF-8 or not JSON, names a key twice, is nested too deeply, larger than 16 MB or no regular file.
+    OSError
+        If it cannot be read.
+    """
+    return parse_json(_text(path), f"{path} is not a JSON file")
+
+
+def parse_json(text: str, refusal: str):
+    """Return what a text of JSON holds, or raise a ValueError that begins with the refusal."""
+    return _parsed(lambda: json.loads(text, object_pairs_hook=_once, parse_constant=_refuse), refusal)
+
+
+def read_toml(path: str | os.PathLike) -> dict:
+    """Return what a file of TOML holds.
+
+    Raises
+    ------
+    ValueError, OSError
+        As of `read_json`.
+    """
+    text = _text(path)
+    return _parsed(lambda: tomllib.loads(text), f"{path} is not a TOML file")
+
+
+def _text(path) -> str:
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise ValueError(f"Got {path}, which is a folder or a device, but expected a file.")
+    if path.stat().st_size > LARGEST:
+        raise ValueError(f"Got {path} of {path.stat().st_size / 1e6:.0f} MB, but expected a file of at most 16 MB.")
+    return _parsed(lambda: path.read_text(encoding="utf-8-sig"), f"{path} is not a text in UTF-8")
+
+
+def _parsed(parse, refusal):
+    try:
+        return parse()
+    except RecursionError:
+        raise ValueError(f"{refusal}: it is nested too deeply.") from None
+    except ValueError as error:
+        raise ValueError(f"{refusal}: {error}.") from error
+
+
+def _once(pairs) -> dict:
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"the key {name!r} stands twice")
+    return dict(pairs)
+
+
+def _refuse(constant):
+    raise ValueError(f"{constant} is not a number of JSON")

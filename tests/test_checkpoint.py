@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import warnings
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, checkpointing, listening
-from skdgp._checkpoint import FILES
+from skdgp._checkpoint import FILES, _hash_of_arrays, _load
 
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -191,7 +192,8 @@ def test_a_start_that_is_another_begins_at_the_best_that_is_known(tmp_path):
         arrays = dict(file)
     (stage,) = [name.removesuffix("/thetas") for name in arrays if name.endswith("/thetas")]
     arrays[f"{stage}/thetas"][0] += 0.1
-    np.savez(path, **arrays)
+    del arrays["checksum"]
+    np.savez(path, checksum=_hash_of_arrays(**arrays), **arrays)
     with checkpointing(folder), listening(lambda *news: told.append(news)):
         quick().fit(X, Y[:, 0])
     assert told[0][-1] == pytest.approx(arrays[f"{stage}/values"].max())
@@ -203,6 +205,40 @@ def test_a_file_that_cannot_be_read_is_left_aside(tmp_path):
     (path,) = folder.glob(FILES)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.warns(UserWarning, match="cannot be read as a checkpoint"):
+        model, _ = fit(folder)
+    np.testing.assert_array_equal(model.predict(X), quick().fit(X, Y[:, 0]).predict(X))
+
+
+def test_a_flipped_bit_changes_nothing_unnoticed(tmp_path):
+    """What is loaded is what was kept; else it is left aside, with a warning."""
+    killed(tmp_path, 8)
+    (path,) = tmp_path.glob(FILES)
+    data, kept = path.read_bytes(), _load(path)
+    noticed = 0
+    for place in np.random.default_rng(0).choice(8 * len(data), 1000, replace=False):
+        flipped = bytearray(data)
+        flipped[place // 8] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found = _load(path)
+        if found is None:
+            noticed += "cannot be read as a checkpoint" in str(said[0].message)
+        else:  # a bit that nothing is read from, as the time of a member of the archive
+            np.testing.assert_equal(found, kept)
+    assert noticed > 900
+
+
+def test_other_values_in_a_sound_archive_are_noticed(tmp_path):
+    folder = tmp_path / "checkpoint"
+    killed(folder, 8)
+    (path,) = folder.glob(FILES)
+    with np.load(path) as file:
+        arrays = dict(file)
+    (values,) = (name for name in arrays if name.endswith("/values"))
+    arrays[values][0] += 1e-12
+    np.savez(path, **arrays)
+    with pytest.warns(UserWarning, match="its checksum does not fit"):
         model, _ = fit(folder)
     np.testing.assert_array_equal(model.predict(X), quick().fit(X, Y[:, 0]).predict(X))
 

@@ -1,11 +1,13 @@
-"""A file is written whole or not at all."""
+"""A file is written whole or not at all, and read or refused."""
 
+import errno
 import os
 import stat
+import time
 
 import pytest
 
-from skdgp._files import write_atomically
+from skdgp._files import LARGEST, parse_json, read_json, read_toml, write_atomically
 
 
 def names(folder):
@@ -74,3 +76,103 @@ def test_says_what_is_wrong_with_the_place(tmp_path):
         write_atomically(tmp_path / "absent" / "a.txt", lambda path: path.write_text(""))
     with pytest.raises(IsADirectoryError, match="name a file inside it"):
         write_atomically(tmp_path, lambda path: path.write_text(""))
+
+
+class TestErrorsOfWriting:
+    """They name the file that was asked for, not the temporary one, nor none."""
+
+    @pytest.mark.parametrize(
+        "error",
+        [
+            OSError(errno.ENOSPC, "No space left on device"),
+            OSError("4096 requested and 512 written"),  # of numpy.ndarray.tofile
+            PermissionError(errno.EACCES, "Permission denied", None),
+        ],
+    )
+    def test_without_a_file(self, tmp_path, error):
+        def write(path):
+            raise error
+
+        with pytest.raises(type(error)) as caught:
+            write_atomically(tmp_path / "a.txt", write)
+        assert caught.value.filename == str(tmp_path / "a.txt")
+        assert caught.value.errno == error.errno
+        assert caught.value.strerror == (error.strerror or str(error))
+
+    @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
+    def test_of_a_full_disk(self, tmp_path):
+        def write(path):
+            path.symlink_to("/dev/full")
+            path.write_text("x" * 10000)
+
+        with pytest.raises(OSError, match="No space left on device") as caught:
+            write_atomically(tmp_path / "a.txt", write)
+        assert caught.value.filename == str(tmp_path / "a.txt")
+        assert names(tmp_path) == []
+
+    def test_of_the_temporary_file(self, tmp_path):
+        with pytest.raises(FileNotFoundError) as caught:
+            write_atomically(tmp_path / "a.txt", lambda path: path.rename(tmp_path / "elsewhere"))
+        assert caught.value.filename == str(tmp_path / "a.txt")
+
+    def test_of_another_file_stay(self, tmp_path):
+        with pytest.raises(FileNotFoundError) as caught:
+            write_atomically(tmp_path / "a.txt", lambda path: path.write_text((tmp_path / "absent").read_text()))
+        assert caught.value.filename == str(tmp_path / "absent")
+
+
+class TestReading:
+    """JSON and TOML that people write, and what is not: one line that names the file."""
+
+    @pytest.mark.parametrize(
+        ("reader", "content", "message"),
+        [
+            (read_json, b"[" * 100_000, "not a JSON file: it is nested too deeply"),
+            (read_json, b'{"a":' * 100_000, "not a JSON file: it is nested too deeply"),
+            (read_toml, b"a = " + b"[" * 100_000, "not a TOML file: it is nested too deeply"),
+            (read_toml, b"a" + b".a" * 2000 + b" = " + b"[" * 2000, "not a TOML file: "),
+            (read_json, b'{"mass": NaN}', "NaN is not a number of JSON"),
+            (read_json, b'{"mass": -Infinity}', "-Infinity is not a number of JSON"),
+            (read_json, b'{"a": {"mass": 1, "mass": 2}}', "the key 'mass' stands twice"),
+            (read_toml, b"mass = 1\nmass = 2", "not a TOML file: Cannot overwrite"),
+            (read_json, b"1" * 5000, "not a JSON file: Exceeds the limit"),
+            (read_toml, b"a = " + b"1" * 5000, "not a TOML file: Exceeds the limit"),
+            (read_json, b"", "not a JSON file: Expecting value"),
+            (read_json, b"\x00" * 100, "not a JSON file: Expecting value"),
+            (read_json, b"\xff\xfe{\x00}\x00", "not a text in UTF-8"),
+            (read_toml, "name = 'Jäger'".encode("latin-1"), "not a text in UTF-8"),
+            (read_json, b" " * (LARGEST + 1), r"of 17 MB, but expected a file of at most 16 MB"),
+        ],
+    )
+    def test_refused(self, reader, content, message, tmp_path):
+        (tmp_path / "uav.json").write_bytes(content)
+        with pytest.raises(ValueError, match=message) as caught:
+            reader(tmp_path / "uav.json")
+        assert str(tmp_path / "uav.json") in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize("reader", [read_json, read_toml])
+    def test_no_file(self, reader, tmp_path):
+        with pytest.raises(ValueError, match="which is a folder or a device, but expected a file"):
+            reader(tmp_path)
+        with pytest.raises(FileNotFoundError):
+            reader(tmp_path / "absent")
+
+    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+    def test_a_pipe_is_not_waited_for(self, tmp_path):
+        os.mkfifo(tmp_path / "pipe.json")
+        began = time.monotonic()
+        with pytest.raises(ValueError, match="a folder or a device"):
+            read_json(tmp_path / "pipe.json")
+        assert time.monotonic() - began < 5
+
+    def test_with_the_mark_of_windows_editors(self, tmp_path):
+        (tmp_path / "a").write_bytes(b"\xef\xbb\xbf" + b'{"a": 1}')
+        assert read_json(tmp_path / "a") == {"a": 1}
+        (tmp_path / "a").write_bytes(b"\xef\xbb\xbf" + b"a = 1")
+        assert read_toml(tmp_path / "a") == {"a": 1}
+
+    def test_text(self):
+        assert parse_json('{"a": [1, {"a": 2}]}', "no") == {"a": [1, {"a": 2}]}
+        with pytest.raises(ValueError, match=r"^no: Expecting"):
+            parse_json("{", "no")

@@ -1,5 +1,6 @@
 """The pipeline from flights to coefficients, and the file that keeps it."""
 
+import hashlib
 import json
 import pickle
 import subprocess
@@ -14,9 +15,10 @@ from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._model_file import MAGIC
+from skdgp._model_file import CHECKSUM, END, MAGIC
 from skdgp.dynamics import Aircraft
 from skdgp.identification import ModelFileError, calibrate_noise, load_model, save_model
 from skdgp.metrics import SCORERS
@@ -198,11 +200,19 @@ def model_file(fitted, tmp_path):
     return save_model(tmp_path / "model.joblib", fitted[0], AIRCRAFT, options={"thrust": None})
 
 
-def change_closing(path, **changes):
-    data = path.read_bytes()
+def closed(data, model=None, **changes):
+    """Return a model file as bytes, with another model or closing line, and the checksum that fits."""
     start = data.rindex(MAGIC)
     closing = json.loads(data[start + len(MAGIC) :]) | changes
-    path.write_bytes(data[:start] + MAGIC + json.dumps(closing).encode() + b"\n")
+    del closing["sha256"]
+    model = data[:start] if model is None else model
+    closing["bytes"] = len(model)
+    data = model + MAGIC + json.dumps(closing).encode()[:-1] + CHECKSUM
+    return data + hashlib.sha256(data).hexdigest().encode() + END
+
+
+def change_closing(path, **changes):
+    path.write_bytes(closed(path.read_bytes(), **changes))
 
 
 class TestModelFile:
@@ -246,6 +256,67 @@ class TestModelFile:
         with pytest.raises(ModelFileError, match="not a whole skdgp model"):
             load_model(model_file)
 
+    def test_a_single_flipped_bit(self, model_file):
+        """Each of the closing line, and many of the model: what loads is what was saved."""
+        data = model_file.read_bytes()
+        n, closing = 8 * len(data), 8 * data.rindex(MAGIC)
+        for place in [*np.random.default_rng(0).choice(closing, 1000, replace=False), *range(closing, n)]:
+            flipped = bytearray(data)
+            flipped[place // 8] ^= 1 << place % 8
+            model_file.write_bytes(flipped)
+            with pytest.raises(ModelFileError, match="not a whole skdgp model"):
+                load_model(model_file)
+
+    def test_nothing_is_unpickled_of_a_damaged_file(self, model_file, monkeypatch):
+        monkeypatch.setattr(joblib, "load", lambda *_: pytest.fail("unpickled"))
+        model_file.write_bytes(model_file.read_bytes().replace(b"skdgp._regressor", b"skdgp._regresser"))
+        with pytest.raises(ModelFileError, match="not a whole skdgp model"):
+            load_model(model_file)
+
+    def test_a_closing_line_of_rubbish(self, model_file):
+        data = model_file.read_bytes()
+        for rubbish in [
+            b"[1]",
+            b"7",
+            b"[" * 10000,
+            b'{"format": 2}',
+            b'{"format": 2, "versions": 7, "bytes": 1}',
+            b"\xff",
+        ]:
+            model_file.write_bytes(data + MAGIC + rubbish)
+            with pytest.raises(ModelFileError, match="not a whole skdgp model"):
+                load_model(model_file)
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            None,
+            {"pipeline": 1},
+            Bunch(),
+            Bunch(pipeline=None, aircraft=AIRCRAFT),
+            Bunch(pipeline=QUICK, aircraft=AIRCRAFT),
+        ],
+        ids=["None", "dict", "empty", "no pipeline", "not fitted"],
+    )
+    def test_a_whole_file_of_something_else(self, model_file, tmp_path, content):
+        joblib.dump(content, tmp_path / "other")
+        model_file.write_bytes(closed(model_file.read_bytes(), (tmp_path / "other").read_bytes()))
+        with pytest.raises(ModelFileError, match=r"which holds \w+, but expected a fitted pipeline and its aircraft"):
+            load_model(model_file)
+
+    def test_a_file_of_the_format_before_is_read_with_a_warning(self, model_file, fitted):
+        """It has no checksum."""
+        data = model_file.read_bytes()
+        start = data.rindex(MAGIC) + len(MAGIC)
+        closing = json.loads(data[start:]) | {"format": 1}
+        del closing["sha256"]
+        model_file.write_bytes(data[:start] + json.dumps(closing).encode() + b"\n")
+        with pytest.warns(UserWarning, match=r"without a checksum.*save_model\(path, \*\*load_model\(path\)\)"):
+            model = load_model(model_file)
+        again = load_model(save_model(model_file, **model))
+        assert again.options == {"thrust": None}
+        np.testing.assert_array_equal(again.pipeline.predict(fitted[1]), fitted[0].predict(fitted[1]))
+
     @pytest.mark.parametrize("content", [b"", b"time,alpha\n0,1\n", b"\x80\x04", bytes(range(256)) * 100])
     def test_another_kind_of_file(self, tmp_path, content):
         (tmp_path / "model.joblib").write_bytes(content)
@@ -264,14 +335,21 @@ class TestModelFile:
 
     def test_another_format_is_refused(self, model_file):
         change_closing(model_file, format=99)
-        with pytest.raises(ModelFileError, match=r"format 99.*reads format 1: fit it again"):
+        with pytest.raises(ModelFileError, match=r"format 99.*reads format 2: fit it again"):
             load_model(model_file)
 
     def test_what_cannot_be_unpickled_names_both_versions(self, model_file):
         data = model_file.read_bytes()
-        model_file.write_bytes(data.replace(b"skdgp._regressor", b"skdgp._regresser"))
+        model = data[: data.rindex(MAGIC)].replace(b"skdgp._regressor", b"skdgp._regresser")
+        model_file.write_bytes(closed(data, model))
         with pytest.raises(ModelFileError, match=r"written by skdgp .*cannot be read here, with skdgp .*No module"):
             load_model(model_file)
+
+    @pytest.mark.parametrize(("pipeline", "aircraft"), [(QUICK, AIRCRAFT), ("model", AIRCRAFT), (None, None)])
+    def test_what_is_no_model_is_not_saved(self, tmp_path, pipeline, aircraft):
+        with pytest.raises(TypeError, match=r"expected a fitted pipeline and its Aircraft: call fit first"):
+            save_model(tmp_path / "model.joblib", pipeline, aircraft)
+        assert list(tmp_path.iterdir()) == []
 
     def test_a_failure_leaves_the_old_file(self, model_file, fitted):
         before = model_file.read_bytes()

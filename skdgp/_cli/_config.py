@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
-import tomllib
 import warnings
 from difflib import get_close_matches
 from pathlib import Path
 
 from skdgp._cli._values import FileName
+from skdgp._files import read_toml
 from skdgp._model_file import software_versions
 
 COMMAND, VERSIONS = "command", "versions"
@@ -19,6 +20,7 @@ MATTERS = ("skdgp", "scikit-learn", "numpy", "scipy")
 
 
 HEAD = "# python -m skdgp "
+CHECKSUM = "# sha256 "
 
 
 def check_replaceable(path: Path) -> None:
@@ -41,7 +43,24 @@ def config_text(options: argparse.Namespace) -> str:
         f"[{VERSIONS}]",
         *(f"{name} = {_toml(value)}" for name, value in software_versions().items()),
     ]
-    return "\n".join(lines) + "\n"
+    text = "\n".join(lines) + "\n"
+    return f"{text}{CHECKSUM}{_checksum(text)} of the lines above: remove this line when you change them.\n"
+
+
+def _checksum(text) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _check_unchanged(path) -> None:
+    """Warn of a configuration that is not as its run wrote it."""
+    above, found, line = Path(path).read_text(encoding="utf-8-sig").rpartition(CHECKSUM)
+    if found and line.split(" ")[0] != _checksum(above):
+        warnings.warn(
+            f"{path} is not as the run wrote it, which it would no longer repeat. If you changed it, remove its last "
+            "line.",
+            UserWarning,
+            stacklevel=2,
+        )
 
 
 def _toml(value) -> str:
@@ -85,16 +104,16 @@ def _name(action) -> str:
 
 
 def _read(path, command) -> dict:
-    if not Path(path).is_file():
+    if not Path(path).exists():
         raise FileNotFoundError(f"Got {path} as the configuration, but there is no such file.")
-    try:
-        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not a TOML file: {error}.") from None
+    values = read_toml(path)
+    _check_unchanged(path)
     of = values.pop(COMMAND, command)
     if of != command:
         raise ValueError(f"Got {path}, which is of the command {of}, but the command is {command}: say {of}.")
     made_by, here = values.pop(VERSIONS, {}), software_versions()
+    if not isinstance(made_by, dict):
+        raise ValueError(f"Got {VERSIONS} = {made_by!r} in {path}, but expected a table of names and versions.")
     others = [f"{name} {made_by[name]}" for name in MATTERS if made_by.get(name, here.get(name)) != here.get(name)]
     if others:
         now = ", ".join(f"{name} {here.get(name)}" for name in MATTERS)

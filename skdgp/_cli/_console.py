@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import sys
@@ -44,6 +45,8 @@ class Console:
     def __exit__(self, kind, error, trace):
         self.close()
         self._catching.__exit__(kind, error, trace)
+        self._write()
+        self.print()
 
     def close(self) -> None:
         """Take the line away for good."""
@@ -51,6 +54,23 @@ class Console:
             self._stop.set()
             self._ticker.join()
             self._write(CLEAR)
+
+    def print(self, text: str | None = None) -> None:
+        """Print a result on standard output, and what waits there; raise an OSError if it cannot be written."""
+        self.close()
+        try:
+            if text is not None:
+                print(text)
+            sys.stdout.flush()
+        except BrokenPipeError:  # nobody reads any more
+            _give_up(sys.stdout)
+        except OSError as error:
+            _give_up(sys.stdout)
+            raise OSError(error.errno, error.strerror, "standard output") from error
+
+    def print_error(self, text: str) -> None:
+        """Print on standard error, where it is open."""
+        self._write(f"{text}\n")
 
     def _show(self, message, category, filename, lineno, file=None, line=None):
         where = f" ({Path(filename).name}, line {lineno})" if issubclass(category, RuntimeWarning) else ""
@@ -111,6 +131,15 @@ class Console:
                     line = " · ".join(part for part in parts if part)
                     self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
 
-    def _write(self, text):
-        self.stream.write(text)
-        self.stream.flush()
+    def _write(self, text=None):
+        try:
+            if text is not None:  # in UTF-16 even an empty text is a mark
+                self.stream.write(text)
+            self.stream.flush()
+        except OSError:  # no reason to end what can go on in silence
+            _give_up(self.stream)
+
+
+def _give_up(stream) -> None:
+    """Throw away what a stream cannot write: at its end the interpreter would try once more, and complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -71,7 +71,8 @@ def run(source: Source, loads: Loads, task: Task) -> None:
             messages=task.console.messages,
             held_out=source.held_out,
         )
-        finish(outcome, task)
+        said = finish(outcome, task)
+    task.say(*said)
 
 
 def try_on(flights, pipeline, aircraft, loads: Loads, task: Task) -> list[Evaluation]:
@@ -83,15 +84,15 @@ def try_on(flights, pipeline, aircraft, loads: Loads, task: Task) -> list[Evalua
     return evaluations
 
 
-def finish(outcome: Outcome, task: Task) -> None:
-    """Write the outputs, where a folder is named, and print a summary."""
+def finish(outcome: Outcome, task: Task) -> tuple[str, dict]:
+    """Write the outputs, where a folder is named, and return what is to be printed, as text and as numbers."""
     if task.folder is not None:
         task.console.stage("report")
         if find_spec("matplotlib") is None:
             warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', UserWarning, stacklevel=2)
     metrics = metrics_of(outcome)
     files = {} if task.folder is None else task.write(writers(outcome, metrics))
-    task.say(summary(outcome, files), metrics)
+    return summary(outcome, files), metrics
 
 
 def _learn(aircraft, train, loads, task) -> tuple[Pipeline, dict]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shlex
 import sys
@@ -22,6 +23,7 @@ from skdgp._cli._task import Task
 from skdgp._cli._validate import validate
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
+EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
 COMMANDS = {
     "demo": demo,
     "inspect": inspect,
@@ -43,9 +45,10 @@ OPTIONS = {
 def main(argv=None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    folder = None
+    _open_streams()
+    folder, console = None, Console()
     try:
-        with Console() as console:
+        with console:
             options = build_parser().parse_args(argv)
             folder = _folder(options)
             task = Task(options, console, folder, shlex.join(["python", "-m", "skdgp", *argv]))
@@ -54,17 +57,24 @@ def main(argv=None) -> int:
                     check_replaceable(folder.path / task.config)
                 COMMANDS[options.command](task)
     except KeyboardInterrupt:
-        print(_stopped(folder), file=sys.stderr)
+        console.print_error(_stopped(folder))
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of our output is gone; our files are written
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
-    except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
+    except Exception as error:
         if "--traceback" in argv:
-            traceback.print_exc()
-        print(f"error: {_words(error)}", file=sys.stderr)
+            console.print_error(traceback.format_exc().rstrip())
+        console.print_error(f"error: {_words(error)}")
         return FAILED
     return DONE
+
+
+def _open_streams():
+    """Let standard output and error take any text in any encoding, and none where they are closed."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _folder(options) -> OutputFolder | None:
@@ -88,5 +98,9 @@ def _words(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or ''}: {error.strerror}".removeprefix(": ")
     words = " ".join(str(error).split()) or type(error).__name__
+    if not isinstance(error, EXPECTED):
+        return (
+            f"Got an unexpected {type(error).__name__}: {words}. Run again with --traceback, and report what it says."
+        )
     options = [option for code, option in OPTIONS.items() if code in words]
     return f"{words} On the command line: {', '.join(options)}." if options else words

@@ -63,7 +63,7 @@ def example_source() -> Source:
 def read_aircraft(path) -> Aircraft:
     """Read an aircraft by the suffix of its file."""
     path = Path(path)
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
     readers = {".json": Aircraft.from_json, ".toml": Aircraft.from_toml}
     if path.suffix.lower() not in readers:

@@ -37,5 +37,4 @@ class Task:
 
     def say(self, text: str, numbers: dict) -> None:
         """Print the summary: text, or on request JSON."""
-        self.console.close()
-        print(json.dumps(plain(numbers), indent=1, allow_nan=False) if self.options.json else text)
+        self.console.print(json.dumps(plain(numbers), indent=1, allow_nan=False) if self.options.json else text)

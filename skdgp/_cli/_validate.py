@@ -36,4 +36,4 @@ def validate(task: Task) -> None:
         evaluations=evaluations,
         messages=task.console.messages,
     )
-    finish(outcome, task)
+    task.say(*finish(outcome, task))

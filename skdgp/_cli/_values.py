@@ -12,6 +12,14 @@ from skdgp.preprocessing._selector import REGRESSOR_SETS
 class FileName(str):
     """A file or folder that was named: configurations keep where it is, wherever they are read."""
 
+    def __new__(cls, text):
+        """Refuse a name that no configuration and no report could hold."""
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise argparse.ArgumentTypeError(f"got {text!a}, but expected a name in UTF-8: rename it") from None
+        return super().__new__(cls, text)
+
 
 def airborne(text):
     """Read the airspeed above which a log is a flight, or all of it."""

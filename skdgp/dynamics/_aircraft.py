@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 import warnings
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, fields
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skdgp._files import parse_json, read_json, read_toml
 from skdgp.dynamics._propeller import Propeller
 from skdgp.dynamics._thrust_line import ThrustLine
 
@@ -71,6 +71,8 @@ class Aircraft:
     propeller: Propeller | Mapping | None = None
 
     def __post_init__(self):
+        if not isinstance(self.name, str) or not self.name.isprintable():
+            raise ValueError(f"Got name={self.name!r}, but expected a line of text.")
         for name, unit in (("mass", "kg"), ("wing_area", "m^2"), ("span", "m"), ("chord", "m")):
             object.__setattr__(self, name, _positive(getattr(self, name), name, unit))
         object.__setattr__(self, "inertia", _inertia(self.inertia))
@@ -95,20 +97,14 @@ class Aircraft:
     @classmethod
     def from_json(cls, path: str | Path) -> Aircraft:
         """Read the aircraft from a JSON file, or the text of one, whose keys are the parameters of this class."""
-        is_text = isinstance(path, str) and path.lstrip().startswith("{")
-        what = "the JSON text" if is_text else str(path)
-        try:
-            return cls.from_dict(json.loads(path if is_text else Path(path).read_text(encoding="utf-8")), what=what)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{what} is not {'valid' if is_text else 'a JSON file'}: {error}.") from error
+        if isinstance(path, str) and path.lstrip().startswith("{"):
+            return cls.from_dict(parse_json(path, "the JSON text is not valid"), what="the JSON text")
+        return cls.from_dict(read_json(path), what=str(path))
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Aircraft:
         """Read the aircraft from a TOML file whose keys are the parameters of this class."""
-        try:
-            return cls.from_dict(tomllib.loads(Path(path).read_text(encoding="utf-8")), what=str(path))
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"{path} is not a TOML file: {error}.") from error
+        return cls.from_dict(read_toml(path), what=str(path))
 
     @classmethod
     def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
@@ -147,8 +143,8 @@ class Aircraft:
 
 def _positive(value, name: str, unit: str) -> float:
     try:
-        number = float(value)
-    except (TypeError, ValueError):
+        number = np.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"Got {name}={value!r}, but expected a number > 0 [{unit}].") from None
     if not (np.isfinite(number) and number > 0):
         raise ValueError(f"Got {name}={value!r}, but expected a finite number > 0 [{unit}].")
@@ -158,7 +154,7 @@ def _positive(value, name: str, unit: str) -> float:
 def _inertia(value: ArrayLike) -> np.ndarray:
     try:
         inertia = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"Got inertia {value!r}, but expected 3 x 3 numbers [kg m^2].") from None
     if inertia.shape != (3, 3) or not np.isfinite(inertia).all():
         raise ValueError(

@@ -58,20 +58,25 @@ class Propeller:
     speed_range: Sequence[float] | None = None
 
     def __post_init__(self):
-        if not (np.isfinite(self.diameter) and self.diameter > 0):
+        for name in ("diameter", "max_advance_ratio"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _numbers([getattr(self, name)], name)[0])
+        if self.diameter is None or not 0 < self.diameter < np.inf:
             raise ValueError(f"Got propeller diameter {self.diameter!r}, but expected a number > 0 [m].")
         if self.rotation not in (1, -1):
             raise ValueError(f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or -1.")
         for name, least in (("thrust_coefficients", 1), ("torque_coefficients", 0)):
-            values = tuple(float(c) for c in getattr(self, name))
+            values = _numbers(getattr(self, name), name)
             if not (least <= len(values) <= 3 and np.isfinite(values).all()):
                 raise ValueError(
                     f"Got {name}={values}, but expected {least} to 3 finite numbers c_0, c_1, c_2 of "
                     "C(J) = c_0 + c_1 J + c_2 J^2."
                 )
             object.__setattr__(self, name, values)
+        if self.max_advance_ratio is not None and not 0 < self.max_advance_ratio < np.inf:
+            raise ValueError(f"Got max_advance_ratio={self.max_advance_ratio!r}, but expected a finite number > 0.")
         if self.speed_range is not None:
-            speeds = tuple(float(speed) for speed in self.speed_range)
+            speeds = _numbers(self.speed_range, "speed_range")
             if not (len(speeds) == 2 and 0 <= speeds[0] < speeds[1] < np.inf):
                 raise ValueError(f"Got speed_range={speeds}, but expected 0 <= idle < full [rad/s].")
             object.__setattr__(self, "speed_range", speeds)
@@ -186,6 +191,13 @@ class Propeller:
         advance = np.asarray(airspeed, dtype=float) / self.diameter
         c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
         return np.asarray(density, float) * self.diameter**power * ((c0 * n + c1 * advance) * n + c2 * advance**2)
+
+
+def _numbers(values, name: str) -> tuple[float, ...]:
+    try:
+        return tuple(np.nan if isinstance(value, bool) else float(value) for value in values)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"Got {name}={values!r} of a propeller, but expected numbers.") from None
 
 
 def _basis(speed, airspeed, density, diameter, degree) -> np.ndarray:

@@ -54,7 +54,10 @@ class ThrustLine:
 
 
 def _vector(value: ArrayLike, name: str) -> np.ndarray:
-    vector = np.array(value, dtype=float)
+    try:
+        vector = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        vector = np.array(np.nan)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"Got thrust-line {name} {value!r}, but expected three finite numbers (x, y, z).")
     vector.setflags(write=False)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from skdgp._files import read_toml
 from skdgp.io._errors import FlightReadError
 
 SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle")
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
+HUGE = 1e300
+"""Whole numbers beyond this are no floats."""
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
 
@@ -73,9 +75,9 @@ def read_servos(servos) -> dict[str, Servo]:
         return {}
     if isinstance(servos, (str, Path)):
         try:
-            servos = tomllib.loads(Path(servos).read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise FlightReadError(f"Got {servos} as the servo file, but expected TOML: {error}.") from error
+            servos = read_toml(servos)
+        except ValueError as error:
+            raise FlightReadError(f"Got {servos} as the servo file, but expected TOML: {error}") from error
     return {name: _servo(name, entry) for name, entry in servos.items()}
 
 
@@ -131,4 +133,4 @@ def _ends(name, entry):
 
 
 def _is_number(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > HUGE

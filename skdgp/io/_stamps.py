@@ -8,7 +8,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from skdgp.io._topics import Topic
 
@@ -73,9 +73,18 @@ def _medians(time):
     return np.median(time[:whole].reshape(-1, BLOCK), axis=1)
 
 
+def _without_outliers(centres):
+    """Return the median of five neighbours, the ends repeated.
+
+    Not ``scipy.ndimage.median_filter``: of a single value, versions 1.15.0 to 1.15.2 overwrite memory and 1.15.3
+    returns 0.
+    """
+    return np.median(sliding_window_view(np.pad(centres, 2, mode="edge"), 5), axis=1)
+
+
 def _restarts(time, centres) -> list[int]:
     """Return the messages with which a clock that was set back begins."""
-    steady = median_filter(centres, 5, mode="nearest")
+    steady = _without_outliers(centres)
     found = []
     for block in np.flatnonzero(np.diff(steady) < -BACK):
         window = slice(max(block - 3, 0) * BLOCK, (block + 5) * BLOCK)
@@ -86,7 +95,7 @@ def _restarts(time, centres) -> list[int]:
 
 def _span(centres):
     """Return the least and the greatest time that is believed."""
-    steady = median_filter(centres, 5, mode="nearest")
+    steady = _without_outliers(centres)
     step = np.abs(np.diff(steady)).max(initial=0.0)
     margin = MARGIN + min(step, STEP)
     return steady.min() - margin, steady.max() + margin

@@ -254,7 +254,7 @@ class TestFunctions:
         own = np.stack([at, at + 0.01, at + 0.02])
         np.testing.assert_allclose(paths.each(own)[1], paths[1](own[1]))
         np.testing.assert_allclose(paths.gradient(own)[2], paths[2].gradient(own[2]))
-        np.testing.assert_allclose(paths[1:](at), paths(at)[1:])
+        np.testing.assert_allclose(paths[1:](at), paths(at)[1:], rtol=1e-10)
 
     def test_of_one_output(self, rows):
         X, Y, flight = rows

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 import tomllib
+import warnings
 from argparse import Namespace
 
 import numpy as np
@@ -130,6 +131,14 @@ class TestReading:
             ("json = 1", "json = 1 in .*: expected true or false"),
             ("horizons = [[1]]", "horizons = .*: expected text or numbers"),
             ("samples = ", "config.toml is not a TOML file"),
+            pytest.param(
+                "samples = " + "[" * 50_000, "config.toml is not a TOML file: it is nested too deeply", id="deep"
+            ),
+            ("versions = 3", "Got versions = 3 in .*config.toml, but expected a table"),
+            ("seed = inf", "seed = Infinity in .*: got inf, but expected a whole number"),
+            pytest.param(f"seed = 0x{'f' * 5000}", "Exceeds the limit", id="huge"),
+            ("seed = 1\nseed = 2", "config.toml is not a TOML file: Cannot overwrite"),
+            ("seed = 1979-05-27", "got 1979-05-27, but expected a whole number"),
             ("command = 'predict'", "of the command predict, but the command is demo: say predict"),
         ],
     )
@@ -139,6 +148,20 @@ class TestReading:
         assert line.startswith("error: ")
         assert re.search(message, line)
         assert not (tmp_path / "out").exists()
+
+    def test_a_folder(self, tmp_path, capsys):
+        assert main(["demo", "--config", str(tmp_path)]) == 1
+        assert "which is a folder or a device, but expected a file" in capsys.readouterr().err
+
+    def test_a_changed_bit_is_remarked_on(self, config):
+        """One of every character; unless the last line is gone with it."""
+        path = config(kept := config_text(build_parser().parse_args(["demo", "--seed", "7"])))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            parse("demo", "--config", path)
+            parse("demo", "--config", config("".join(kept.replace("seed = 7", "seed = 5").splitlines(True)[:-1])))
+        with pytest.warns(UserWarning, match="is not as the run wrote it, .* If you changed it, remove its last line"):
+            assert parse("demo", "--config", config(kept.replace("seed = 7", "seed = 5")))["seed"] == 5
 
     def test_three_numbers_are_three(self, config, capsys):
         assert main(["simulate", "--config", str(config("wind = [1, 2]")), "m.joblib", "-o", "out"]) == 1

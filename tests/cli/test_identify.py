@@ -297,6 +297,14 @@ class TestBadInput:
             ({"mass": -1}, "Got mass=-1, but expected"),
             ({"inertia": [[1, 0, 9], [0, 1, 0], [9, 0, 1]]}, "not positive definite"),
             ({"weight": 3.0}, "unknown key 'weight'"),
+            ({"mass": True}, "Got mass=True, but expected"),
+            ({"mass": 10**400}, "Got mass=10+, but expected a number > 0"),
+            ({"inertia": [[10**400]]}, "Got inertia .*, but expected 3 x 3 numbers"),
+            ({"name": "a\nb"}, r"Got name='a\\nb', but expected a line of text"),
+            ({"name": ["a"]}, "but expected a line of text"),
+            ({"thrust_line": {"position": [10**400, 0, 0]}}, "thrust-line position .*, but expected three finite"),
+            ({"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}}, "Got diameter=.'x'. of a propeller"),
+            ({"propeller": {"diameter": 1, "thrust_coefficients": None}}, "Got thrust_coefficients=None of a prop"),
         ],
     )
     def test_a_wrong_aircraft(self, refused, folder, tmp_path, change, message):
@@ -306,11 +314,25 @@ class TestBadInput:
 
     @pytest.mark.parametrize(
         ("name", "content", "message"),
-        [("a.json", "{", "not a JSON file"), ("a.toml", "=", "not a TOML file"), ("a.yaml", "", "json or .toml")],
+        [
+            ("a.json", "{", "not a JSON file"),
+            ("b.json", "[" * 10**5, "nested too deeply"),
+            ("a.toml", "=", "not a TOML file"),
+            ("a.yaml", "", "json or .toml"),
+        ],
     )
     def test_no_aircraft_at_all(self, refused, tmp_path, name, content, message):
         (tmp_path / name).write_text(content)
         refused(message, aircraft=str(tmp_path / name))
+
+    def test_an_aircraft_that_is_a_folder(self, refused, tmp_path):
+        (tmp_path / "uav.json").mkdir()
+        refused("which is a folder or a device", aircraft=str(tmp_path / "uav.json"))
+
+    def test_a_name_that_no_file_could_hold(self, capsys):
+        with pytest.raises(SystemExit, match="2"):
+            identify("--test", os.fsdecode(b"t\xff.csv"))
+        assert r"got 't\udcff.csv', but expected a name in UTF-8: rename it" in capsys.readouterr().err
 
     def test_a_missing_aircraft(self, refused):
         refused("Got none.json as the aircraft, but there is no such file", aircraft="none.json")

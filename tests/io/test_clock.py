@@ -62,6 +62,12 @@ class TestStamps:
         (part,), _ = clock_parts({"a": topic([1.0, 2.0, 2.0, 3.0])})
         assert part["a"].records["row"].tolist() == [0, 1, 3]
 
+    @pytest.mark.parametrize("n", [1, 2, 30, 60])
+    def test_a_short_log_far_from_zero_keeps_its_messages(self, n):
+        (part,), remarks = clock_parts({"a": topic(1e4 + 0.1 * np.arange(n))})
+        assert len(part["a"]) == n
+        assert remarks == []
+
 
 class TestUniformClock:
     def test_multiples_of_the_step_within_the_samples(self):

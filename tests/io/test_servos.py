@@ -51,6 +51,8 @@ class TestRefusals:
             ("rudder", ENDS | {"deflection": 20.0}, "expected radians, at most pi/2"),
             ("rudder", ENDS | {"max": 1500}, "each value of the channel once"),
             ("rudder", ENDS | {"reversed": "yes"}, "expected true or false"),
+            ("rudder", ENDS | {"max": 10**400}, "expected numbers min, trim, max and deflection"),
+            ("rudder", {"channel": "a.b", "points": [[1100, 0.1], [10**400, 0.2]]}, "expected pairs of numbers"),
             ("rudder", {"channel": "a.b", "points": [[1100, 0.1]]}, "expected pairs of numbers"),
             ("rudder", {"channel": "a.b", "points": [[1100, 0.1], [1200, True]]}, "expected pairs of numbers"),
         ],

@@ -1,0 +1,139 @@
+"""Standard output and error of any kind, and Ctrl-C at any moment: outputs are written, nobody sees a traceback."""
+
+import errno
+import io
+import os
+import signal
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+from skdgp._cli import _main, _predict, main
+
+ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+FULL = "/dev/full"
+needs_full = pytest.mark.skipif(not os.path.exists(FULL), reason=f"there is no {FULL} here")
+
+
+@pytest.fixture
+def predict(identified, tmp_path):
+    """Predict a flight into a folder whose name is not ASCII; return the exit code."""
+
+    def predict():
+        return main(["predict", str(identified[0] / "model.joblib"), "test.csv", "-o", str(tmp_path / "Flüge_α.csv")])
+
+    return predict
+
+
+class TestOutput:
+    @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-16"])
+    def test_of_any_encoding(self, encoding, predict, tmp_path, monkeypatch):
+        printed = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+        monkeypatch.setattr(sys, "stdout", printed)
+        assert predict() == 0
+        text = printed.buffer.getvalue().decode(encoding)
+        assert ("Flüge_α" if encoding == "utf-16" else r"ge_\u03b1.csv") in text
+        assert (tmp_path / "Flüge_α.csv").exists()
+
+    @needs_full
+    def test_that_is_full(self, predict, tmp_path, monkeypatch, capsys):
+        with open(FULL, "w") as full:
+            monkeypatch.setattr(sys, "stdout", full)
+            assert predict() == 1
+        assert capsys.readouterr().err == "error: standard output: No space left on device\n"
+        assert (tmp_path / "Flüge_α.csv").exists()
+
+    @needs_full
+    @pytest.mark.parametrize("words", [["--help"], ["--version"], ["derivatives", "--help"]])
+    def test_that_is_full_of_help(self, words, monkeypatch, capsys):
+        with open(FULL, "w") as full:
+            monkeypatch.setattr(sys, "stdout", full)
+            assert main(words) == 1
+        assert capsys.readouterr().err == "error: standard output: No space left on device\n"
+
+    def test_that_nobody_reads(self, predict, monkeypatch, capsys):
+        ours, theirs = os.pipe()
+        os.close(ours)
+        with os.fdopen(theirs, "w", encoding="utf-8") as pipe:
+            monkeypatch.setattr(sys, "stdout", pipe)
+            assert predict() == 0
+        assert capsys.readouterr().err == ""
+
+    def test_that_is_closed(self, predict, tmp_path, monkeypatch):
+        monkeypatch.setattr(sys, "stdout", None)
+        monkeypatch.setattr(sys, "stderr", None)
+        assert predict() == 0
+        assert (tmp_path / "Flüge_α.csv").exists()
+        sys.stdout.close()
+        sys.stderr.close()
+
+
+@needs_full
+class TestErrors:
+    def test_a_warning_that_nobody_sees_ends_nothing(self, predict, monkeypatch):
+        monkeypatch.setattr(_predict, "predictions", warned(_predict.predictions))
+        with open(FULL, "w") as full:
+            monkeypatch.setattr(sys, "stderr", full)
+            assert predict() == 0
+
+    def test_the_exit_code_stays(self, monkeypatch):
+        with open(FULL, "w") as full:
+            monkeypatch.setattr(sys, "stderr", full)
+            assert main(["derivatives", "nowhere", "--airspeed", "30", "--traceback"]) == 1
+        with open(FULL, "w") as full:
+            monkeypatch.setattr(sys, "stderr", full)
+            with pytest.raises(SystemExit, match="2"):
+                main(["derivatives", "--nothing"])
+
+
+def warned(function):
+    def run(*arguments, **options):
+        warnings.warn("look", UserWarning, stacklevel=2)
+        return function(*arguments, **options)
+
+    return run
+
+
+class TestDisk:
+    @pytest.mark.parametrize("suffix", ["csv", "parquet"])
+    def test_that_is_full_is_told_with_the_file(self, suffix, identified, tmp_path, monkeypatch, capsys):
+        def write(table, suffix):
+            def write(path):
+                path.write_text("half of")
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+            return write
+
+        monkeypatch.setattr(_predict, "table_writer", write)
+        output = tmp_path / f"out.{suffix}"
+        assert main(["predict", str(identified[0] / "model.joblib"), "test.csv", "-o", str(output)]) == 1
+        assert capsys.readouterr().err == f"error: {output}: No space left on device\n"
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_that_nobody_expected_is_one_line_too(monkeypatch, tmp_path, capsys):
+    def demo(task):
+        raise KeyError("wing")
+
+    monkeypatch.setitem(_main.COMMANDS, "demo", demo)
+    assert main(["demo", "-o", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err == (
+        "error: Got an unexpected KeyError: 'wing'. Run again with --traceback, and report what it says.\n"
+    )
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such signal to send")
+@pytest.mark.parametrize("module", ["numpy", "scipy.linalg", "pandas", "sklearn.base", "skdgp.dynamics"])
+def test_ctrl_c_while_it_imports(module, folder):
+    """Stopped when the interpreter has said that it imported the module."""
+    command = [sys.executable, "-X", "importtime", "-m", "skdgp", "--help"]
+    with subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as job:
+        for line in job.stderr:
+            if line.split()[-1].decode() == module:
+                job.send_signal(signal.SIGINT)
+                break
+        rest = [line for line in job.stderr.read().decode().splitlines() if not line.startswith("import time:")]
+    assert rest == ["stopped"]
+    assert job.returncode == 130

@@ -41,6 +41,7 @@ def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json
     return main(["identify", *train, "--aircraft", aircraft, "-o", str(output), *QUICK, *arguments])
 
 
+@pytest.mark.usefixtures("short_fits")
 class TestIdentify:
     def test_writes_three_files_and_nothing_else(self, identified):
         assert {path.name for path in identified[0].iterdir()} == OUTPUTS
@@ -416,7 +417,7 @@ class TestInterrupt:
         pty = pytest.importorskip("pty")
         ours, theirs = pty.openpty()
         arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
-        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "500", "--max-iter", "5000", "-o", tmp_path]
+        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "100", "--max-iter", "5000", "-o", tmp_path]
         with subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=theirs) as job:
             os.close(theirs)
             seen = b""
@@ -610,12 +611,12 @@ def test_demo_is_honest(tmp_path, capsys):
     assert means["truth"]["all"]["normalized_rmse"] < 0.2
 
 
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")  # short flights and short fits, to be quick
+@pytest.mark.usefixtures("short_fits")
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("identify_example_flights", ["--samples", "50"]),
-        ("grid_search_flights", ["--samples", "48", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
+        ("identify_example_flights", ["--samples", "24"]),
+        ("grid_search_flights", ["--samples", "24", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
         ("compare_methods", ["--samples", "90"]),
         ("fly_the_model", ["--samples", "60", "--paths", "5"]),
     ],
@@ -630,11 +631,12 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     assert str(picture) in capsys.readouterr().out
 
 
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")  # short flights and short fits, to be quick
+@pytest.mark.usefixtures("short_fits")
 def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     if not PAGE.is_file():
         pytest.skip("the documentation is not beside the tests")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_outputs, "render_report", lambda content: "")
     names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}
     for ours, theirs in names.items():
         (tmp_path / f"{theirs}.csv").write_bytes((folder / f"{ours}.csv").read_bytes())

@@ -9,7 +9,9 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -418,14 +420,27 @@ class TestInterrupt:
         ours, theirs = pty.openpty()
         arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
         command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "100", "--max-iter", "5000", "-o", tmp_path]
+        seen, begun = bytearray(), threading.Event()
+
+        def read():  # to the end: a program that nobody reads waits for its terminal
+            with suppress(OSError):
+                while news := os.read(ours, 4096):
+                    seen.extend(news)
+                    if b"each alone" in seen:
+                        begun.set()
+
+        reader = threading.Thread(target=read)
         with subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=theirs) as job:
             os.close(theirs)
-            seen = b""
-            while b"each alone" not in seen:
-                seen += os.read(ours, 4096)
-            job.send_signal(signal.SIGINT)
-            out, _ = job.communicate(timeout=60)
-            os.close(ours)
+            reader.start()
+            try:
+                assert begun.wait(timeout=60)
+                job.send_signal(signal.SIGINT)
+                out, _ = job.communicate(timeout=60)
+            finally:
+                job.kill()
+        reader.join()
+        os.close(ours)
         assert job.returncode == 0
         assert b"interrupted in" in out
         assert {path.name for path in tmp_path.iterdir()} == OUTPUTS

@@ -20,11 +20,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp import checkpointing
-from skdgp._cli import _evaluation, _job, _outputs, main
+from skdgp import checkpointing, datasets
+from skdgp._cli import _evaluation, _job, _outputs, _source, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._folder import OutputFolder
 from skdgp._vocabulary import COEFFICIENTS
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import load_model, predict_flight
 from skdgp.metrics import interval_coverage, median_relative_error
@@ -626,7 +627,21 @@ def test_demo_is_honest(tmp_path, capsys):
     assert means["truth"]["all"]["normalized_rmse"] < 0.2
 
 
-@pytest.mark.usefixtures("short_fits")
+@pytest.fixture
+def short_flights(monkeypatch):
+    """Let pages and examples have the first 50 s of each example flight."""
+
+    def first(**options):
+        data = load_example_flights(**options)
+        data.train = data.train.groupby("flight", observed=True).head(2000)
+        data.test = data.test.head(2000)
+        return data
+
+    monkeypatch.setattr(datasets, "load_example_flights", first)
+    monkeypatch.setattr(_source, "load_example_flights", first)
+
+
+@pytest.mark.usefixtures("short_flights", "short_fits")
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
@@ -646,7 +661,7 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     assert str(picture) in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("short_fits")
+@pytest.mark.usefixtures("short_flights", "short_fits")
 def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     if not PAGE.is_file():
         pytest.skip("the documentation is not beside the tests")

@@ -376,6 +376,7 @@ class TestBadInput:
         assert capsys.readouterr().out == f"skdgp {version('skdgp')}\n"
 
 
+@pytest.mark.usefixtures("short_fits")
 class TestInterrupt:
     def test_keeps_the_best_so_far(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_outputs, "render_report", lambda content: "; ".join(content.messages))

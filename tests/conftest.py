@@ -8,6 +8,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
 from threadpoolctl import threadpool_limits
 
+from skdgp.inference import _singles
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 set_hypothesis_home_dir(Path(tempfile.gettempdir()) / "hypothesis")  # nothing is written beside the tests
@@ -24,6 +26,17 @@ def _one_thread():
     """Hold BLAS to one thread: small problems are faster so, and steadier. Tests of threads ask for theirs."""
     with threadpool_limits(1):
         yield
+
+
+@pytest.fixture
+def short_fits(monkeypatch):
+    """Cut short what ``max_iter`` does not rule: the fits of each output alone, from one width, of this process.
+
+    For tests of what is done with a model, whatever it has learned.
+    """
+    monkeypatch.setattr(_singles, "STRETCHES", _singles.STRETCHES[:1])
+    monkeypatch.setattr(_singles, "TRY_ITERATIONS", 2)
+    monkeypatch.setattr(_singles, "ITERATIONS", 2)
 
 
 @pytest.fixture(scope="session")

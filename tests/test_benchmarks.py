@@ -34,12 +34,16 @@ def script(monkeypatch):
     """Import a benchmark as it is when run: with its own folder first."""
     before = set(sys.modules)
     monkeypatch.syspath_prepend(FOLDER)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # of processes that a benchmark starts, as of this one
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
     yield importlib.import_module
     for name in set(sys.modules) - before:
         if (FOLDER / f"{name}.py").is_file():
             del sys.modules[name]
 
 
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+@pytest.mark.usefixtures("short_fits")
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_writes_its_tables_and_says_on_which_machine(script, name, tmp_path, capsys):
     script(name).main(["--smoke", "--no-peers", "--repeats", "1", "--out", str(tmp_path)])

@@ -137,6 +137,7 @@ class TestPipeline:
         assert found["test_interval_coverage"].shape == (3,)
         assert (found["test_neg_normalized_rmse"] > -0.6).all()
 
+    @pytest.mark.usefixtures("short_fits")
     def test_a_grid_reaches_every_step(self, tmp_path):
         table, Y = flights()
         model = make_identification_pipeline(AIRCRAFT, regressor=QUICK, memory=str(tmp_path))

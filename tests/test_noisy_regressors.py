@@ -8,7 +8,8 @@ import pytest
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp.datasets import load_example_flights
+from skdgp.datasets._brumby import BRUMBY
+from skdgp.datasets._example_flights import _flights
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import flight_regressors, predict_flight
 from skdgp.model_selection import thin_targets
@@ -115,25 +116,22 @@ def test_survives_pickling_compaction_and_further_samples(inference):
 
 @pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 def test_bands_of_a_flight_widen_with_its_gusts():
-    gusty, calm = load_example_flights(), load_example_flights(turbulence=0.0)
-    train = gusty.train.iloc[:2400]
-    learned = thin_targets(aerodynamic_coefficients(train, gusty.aircraft)[["CZ", "Cm"]], 40)
-    model = make_identification_pipeline(gusty.aircraft, memory=None)
+    (train, gusty), (_, calm) = (_flights.__wrapped__(0, turbulence, 1.0, 60.0) for turbulence in (1.0, 0.0))
+    train, tests = train.iloc[:2400], [test.iloc[:1200] for test in (gusty, calm)]
+    learned = thin_targets(aerodynamic_coefficients(train, BRUMBY)[["CZ", "Cm"]], 40)
+    model = make_identification_pipeline(BRUMBY, memory=None)
     model.set_params(dependentgpregressor__max_iter=4, dependentgpregressor__random_state=0)
     model.fit(train, learned)
-    rougher, calmer = (flight_regressors(model, data.test.iloc[:1200])[1] for data in (gusty, calm))
+    rougher, calmer = (flight_regressors(model, test)[1] for test in tests)
     assert rougher.min() == rougher.max() > 1.0 > 0.3 > calmer.max()  # the test flight's air is the rougher
-    spread = [
-        predict_flight(model, data.test.iloc[:1200], include_noise=True)[1].mean(axis=0) for data in (gusty, calm)
-    ]
+    spread = [predict_flight(model, test, include_noise=True)[1].mean(axis=0) for test in tests]
     assert (spread[0] > spread[1]).all()
 
 
 def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
     t = np.arange(0, 20, 0.1)
     flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    data = load_example_flights()
-    model = make_identification_pipeline(data.aircraft, regressors=["alpha"], cutoff=None, mixer="passthrough")
+    model = make_identification_pipeline(BRUMBY, regressors=["alpha"], cutoff=None, mixer="passthrough")
     model.fit(flight, pd.DataFrame({"CZ": -4 * flight.alpha}))
     assert model["flightpathreconstruction"].missing_[0] == "p"
     np.testing.assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))

@@ -21,6 +21,7 @@ from skdgp import DependentGPRegressor
 from skdgp.inference import Data, SparsePosterior, shares_of
 
 FLIGHTS = ("train_latlon", "train_lateral")
+SMOKE = {"n_inducing": 5, "max_iter": 2}
 
 
 def table(folder, n):
@@ -35,10 +36,9 @@ def table(folder, n):
     return tuple(np.concatenate([getattr(task, part) for task in tasks])[:n] for part in ("X", "Y"))
 
 
-def fit(folder, n):
-    """Return seconds and memory of a fit of n samples, and seconds of one evaluation of the bound."""
-    X, Y = table(folder, n)
-    model, taken = DependentGPRegressor(inference="sparse", random_state=0), []
+def fit(X, Y, **parameters):
+    """Return seconds and memory of a fit, and seconds of one evaluation of the bound."""
+    model, taken = DependentGPRegressor(inference="sparse", random_state=0, **parameters), []
 
     def fitted():
         start = time.perf_counter()
@@ -53,7 +53,7 @@ def fit(folder, n):
         start = time.perf_counter()
         SparsePosterior(posterior.kernel, posterior.features, posterior.noise, shares).bound_gradient()
         times.append(time.perf_counter() - start)
-    return {"samples": n, "fit [s]": taken[0], "bound [s]": min(times), "memory [GB]": memory / 1e9}
+    return {"samples": len(X), "fit [s]": taken[0], "bound [s]": min(times), "memory [GB]": memory / 1e9}
 
 
 def main(words=None):
@@ -62,11 +62,12 @@ def main(words=None):
     parser.add_argument("--one", type=int, help="only this many samples, as JSON")
     options = parser.parse_args(words)
     if options.one:
-        print(json.dumps(fit(options.data, options.one)))
+        X, Y = table(options.data, options.one)
+        print(json.dumps(fit(X, Y[:, :2], **SMOKE) if options.smoke else fit(X, Y)))
         return
-    sizes = (200, 400) if options.smoke else (7200, 14400, 28800)
-    folder = [options.data] if options.data else []
-    rows = [in_own_process(Path(__file__), *folder, "--one", n) for n in sizes]
+    sizes = (40, 80) if options.smoke else (7200, 14400, 28800)
+    words = [*filter(None, [options.data]), *(["--smoke"] if options.smoke else [])]
+    rows = [in_own_process(Path(__file__), *words, "--one", n) for n in sizes]
     first = rows[0]
     for row in rows:
         for part in ("fit", "bound"):

@@ -9,7 +9,9 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -18,11 +20,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp import checkpointing
-from skdgp._cli import _evaluation, _job, _outputs, main
+from skdgp import checkpointing, datasets
+from skdgp._cli import _evaluation, _job, _outputs, _source, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._folder import OutputFolder
 from skdgp._vocabulary import COEFFICIENTS
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import load_model, predict_flight
 from skdgp.metrics import interval_coverage, median_relative_error
@@ -41,6 +44,7 @@ def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json
     return main(["identify", *train, "--aircraft", aircraft, "-o", str(output), *QUICK, *arguments])
 
 
+@pytest.mark.usefixtures("short_fits")
 class TestIdentify:
     def test_writes_three_files_and_nothing_else(self, identified):
         assert {path.name for path in identified[0].iterdir()} == OUTPUTS
@@ -394,6 +398,7 @@ class TestBadInput:
         assert capsys.readouterr().out == f"skdgp {version('skdgp')}\n"
 
 
+@pytest.mark.usefixtures("short_fits")
 class TestInterrupt:
     def test_keeps_the_best_so_far(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_outputs, "render_report", lambda content: "; ".join(content.messages))
@@ -438,15 +443,28 @@ class TestInterrupt:
         pty = pytest.importorskip("pty")
         ours, theirs = pty.openpty()
         arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
-        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "500", "--max-iter", "5000", "-o", tmp_path]
+        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "100", "--max-iter", "5000", "-o", tmp_path]
+        seen, begun = bytearray(), threading.Event()
+
+        def read():  # to the end: a program that nobody reads waits for its terminal
+            with suppress(OSError):
+                while news := os.read(ours, 4096):
+                    seen.extend(news)
+                    if b"each alone" in seen:
+                        begun.set()
+
+        reader = threading.Thread(target=read)
         with subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=theirs) as job:
             os.close(theirs)
-            seen = b""
-            while b"each alone" not in seen:
-                seen += os.read(ours, 4096)
-            job.send_signal(signal.SIGINT)
-            out, _ = job.communicate(timeout=60)
-            os.close(ours)
+            reader.start()
+            try:
+                assert begun.wait(timeout=60)
+                job.send_signal(signal.SIGINT)
+                out, _ = job.communicate(timeout=60)
+            finally:
+                job.kill()
+        reader.join()
+        os.close(ours)
         assert job.returncode == 0
         assert b"interrupted in" in out
         assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
@@ -632,12 +650,26 @@ def test_demo_is_honest(tmp_path, capsys):
     assert means["truth"]["all"]["normalized_rmse"] < 0.2
 
 
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")  # short flights and short fits, to be quick
+@pytest.fixture
+def short_flights(monkeypatch):
+    """Let pages and examples have the first 50 s of each example flight."""
+
+    def first(**options):
+        data = load_example_flights(**options)
+        data.train = data.train.groupby("flight", observed=True).head(2000)
+        data.test = data.test.head(2000)
+        return data
+
+    monkeypatch.setattr(datasets, "load_example_flights", first)
+    monkeypatch.setattr(_source, "load_example_flights", first)
+
+
+@pytest.mark.usefixtures("short_flights", "short_fits")
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("identify_example_flights", ["--samples", "50"]),
-        ("grid_search_flights", ["--samples", "48", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
+        ("identify_example_flights", ["--samples", "24"]),
+        ("grid_search_flights", ["--samples", "24", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
         ("compare_methods", ["--samples", "90"]),
         ("fly_the_model", ["--samples", "60", "--paths", "5"]),
     ],
@@ -652,11 +684,12 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     assert str(picture) in capsys.readouterr().out
 
 
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")  # short flights and short fits, to be quick
+@pytest.mark.usefixtures("short_flights", "short_fits")
 def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     if not PAGE.is_file():
         pytest.skip("the documentation is not beside the tests")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_outputs, "render_report", lambda content: "")
     names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}
     for ours, theirs in names.items():
         (tmp_path / f"{theirs}.csv").write_bytes((folder / f"{ours}.csv").read_bytes())

@@ -31,6 +31,7 @@ def blocks(page, language):
 
 
 @pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+@pytest.mark.usefixtures("short_fits")
 def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(_outputs, "render_report", lambda content: "")

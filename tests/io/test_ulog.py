@@ -185,7 +185,8 @@ class TestDamage:
 
     def test_definitions_that_double_each_other_take_no_time(self, read):
         chain = [definition(f"a{n}:a{n + 1}[60000] x;a{n + 1}[60000] y;") for n in range(8)]
-        read(*chain, definition("a8:float x;"), subscription(5, "a0"), *TICK, *ticks(1, 2))
+        log = read(*chain, definition("a8:float x;"), subscription(5, "a0"), *TICK, *ticks(1, 2))
+        assert list(log.topics) == ["tick"]
 
     def test_data_appended_after_half_a_message(self, read):
         half = ticks(3)[0][:9]

@@ -94,9 +94,9 @@ def part_restarts(time, flight) -> tuple[np.ndarray, np.ndarray]:
     flight = np.asarray(flight, dtype=object)
     codes, taken = flight_codes(flight)
     same = np.diff(codes) == 0
-    back = np.flatnonzero(same & (np.diff(time) < 0)) + 1
+    back = np.flatnonzero(same & (time[1:] < time[:-1])) + 1
     edges = np.sort(np.r_[0, np.flatnonzero(~same) + 1, back, len(time)])
-    if not back.size or np.any(same & (np.diff(time) == 0)) or np.diff(edges).min() < SHORTEST_PART:
+    if not back.size or np.any(same & (time[1:] == time[:-1])) or np.diff(edges).min() < SHORTEST_PART:
         return flight, np.empty(0, int)
     names, taken, numbers = flight.copy(), set(taken), {}
     for row, end in zip(back, edges[np.searchsorted(edges, back) + 1], strict=True):
@@ -108,6 +108,14 @@ def part_restarts(time, flight) -> tuple[np.ndarray, np.ndarray]:
     return names, back
 
 
+def rows_back(time, codes) -> np.ndarray:
+    """Return rows at which time does not increase, and the row of the same flight before each: (k, 2)."""
+    order = np.argsort(codes, kind="stable")  # rows of a flight may stand apart
+    same = np.diff(codes[order]) == 0
+    back = np.flatnonzero(same & ~(time[order[1:]] > time[order[:-1]]))
+    return np.column_stack([order[back + 1], order[back]])
+
+
 def check_clock(time, flight):
     """Return time (n,) as float and integer flight codes (n,)."""
     time = np.asarray(time, dtype=float)
@@ -116,12 +124,11 @@ def check_clock(time, flight):
     codes = np.zeros(len(time), int) if flight is None else flight_codes(flight)[0]
     if len(codes) != len(time):
         raise ValueError(f"Got {len(codes)} flight identifiers and {len(time)} times, but expected as many.")
-    step = np.diff(time)
-    back = np.flatnonzero((step <= 0) & (np.diff(codes) == 0))
+    back = rows_back(time, codes)
     if back.size:
-        row = back[0] + 1
+        row, before = back[0]
         raise ValueError(
-            f"Got time {time[row]:g} s after {time[row - 1]:g} s at row {row}, but expected time to increase "
+            f"Got time {time[row]:g} s after {time[before]:g} s at row {row}, but expected time to increase "
             "strictly within a flight: sort the rows by flight and time, drop repeated ones, or name the "
             "flights apart (skdgp.preprocessing.FlightCheck does where a clock was restarted)."
         )

@@ -135,3 +135,13 @@ def test_restarts_are_named_apart_and_soon():
     names, _ = part_restarts(np.tile(0.02 * np.arange(10), 10_000), ["a"] * 100_000)
     assert names[-1] == "a#10000"
     assert clock() - began < 5
+
+
+def test_time_that_goes_back_within_a_flight_whose_rows_stand_apart_is_told(tmp_path):
+    """Neighbours of different flights say nothing of it."""
+    table = pd.DataFrame({"time": [0.0, 1.0, 0.0, 0.5, 1.0], "flight": list("aabab"), "alpha": 0.1})
+    with pytest.raises(ValueError, match=r"Got time 0\.5 s after 1 s at row 3"):
+        flight_segments(table["time"], table["flight"])
+    table.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(FlightReadError, match=r"Got time 0\.5 s at row 3 after 1 s"):
+        read_flight(tmp_path / "log.csv")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp._clock import flight_codes, part_restarts
+from skdgp._clock import flight_codes, part_restarts, rows_back
 from skdgp._faults import FlightDataWarning
 from skdgp._vocabulary import CHANNELS
 from skdgp.io._autopilot import READERS as AUTOPILOTS
@@ -266,14 +266,14 @@ def _parted(table):
 
 
 def _check_time(table):
-    time, flight = table["time"].to_numpy(), table["flight"].to_numpy()
+    time = table["time"].to_numpy()
     if np.isnan(time).any():
         raise FlightReadError(f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row [s].")
-    back = np.flatnonzero((np.diff(time) <= 0) & (flight[1:] == flight[:-1]))
-    if back.size:
-        row = int(back[0]) + 1
+    back = rows_back(time, flight_codes(table["flight"])[0])
+    if len(back):
+        row, before = back[0]
         raise FlightReadError(
-            f"Got time {time[row]:.10g} s at row {row} after {time[row - 1]:.10g} s ({back.size} such rows), but "
+            f"Got time {time[row]:.10g} s at row {row} after {time[before]:.10g} s ({len(back)} such rows), but "
             "expected time to increase strictly within a flight: sort by time, drop repeated rows, or tell the "
             "flights apart by a column 'flight'."
         )

@@ -95,7 +95,7 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
     n_restarts_optimizer : int
         Further starting points; the best end is kept. They run side by side with ``n_jobs``.
     max_iter : int
-        Iterations of the optimiser on the full data.
+        Iterations of the optimiser on the full data; on each output alone, before, at most twice as many.
     normalize_y : bool
         Whether each output is divided by its standard deviation inside. The kernel and the noise in ``kernel_``
         are then in these units.

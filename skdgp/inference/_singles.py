@@ -39,16 +39,16 @@ class _Output:
         bounds = bounds_of(kernel, self.noise_bounds)
         return kernel, self.search(likelihood_of(kernel, data, 1), theta, bounds, max_iter=max_iter, name=name)
 
-    def attempt(self, kernel, stretch):
+    def attempt(self, kernel, stretch, max_iter):
         """Return where a few of the values lead from one width."""
         start = kernel.single().initialize(self.x, self.y, np.random.RandomState(self.seed), stretch=stretch)
         theta = np.append(start.theta, np.log(self.noise))
         name = f"{self.search.keywords['stage']} from {stretch}"
-        return self.climb(start, theta, max(1, len(self.x) // TRY_VALUES), TRY_ITERATIONS, name)
+        return self.climb(start, theta, max(1, len(self.x) // TRY_VALUES), min(TRY_ITERATIONS, max_iter), name)
 
 
-def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop: Event) -> Singles:
-    """Return a fit of each output alone.
+def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop: Event) -> Singles:
+    """Return a fit of each output alone, in at most twice ``max_iter`` iterations each.
 
     A single output has a P-th of the values: its fit costs a P^3-th of the joint one. From widths that are far too
     long, "all noise" is the nearest hill: which hill it is, some of the values tell, from several widths.
@@ -57,13 +57,13 @@ def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, random_state, stop
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
     outputs = [_Output(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
     tasks = [(output, stretch) for output in outputs for stretch in STRETCHES]
-    tries = thread_map(lambda task: task[0].attempt(kernel, task[1]), tasks, stop)
+    tries = thread_map(lambda task: task[0].attempt(kernel, task[1], max_iter), tasks, stop)
     n = len(STRETCHES)
     best = [max(tries[k : k + n], key=lambda end: end[1].value) for k in range(0, len(tries), n)]
 
     def refine(task):
         output, (single, optimum) = task
-        return output.climb(single, optimum.theta, 1, ITERATIONS)
+        return output.climb(single, optimum.theta, 1, min(ITERATIONS, 2 * max_iter))
 
     ends = thread_map(refine, zip(outputs, best, strict=True), stop)
     return Singles(

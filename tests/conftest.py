@@ -1,5 +1,6 @@
 """What every test may ask for."""
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -23,8 +24,8 @@ collect_ignore = ["benchmarks"]  # scripts, which find each other only when they
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_thread():
-    """Hold BLAS to one thread: small problems are faster so, and steadier. Tests of threads ask for theirs."""
-    with threadpool_limits(1):
+    """Hold BLAS to one thread, or as many as the environment says: small problems are faster so."""
+    with threadpool_limits(int(os.environ.get("OPENBLAS_NUM_THREADS", "1"))):
         yield
 
 

@@ -66,7 +66,7 @@ def standardized(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarra
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
     """Refuse columns whose powers overflow or vanish in double precision; Z (n, k) with NaN where not observed."""
     size = np.nanmax(np.abs(Z), axis=0, initial=0.0)
-    extreme = (size > most) | ((size < least) & ~constant_columns(Z))
+    extreme = (size > most) | ((size < least) & (size > 0))
     if extreme.any():
         found = {name: f"{s:.1g}" for name, s, out in zip(names, size, extreme, strict=True) if out}
         raise ValueError(

@@ -18,6 +18,8 @@ from skdgp.io._limits import check_width
 from skdgp.io._units import base_name, check_names, known_unit, to_si
 
 HEADING = re.compile(r"^\s*(?P<name>[^\[(]*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
+ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)
+"""Remarks, and the separator as Excel tells it: lines that may stand above the header."""
 DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."}
 
 
@@ -96,7 +98,7 @@ def _records(file, n_lines, separator):
 
 def _lines_above_header(file) -> int:
     for n_lines, line in enumerate(file):
-        if line.strip(" \t\r\n,;") and not line.lstrip().startswith("#"):
+        if line.strip(" \t\r\n,;") and not ABOVE.match(line):
             return n_lines
     raise FlightReadError("Got a file that is empty, but expected a header line, and a row for each sample under it.")
 

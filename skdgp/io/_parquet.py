@@ -43,7 +43,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
         ) from error
     try:
         return _table(path, pyarrow)
-    except FlightReadError:
+    except (FlightReadError, Warning):
         raise
     except Exception as error:  # a damaged file makes pyarrow raise nearly anything
         said = next(iter(str(error).splitlines()), type(error).__name__)

@@ -17,7 +17,9 @@ from skdgp.io._errors import FlightReadError
 from skdgp.io._limits import check_width
 from skdgp.io._units import base_name, check_names, known_unit, to_si
 
-HEADING = re.compile(r"^\s*(?P<name>[^\[(]*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
+HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
+ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)
+"""Remarks, and the separator as Excel tells it: lines that may stand above the header."""
 DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."}
 
 
@@ -49,7 +51,7 @@ def read_csv(path: Path) -> pd.DataFrame:
         raise FlightReadError(f"Got {path}, which is not a CSV table ({error}), but expected one.") from error
 
 
-def _table(file, said_name):
+def _table(file, file_name):
     above = _lines_above_header(file)
     separator = _separator(file, above)
     records = _records(file, above, separator)
@@ -78,7 +80,7 @@ def _table(file, said_name):
     if len(table) != n_rows:
         raise FlightReadError(f"Got {n_rows} or {len(table)} rows, by how quotes are read, but expected one number.")
     if cut:
-        warnings.warn(f"{said_name}: {cut}, so it was cut off and is left out.", FlightDataWarning, stacklevel=4)
+        warnings.warn(f"{file_name}: {cut}, so it was cut off and is left out.", FlightDataWarning, stacklevel=4)
         table = table.iloc[:-1]
     return to_si(table, units)
 
@@ -96,7 +98,7 @@ def _records(file, n_lines, separator):
 
 def _lines_above_header(file) -> int:
     for n_lines, line in enumerate(file):
-        if line.strip(" \t\r\n,;") and not line.lstrip().startswith("#"):
+        if line.strip(" \t\r\n,;") and not ABOVE.match(line):
             return n_lines
     raise FlightReadError("Got a file that is empty, but expected a header line, and a row for each sample under it.")
 
@@ -117,13 +119,14 @@ def _separator(file, above) -> str:
 def _split_headings(headings):
     """Names, and the units of those in the vocabulary; other headings stay as they are."""
     names, units = [], {}
-    for heading in headings:
-        match = HEADING.match(heading)
-        if match and base_name(match["name"]) in CHANNELS:
-            units[match["name"]] = match["unit"]
-            names.append(match["name"])
+    for heading in map(str.strip, headings):
+        match = HEADING.fullmatch(heading)
+        name = match[1].strip() if match else heading
+        if match and base_name(name) in CHANNELS:
+            units[name] = match[2]
+            names.append(name)
         else:
-            names.append(heading.strip())
+            names.append(heading)
     return names, units
 
 

@@ -43,7 +43,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
         ) from error
     try:
         return _table(path, pyarrow)
-    except FlightReadError:
+    except (FlightReadError, Warning):
         raise
     except Exception as error:  # a damaged file makes pyarrow raise nearly anything
         said = next(iter(str(error).splitlines()), type(error).__name__)
@@ -82,7 +82,7 @@ def _plain(field, pyarrow):
     return kind if any(is_one(kind) for is_one in simple) else None
 
 
-def _check_left(left, said_name):
+def _check_left(left, file_name):
     needed = [name for name in left if base_name(name.strip()) in CHANNELS]
     if needed:
         raise FlightReadError(
@@ -91,7 +91,7 @@ def _check_left(left, said_name):
         )
     if left:
         warnings.warn(
-            f"{said_name}: columns that hold neither numbers, texts nor times are left out: {left}.",
+            f"{file_name}: columns that hold neither numbers, texts nor times are left out: {left}.",
             FlightDataWarning,
             stacklevel=5,
         )

@@ -61,7 +61,7 @@ CASES = {
         "write no separators of thousands",
     ),
     "lines above the header": (
-        ["\n\ntime,alpha\n0,.1\n.02,.2\n", "# logger 3, A\n;;\ntime,alpha\n0,.1\n.02,.2\n"],
+        ["\n\ntime,alpha\n0,.1\n.02,.2\n", "# logger 3, A\n;;\nsep=,\r\ntime,alpha\n0,.1\n.02,.2\n"],
         RIGHT,
     ),
     "empty lines": (["time,alpha\n0,.1\n\n  \n.02,.2\n\n"], RIGHT),

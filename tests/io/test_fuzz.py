@@ -261,6 +261,7 @@ BOMBS = {
     "empty cells": ("log.mat", lambda: of_nothing(2**20), "no vector 'time'"),
     "many rows": ("log.parquet", many_rows, "takes 320 MiB when unpacked"),
     "long text": ("log.parquet", long_text, "takes 381 MiB when unpacked"),
+    "blanks": ("log.csv", lambda: b"time," + b" " * 50_000 + b"x" + b" " * 50_000 + b"y\n0,1,2\n", "unequal length"),
     "wide header": ("log.csv", lambda: wide(100_000) + b"0\n", "Got 100000 columns, but expected at most 10000"),
     "short rows": ("log.csv", lambda: wide(9_000) + b"0\n" * 50_000, "line 2 has 1 cells, the header has 9000"),
     "remarks": ("log.csv", lambda: b"#\n" * 100_000, "is empty"),

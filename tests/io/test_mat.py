@@ -78,6 +78,11 @@ def test_flights_by_name(save):
     assert table.flight.unique().tolist() == ["x", "y"]
 
 
+def test_flights_that_are_numbers(save):
+    """MATLAB has no whole numbers unless it is asked for them."""
+    assert read_flight(save(**VECTORS, flight=np.repeat([1.0, 12.0], 25))).flight.unique().tolist() == ["1", "12"]
+
+
 def test_inspected(save):
     assert inspect_log(save(**VECTORS)).firmware == "mat"
 

@@ -12,7 +12,7 @@ from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
-CONSTANT = 1e-12  # spread of a constant column, relative to its largest value: sums of equal numbers are rounded
+CONSTANT = 1e-14  # spread of a constant column, relative to its largest value: sums of equal numbers are rounded
 
 
 class JitterWarning(UserWarning):
@@ -36,25 +36,24 @@ def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
     Warns
     -----
     JitterWarning
-        When the diagonal had to be raised, with the amount relative to its mean.
+        When the diagonal had to be raised, with the amount relative to it.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        When 1e-4 of the mean of the diagonal is not enough, or the matrix is not finite.
+        When 1e-4 of the diagonal is not enough, or the matrix is not finite.
     """
     jitter = 0.0
     while True:
         K = assemble()
         diagonal = np.einsum("ii->i", K)
-        mean = diagonal.mean()
-        if not np.isfinite(mean):
+        if not np.isfinite(diagonal.sum()):
             raise np.linalg.LinAlgError(
                 f"The covariance matrix of {len(K)} values is not finite: some hyperparameter or input overflowed. "
                 "Scale the regressors (StandardScaler) or narrow the bounds."
             )
         if jitter:
-            diagonal += jitter * mean
+            diagonal *= 1.0 + jitter
         L, info = lapack.dpotrf(K, lower=1, overwrite_a=1, clean=0)
         if info == 0 and np.isfinite(np.einsum("ii->i", L)).all():
             break
@@ -62,13 +61,13 @@ def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
         if jitter > 1.01 * JITTER_LAST:
             raise np.linalg.LinAlgError(
                 f"The covariance matrix of {len(K)} values is not positive definite even with {JITTER_LAST:g} of its "
-                "mean diagonal added. Raise the noise (its lower bound), remove repeated samples, or shorten the "
+                "diagonal added. Raise the noise (its lower bound), remove repeated samples, or shorten the "
                 "length scales."
             )
     if jitter:
         warnings.warn(
             f"The covariance matrix of {len(L)} values was not positive definite in double precision; {jitter:g} of "
-            "its mean diagonal was added. The results are those of a slightly noisier model: remove repeated samples "
+            "its diagonal was added. The results are those of a slightly noisier model: remove repeated samples "
             "or raise the lower bound of the noise if that matters.",
             JitterWarning,
             stacklevel=3,
@@ -137,9 +136,23 @@ def constant_columns(Z: np.ndarray) -> np.ndarray:
 
 
 def column_scale(Z: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each column over its finite values, one where the column is constant."""
-    constant = constant_columns(Z)
-    return np.array([1.0 if same else np.std(z[np.isfinite(z)]) for z, same in zip(Z.T, constant, strict=True)])
+    """Return the standard deviation of each column over its finite values; of a constant one its size, at least one.
+
+    A column of equal numbers may be zeros but for rounding: it is not measured by what rounding left.
+    """
+    finite = [z[np.isfinite(z)] for z in Z.T]
+    columns = zip(finite, constant_columns(Z), strict=True)
+    return np.array([np.abs(z).max(initial=1.0) if same else np.std(z) for z, same in columns])
+
+
+def output_scale(Y: np.ndarray) -> np.ndarray:
+    """Return how far the values of each output are from zero: by ``column_scale``, or by their mean where that is more.
+
+    Outputs are centred beforehand, unless a process around zero was asked for.
+    """
+    scale = column_scale(Y)
+    mean = np.array([np.mean(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0 for y in Y.T])
+    return np.where(np.abs(mean) > scale, np.hypot(mean, scale), scale)
 
 
 def cluster_centres(X: np.ndarray, scale: np.ndarray, n: int, random_state, max_iter=300) -> np.ndarray:

@@ -97,7 +97,7 @@ class TestRegressors:
         assert caught[0].filename == __file__
         plain = quick(inference=inference, n_inducing=10, covariance_type="tied").fit(X, Y)
         np.testing.assert_allclose(model.predict(more), plain.predict(X), atol=0.05)
-        elsewhere = more.assign(throttle=constant + 0.2)
+        elsewhere = more.assign(throttle=constant + 0.2 * max(1.0, abs(constant)))
         mean, std = model.predict(elsewhere, return_std=True)
         assert (np.abs(mean) < 10 * np.abs(Y).max()).all()
         assert (std < 100 * Y.std(axis=0)).all()

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import cluster_centres, column_scale
+from skdgp._linalg import cluster_centres, column_scale, output_scale
 from skdgp._parallel import sharing
 from skdgp._targets import check_memory
 from skdgp.inference._exact import ExactPosterior
@@ -145,7 +145,7 @@ def fit_sparse(
         posterior = SparsePosterior(kernel, features, found.noise, shares)
         if optimizer is None:
             return _reached(found, posterior, X, Y, 1.0)
-        least = NOISE_BOUNDS[0] * column_scale(Y) ** 2
+        least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
         posterior = _settled(posterior, 1.0, least)
         value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
         # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
@@ -204,7 +204,7 @@ def _repeats(posterior, X, Y):
 def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread) -> tuple[Found, Data]:
     """Return hyperparameters: of each output alone, then of all jointly from the rows; and the values of these."""
     P = Y.shape[1]
-    noise_bounds = np.multiply.outer(column_scale(Y) ** 2, NOISE_BOUNDS)
+    noise_bounds = np.multiply.outer(output_scale(Y) ** 2, NOISE_BOUNDS)
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
     noise = np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), *noise_bounds.T)
     stop = Event()

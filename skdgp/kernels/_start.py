@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import column_scale
+from skdgp._linalg import column_scale, output_scale
 
+TIE = 1e-9  # of a variance
 SHARED_VARIANCE = 0.1  # of an output that also has a latent of its own
 
 
@@ -20,7 +21,7 @@ def starting_values(feeds, X, Y, random_state, stretch=1.0):
     rng = check_random_state(random_state)
     M, P = feeds.shape
     d = X.shape[1]
-    x_scale, y_scale = column_scale(X), column_scale(Y)
+    x_scale, y_scale = column_scale(X), output_scale(Y)
     shared = feeds.sum(axis=1) > 1
     n_shared = int(shared.sum())
     weight = np.where(shared[:, None], SHARED_VARIANCE, 1.0 - SHARED_VARIANCE) * np.ones((1, P)) * feeds
@@ -47,7 +48,8 @@ def _directions(Y, n_latent, rng):
     seen = np.isfinite(Y)
     Z = np.where(seen, Y - np.nanmean(np.where(seen.any(axis=0), Y, 0.0), axis=0), 0.0) / column_scale(Y)
     counts = np.maximum(seen.T.astype(float) @ seen, 1.0)
-    values, vectors = np.linalg.eigh(Z.T @ Z / counts)
+    order = np.diag(TIE * np.arange(P, 0, -1))  # where outputs are unrelated, rounding is not to choose the directions
+    values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
     vectors = vectors * np.where(np.arange(P, 0, -1) @ vectors < 0, -1.0, 1.0)  # of either sign LAPACK might choose
     principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]
     rows = principal[:n_latent]

@@ -44,7 +44,7 @@ DOCUMENTED = (
 FAR = 1e3  # ranges of the targets
 SAME = 1e-4  # prior deviations
 ROUNDING = {"exact": 1e-6, "sparse": 1e-4, "compact": 1e-4}  # of the prior's variance or deviation
-STILL = 1e-12  # of its size is the spread of a target that the regressor calls constant
+STILL = 1e-14  # of its size is the spread of a target that the regressor calls constant
 
 
 # -- regressors and targets ------------------------------------------------------------------------------
@@ -328,6 +328,8 @@ def _same(what, model, got, expected, unit, rounding=0.0):
 def _unmoved(model, X, Y, points, mean, std, prior, rng):
     """The same data in other units and in another order, the same predictions."""
     times = 2.0 ** rng.integers(-20, 21, X.shape[1] if model.covariance_type != "spherical" else 1)
+    varies = np.ptp(X, axis=0) > STILL * np.abs(X).max(axis=0)
+    times = np.where(varies, times, 1.0)  # what is constant is measured in its own unit
     up = 2.0 ** int(rng.integers(-20, 21))
     if not 1e-290 < np.nanmax(np.abs(Y)) < 1e290:
         up = 1.0
@@ -335,7 +337,7 @@ def _unmoved(model, X, Y, points, mean, std, prior, rng):
     noise = noise * times * np.ones(X.shape[1]) if isinstance(noise, float) else noise
     size, spread = np.nanmax(np.abs(Y), axis=0), np.nanmax(Y, axis=0) - np.nanmin(Y, axis=0)
     # A column far from zero is rounded to so much of what it varies by.
-    far = np.abs(X).max(axis=0) / np.where(np.ptp(X, axis=0) > STILL * np.abs(X).max(axis=0), X.std(axis=0), np.inf)
+    far = np.abs(X).max(axis=0) / np.where(varies, X.std(axis=0), np.inf)
     rounding = 1e4 * np.finfo(float).eps * far.max()
     moving = np.atleast_1d(spread > STILL * size)  # the deviation of a constant target has no unit
 
@@ -347,7 +349,7 @@ def _unmoved(model, X, Y, points, mean, std, prior, rng):
             except JitterWarning:
                 return
         again, uncertain = _predictions(other, points)
-        _same(what, model, (again - shift) / factor, mean, prior, rounding)
+        _same(what, model, np.where(moving, (again - shift) / factor, mean), mean, prior, rounding)
         _same(f"{what}, of deviations,", model, np.where(moving, uncertain / factor, std), std, prior, rounding)
 
     every = slice(None)
@@ -359,8 +361,7 @@ def _unmoved(model, X, Y, points, mean, std, prior, rng):
         refitted("targets moved", X, Y + shift, points, every, shift=shift)
     still = np.ptp(X, axis=0) == 0
     if still.any():  # the rounded mean of equal numbers may differ from them: at which number a column stood is nothing
-        beside = np.where(still, points[: len(X)] + 1e-3 * (np.abs(X[0]) + 1), points[: len(X)])
-        _unmoved_at_zero(model, X, Y, beside, still)
+        _unmoved_at_zero(model, X, Y, points, still)
     if model.inference_ == "exact":
         refitted("another order of rows", X, Y, points, rng.permutation(len(X)))
 

@@ -216,8 +216,8 @@ def _check(model, X, Y, rng):
     table = Y.reshape(len(Y), -1)
     used = np.isfinite(table).any(axis=1)
     X, Y, table = X[used], Y[used], table[used]
-    spread = X.std(axis=0)
-    around = X + 0.3 * np.where(np.isfinite(spread), spread, 0.0) * rng.normal(size=X.shape)
+    spread = np.where(np.ptp(X, axis=0) > 0, X.std(axis=0), 0.0)
+    around = X + 0.3 * spread * rng.normal(size=X.shape)
     points = np.concatenate([X, around])
     mean, std = _predictions(model, points)
     near = partial(_near, Y=table, centred=model.trend is not None, normalized=model.normalize_y)
@@ -336,9 +336,10 @@ def _unmoved(model, X, Y, points, mean, std, prior, rng):
     noise = model.input_noise
     noise = noise * times * np.ones(X.shape[1]) if isinstance(noise, float) else noise
     size, spread = np.nanmax(np.abs(Y), axis=0), np.nanmax(Y, axis=0) - np.nanmin(Y, axis=0)
-    # A column far from zero is rounded to so much of what it varies by.
+    # What is far from zero is rounded to so much of what it varies by.
     far = np.abs(X).max(axis=0) / np.where(varies, X.std(axis=0), np.inf)
-    rounding = 1e4 * np.finfo(float).eps * far.max()
+    far_targets = size / np.where(spread > STILL * size, spread, np.inf)
+    rounding = 1e4 * np.finfo(float).eps * max(far.max(), np.max(far_targets))
     moving = np.atleast_1d(spread > STILL * size)  # the deviation of a constant target has no unit
 
     def refitted(what, X, Y, points, rows, factor=1.0, shift=0.0, **changed):
@@ -353,7 +354,8 @@ def _unmoved(model, X, Y, points, mean, std, prior, rng):
         _same(f"{what}, of deviations,", model, np.where(moving, uncertain / factor, std), std, prior, rounding)
 
     every = slice(None)
-    refitted("columns in other units", X * times, Y, points * times, every, input_noise=noise)
+    if model.covariance_type != "spherical" or varies.all():  # what is constant shares its scale with no other
+        refitted("columns in other units", X * times, Y, points * times, every, input_noise=noise)
     if model.normalize_y:
         refitted("targets in other units", X, Y * up, points, every, factor=up)
     if model.trend is not None and (spread > 1e-3 * np.max(size)).all():
@@ -362,7 +364,7 @@ def _unmoved(model, X, Y, points, mean, std, prior, rng):
     still = np.ptp(X, axis=0) == 0
     if still.any():  # the rounded mean of equal numbers may differ from them: at which number a column stood is nothing
         _unmoved_at_zero(model, X, Y, points, still)
-    if model.inference_ == "exact":
+    if model.inference_ == "exact" and model.n_latent != "auto":  # which is chosen on some of the rows
         refitted("another order of rows", X, Y, points, rng.permutation(len(X)))
 
 
@@ -385,7 +387,7 @@ def _online(model, X, Y, points, rng):
     model.partial_fit(more, Y[rows])
     mean, _ = _predictions(model, points)
     posterior = model.posterior_
-    if model.inference_ != "exact" or posterior is before:
+    if model.inference_ != "exact" or posterior is before or not model.normalize_y:
         return
     data = posterior.data
     expected = ExactPosterior(posterior.kernel, posterior.noise, Data(*data)).predict(points) * unit + model._center

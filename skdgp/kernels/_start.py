@@ -50,7 +50,8 @@ def _directions(Y, n_latent, rng):
     counts = np.maximum(seen.T.astype(float) @ seen, 1.0)
     order = np.diag(TIE * np.arange(P, 0, -1))  # where outputs are unrelated, rounding is not to choose the directions
     values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
-    vectors = vectors * np.where(np.arange(P, 0, -1) @ vectors < 0, -1.0, 1.0)  # of either sign LAPACK might choose
+    side = np.sqrt(np.arange(2, P + 2)) @ vectors  # either sign is an eigenvector's: which one LAPACK gives, is chance
+    vectors = vectors * np.where(side < 0, -1.0, 1.0)
     principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]
     rows = principal[:n_latent]
     if n_latent > P:

@@ -278,7 +278,7 @@ def _near(mean, Y, centred, normalized, what="mean"):
     if not centred and (most - least < 1e-3).any():
         return  # a process around zero, as wide as the targets vary, cannot know of an offset
     # What is known of a constant target is its size, and that only where each target has a scale of its own.
-    own = np.maximum(most - least, np.where(most - least > STILL, 1e-5, 1 / FAR if normalized else np.inf))
+    own = np.maximum(most - least, np.where(most - least > STILL, 1e-5, 10 / FAR if normalized else np.inf))
     off = np.abs(mean / size - (least + most) / 2) / own
     off = np.where(np.isfinite(Y), off, 0.0).max(axis=0)
     if off.max() > FAR:

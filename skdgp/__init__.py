@@ -7,8 +7,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "DependentGPRegressor": "_regressor",
-    "checkpointing": "_checkpoint",
-    "listening": "_progress",
+    "checkpointing": "_compute.checkpoint",
+    "listening": "_compute.progress",
     "make_identification_pipeline": "identification",
 }
 _FOLDERS = (

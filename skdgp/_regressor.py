@@ -2,39 +2,25 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import partial
 from numbers import Integral, Real
 
 import numpy as np
+import pandas as pd
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
-from sklearn.utils import check_random_state
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.metrics import r2_score
+from sklearn.utils import check_array, check_random_state
 from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._callbacks import CallbackSupportMixin, FitTask
-from skdgp._checkpoint import kept_in, record_of_fit
-from skdgp._parallel import check_n_jobs, fit_map
-from skdgp._prediction import PredictionMixin
-from skdgp._targets import (
-    FEWER_LATER,
-    FEWER_VALUES,
-    X_RANGE,
-    Y_RANGE,
-    check_compaction,
-    check_enough,
-    check_magnitudes,
-    check_memory,
-    check_same_targets,
-    check_targets,
-    input_root,
-    standardized,
-    warn_of_compaction,
-    warn_of_constant_regressors,
-    warn_of_indices,
-    warn_of_inducing,
-    warn_of_samples,
-    warn_of_search,
-)
+from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
+from skdgp._compute.checkpoint import kept_in, record_of_fit
+from skdgp._compute.linalg import column_scale, constant_columns
+from skdgp._compute.memory import check_memory
+from skdgp._compute.parallel import check_n_jobs, fit_map
+from skdgp._compute.tables import column_names
 from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, output_correlation, reach_of
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
@@ -42,9 +28,22 @@ EXACT_LIMIT = 6000
 """Observed values up to which inference="auto" is exact: about two seconds an evaluation on two cores."""
 
 MOST_LATENT = 3  # shared, that n_latent="auto" tries
+MOST_NOISE = 10  # standard deviation of a regressor's noise, over that of the regressor
+X_RANGE = (1e-60, 1e60)  # magnitudes of regressors: their fourth powers are numbers
+MUCH = 0.5  # change of a prediction by compacting, in standard deviations, that is warned of unasked
+Y_RANGE = (1e-100, 1e100)  # magnitudes of targets: their squares are numbers
+FEWER_VALUES = (
+    "Use inference='sparse', or observe fewer: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread "
+    "over the log."
+)
+FEWER_LATER = (
+    "Compact the model first (model.compact(), which goes on learning in memory that does not grow), or fit with "
+    "inference='sparse'."
+)
+FEWER_SAMPLES = "Ask for fewer samples at a time, or for return_std=True, which needs no joint covariance."
 
 
-class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
+class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
     r"""Gaussian-process regression of several outputs with the dependencies between them.
 
     Output i is a trend, plus a sum of white-noise processes that the outputs share, each through a Gaussian
@@ -446,6 +445,452 @@ class DependentGPRegressor(PredictionMixin, CallbackSupportMixin, MultiOutputMix
         found = output_correlation(kernel)
         found["output_names"] = list(self.output_names_)
         return found
+
+    # -- predictions: y = _center + _scale z, of the posterior of normalised outputs z ----------------------
+
+    def predict(self, X, return_std=False, return_cov=False, include_noise=False, include_input_noise=False):
+        """Predict the outputs (equations 17 and 18).
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        return_std : bool
+            Also return the standard deviation of each output, shaped like the mean.
+        return_cov : bool
+            Also return the joint covariance of all outputs at all samples, (P n, P n), output-major.
+        include_noise : bool
+            Whether these are of a new measurement rather than of the underlying function.
+        include_input_noise : bool, float or array (n,)
+            Whether X is as noisy as the regressors of the fit (``input_noise``), rather than exact: by the slopes J of
+            the mean, J S J^T is added. A number: so many times the variance of the fit, as in rougher air.
+
+        Returns
+        -------
+        mean : ndarray (n, P), or (n,) where y was
+        std or cov : ndarray
+            On request.
+
+        Raises
+        ------
+        ValueError
+            When X is not finite, or both std and cov are asked for.
+        """
+        if return_std and return_cov:
+            raise ValueError("Got return_std=True and return_cov=True, but at most one of them can be returned.")
+        X = self._check_regressors(X)
+        mean = self.posterior_.predict(X, return_variance=return_std)
+        if return_std:
+            mean, variance = mean
+            if include_noise:
+                variance = variance + self.noise_variance_ / self._scale**2
+            variance = variance + np.sum(self._reach(X, include_input_noise) ** 2, axis=2)
+            return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
+        mean = self._shaped(mean * self._scale + self._center)
+        if not return_cov:
+            return mean
+        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
+        cov = self.posterior_.covariance(X)
+        if include_noise:
+            cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
+        reach = self._reach(X, include_input_noise)
+        blocks = cov.reshape(len(self._scale), len(X), len(self._scale), len(X))
+        np.einsum("iaja->aij", blocks)[:] += reach @ reach.swapaxes(1, 2)
+        scale = np.repeat(self._scale, len(X))
+        return mean, cov * np.multiply.outer(scale, scale)
+
+    def predict_gradient(self, X, return_std=False):
+        """Return the slopes of the mean, d mean / d regressor, and on request their standard deviation.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        return_std : bool
+
+        Returns
+        -------
+        gradient : ndarray (n, P, d), or (n, d) where y was (n,)
+        std : ndarray, the same shape
+            On request.
+        """
+        X = self._check_regressors(X)
+        found = self.posterior_.gradient(X, return_variance=return_std)
+        if not return_std:
+            return self._shaped(found * self._scale[:, None])
+        mean, variance = found
+        return self._shaped(mean * self._scale[:, None]), self._shaped(np.sqrt(variance) * self._scale[:, None])
+
+    def sample_y(self, X, n_samples=1, random_state=0):
+        """Draw from the joint posterior of all outputs at X.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        n_samples : int
+        random_state : int, RandomState or None
+
+        Returns
+        -------
+        ndarray (n, P, n_samples), or (n, n_samples) where y was (n,)
+        """
+        X = self._check_regressors(X)
+        mean = self.posterior_.predict(X)
+        check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
+        cov = self.posterior_.covariance(X)
+        values, vectors = np.linalg.eigh(cov)  # a posterior covariance may be singular
+        white = check_random_state(random_state).standard_normal((len(values), n_samples))
+        draws = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * white)
+        draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
+        return self._shaped((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
+
+    def sample_paths(self, n_paths=1, random_state=0):
+        """Draw samples of the posterior that are functions.
+
+        Where ``sample_y`` draws values at points known beforehand, a path can be evaluated wherever a simulation comes
+        to, again and again, and differentiated: samples of the prior are sums of random waves, which what was learned
+        corrects (Matheron's rule: Wilson et al. 2020, "Efficiently sampling functions from Gaussian process
+        posteriors"). Mean and covariance over many paths are those of ``predict``.
+
+        Parameters
+        ----------
+        n_paths : int
+        random_state : int, RandomState or None
+            The same seed, the same functions.
+
+        Returns
+        -------
+        Paths
+            A sequence of functions: ``paths[k](X)`` is (n, P) for X (n, d), or (n,) where y was. ``paths(X)``, all of
+            them at the same points, (n_paths, n, P); ``paths.each(X)``, each at its own, X (n_paths, n, d);
+            ``paths.gradient(X)``, slopes at either, (n_paths, n, P, d). Measurement noise is not in them.
+
+        Raises
+        ------
+        ValueError
+            When ``n_paths`` is no positive number.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from skdgp import DependentGPRegressor
+        >>> x = np.linspace(0.0, 6.0, 40)[:, None]
+        >>> model = DependentGPRegressor(n_latent=1, random_state=0).fit(x, np.sin(x[:, 0]))
+        >>> paths = model.sample_paths(50)
+        >>> paths(x).shape, paths[0](x).shape, paths.gradient(x).shape
+        ((50, 40), (40,), (50, 40, 1))
+        """
+        check_is_fitted(self)
+        if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
+            raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
+        names = getattr(self, "feature_names_in_", None)
+        return self.posterior_.paths(n_paths, random_state).in_units(self._center, self._scale, self._single, names)
+
+    def score(self, X, y, sample_weight=None):
+        """Return R^2, averaged over the outputs, of the targets that were observed.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+        y : array, Series or DataFrame (n,) or (n, P)
+            NaN where an output was not observed; an output without a target is left out.
+        sample_weight : array (n,) or None
+
+        Returns
+        -------
+        float
+            1 is perfect, 0 no better than the mean.
+        """
+        mean = self.predict(X).reshape(len(X), -1)
+        Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+        if Y.reshape(len(Y), -1).shape != mean.shape:
+            raise ValueError(f"Got y of shape {Y.shape}, but expected {mean.shape}: a row for each of X, all outputs.")
+        scores = []
+        for y_true, y_pred in zip(Y.reshape(mean.shape).T, mean.T, strict=True):
+            seen = np.isfinite(y_true)
+            if seen.any():
+                weight = None if sample_weight is None else np.asarray(sample_weight)[seen]
+                scores.append(r2_score(y_true[seen], y_pred[seen], sample_weight=weight))
+        return float(np.mean(scores)) if scores else float("nan")
+
+    # -- what was learned ------------------------------------------------------------------------------
+
+    def log_marginal_likelihood(self, theta=None, eval_gradient=False):
+        """Return the log marginal likelihood of the normalised outputs (equation 20).
+
+        Parameters
+        ----------
+        theta : ndarray or None
+            ``kernel_.theta`` followed by the logarithm of the noise variances of the normalised outputs. None:
+            at the fitted values. What noisy regressors carry stays as it was fitted.
+        eval_gradient : bool
+            Also return the gradient with respect to theta.
+
+        Returns
+        -------
+        value : float
+            In nats.
+        gradient : ndarray (n_theta,)
+            Only with ``eval_gradient``.
+        """
+        check_is_fitted(self)
+        P = len(self._scale)
+        if theta is None:
+            if not eval_gradient:
+                return self.log_marginal_likelihood_value_
+            theta = self.theta_
+        theta = np.asarray(theta, dtype=float)
+        expected = (self.kernel_.n_dims + P,)
+        if theta.shape != expected:
+            raise ValueError(
+                f"Got theta of shape {theta.shape}, but expected {expected}: the kernel's {expected[0] - P} "
+                f"hyperparameters and the logarithms of {P} noise variances, as in theta_."
+            )
+        kernel = self.kernel_.clone_with_theta(theta[:-P])
+        return self.posterior_.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
+
+    @property
+    def theta_(self):
+        """Fitted hyperparameters, as ``log_marginal_likelihood`` takes them."""
+        check_is_fitted(self, "kernel_")
+        return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
+
+    def _reach(self, X, times):
+        """Return J R of noisy regressors, (n, P, r); of exact ones r is zero."""
+        times = np.asarray(times, dtype=float)
+        if times.shape not in ((), (len(X),)) or not (times >= 0).all():
+            raise ValueError(
+                f"Got include_input_noise of shape {times.shape}, but expected a bool, or how many times the variance "
+                f"of the fit: a number, or one for each of the {len(X)} rows, from 0 on."
+            )
+        if self._root is None or not times.any():
+            return np.zeros((len(X), len(self._scale), 0))
+        return np.sqrt(times.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) @ self._root)
+
+    def _check_regressors(self, X):
+        if self._is_plain(X):
+            return X
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
+        return X
+
+    def _regressor_names(self) -> list[str]:
+        """Return the names of the regressors, or x0, x1, ... where they have none."""
+        return list(getattr(self, "feature_names_in_", [f"x{k}" for k in range(self.n_features_in_)]))
+
+    def _is_plain(self, X):
+        """Return whether X is what ``validate_data`` would return as it is: for a row that is most of the time."""
+        return (
+            type(X) is np.ndarray
+            and X.dtype == np.float64
+            and X.ndim == 2
+            and len(X) > 0
+            and X.shape[1] == getattr(self, "n_features_in_", None)
+            and hasattr(self, "posterior_")
+            and not hasattr(self, "feature_names_in_")
+            and float(np.abs(X).max()) <= X_RANGE[1]
+        )
+
+    def _shaped(self, values):
+        """Return (n, P, ...) as it is, or (n, ...) where the targets were (n,)."""
+        return values[:, 0] if self._single else values
+
+
+# -- checks at the door ----------------------------------------------------------------------
+
+
+def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
+    """Return the targets as (n, P) with NaN where not observed, their names, and whether they were (n,)."""
+    if y is None:
+        raise ValueError(f"This {estimator} estimator requires y to be passed, but the target y is None.")
+    names = column_names(y)
+    Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+    if Y.ndim > 2:
+        raise ValueError(f"Got y of shape {Y.shape}, but expected (n,) or (n, P).")
+    if len(Y) != n_samples:
+        raise ValueError(
+            f"Found input variables with inconsistent numbers of samples: {[n_samples, len(Y)]}. y needs a row for "
+            "each of X; NaN where an output was not observed."
+        )
+    table = Y.reshape(len(Y), -1)
+    return table, names or unnamed(table.shape[1]), Y.ndim == 1
+
+
+def standardized(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return targets with mean 0 and mean square 1 where asked, and the center and scale of each output, (P,).
+
+    The center of a constant output is its value, its scale the size of that: it is 0 or 1 everywhere, without rounding.
+    """
+    constant, size = constant_columns(Y), np.nanmax(np.abs(Y), axis=0)
+    Y = np.where(constant & np.isfinite(Y), Y[np.isfinite(Y).argmax(axis=0), range(Y.shape[1])], Y)
+    center = np.where(constant, np.nanmax(Y, axis=0), np.nanmean(Y, axis=0)) if centered else np.zeros(Y.shape[1])
+    scale = np.sqrt(np.nanmean((Y - center) ** 2, axis=0)) if scaled else np.ones(Y.shape[1])
+    scale = np.where(constant & scaled, np.where(size > 0, size, 1.0), scale)
+    return (Y - center) / scale, center, scale
+
+
+def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
+    """Refuse columns whose powers overflow or vanish in double precision; Z (n, k) with NaN where not observed."""
+    size = np.nanmax(np.abs(Z), axis=0, initial=0.0)
+    extreme = (size > most) | ((size < least) & (size > 0))
+    if extreme.any():
+        found = {name: f"{s:.1g}" for name, s, out in zip(names, size, extreme, strict=True) if out}
+        raise ValueError(
+            f"Got {what} of magnitudes {found}, but expected between {least:g} and {most:g}: powers of others "
+            "vanish or overflow. Use another unit, or scale them (StandardScaler)."
+        )
+
+
+def warn_of_constant_regressors(X: np.ndarray, names: list[str]) -> None:
+    """Warn of regressors (n, d) that have the same value in all samples."""
+    constant = [name for name, same in zip(names, constant_columns(X), strict=True) if same]
+    if constant:
+        _warn(
+            f"The regressors {constant} are constant over the samples: their effect cannot be learned, and predictions "
+            "at other values of them mean little. Leave them out, or add samples in which they vary."
+        )
+
+
+def check_enough(Y: np.ndarray, names: list[str]) -> None:
+    """Refuse outputs that no two samples tell of."""
+    counts = np.isfinite(Y).sum(axis=0)
+    few = {name: int(n) for name, n in zip(names, counts, strict=True) if n < 2}
+    if few:
+        raise ValueError(
+            f"Got outputs observed at fewer than two samples: {few} (NaN is not observed). Leave these columns out, or "
+            "give at least two of their values, better many."
+        )
+
+
+def check_same_targets(names: list[str], expected: list[str]) -> None:
+    """Refuse further targets that are not of the outputs that were fitted."""
+    if len(names) != len(expected):
+        raise ValueError(
+            f"Got y with {len(names)} outputs, but expected the {len(expected)} that were fitted: {expected}. Set the "
+            "targets of an output that was not observed to NaN."
+        )
+    if names != expected and unnamed(len(names)) not in (names, expected):
+        raise ValueError(f"Got y with the columns {names}, but expected those of the fit, in their order: {expected}.")
+
+
+def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
+    """Warn of more inducing inputs than samples."""
+    if n_inducing > n_samples:
+        warnings.warn(
+            f"Got n_inducing={n_inducing} for {n_samples} samples: each sample becomes an inducing input, which costs "
+            "more than it saves. Lower n_inducing, or use inference='exact'.",
+            UserWarning,
+            stacklevel=4,
+        )
+
+
+def check_compaction(n_inducing, tolerance, max_iter) -> None:
+    """Refuse numbers that make no sense."""
+    if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:
+        raise ValueError(f"Got n_inducing={n_inducing!r}, but expected a number of inducing variables from 1 on.")
+    if not isinstance(max_iter, Integral) or isinstance(max_iter, bool) or max_iter < 0:
+        raise ValueError(f"Got max_iter={max_iter!r}, but expected a number of iterations, or 0 for none.")
+    if tolerance is None:
+        return
+    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < tolerance < np.inf:
+        raise ValueError(
+            f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard deviation, such as 0.1, or "
+            "None."
+        )
+
+
+def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) -> None:
+    """Warn that compacting changed predictions by more than the tolerance, or, where none was asked for, by much."""
+    if change <= (MUCH if tolerance is None else tolerance):
+        return
+    asked = "" if tolerance is None else f", which is more than the tolerance {tolerance:g}"
+    warnings.warn(
+        f"Compacting to {n_inducing} inducing variables changes mean or deviation of an output by {change:.2g} of its "
+        f"standard deviation (root mean square){asked}. Raise n_inducing, or see compaction_ for which output it is.",
+        UserWarning,
+        stacklevel=3,
+    )
+
+
+def input_root(input_noise, X: np.ndarray, names: list[str]):
+    """Return R (d, r) of the covariance R R^T of the regressors' noise, or what asks for none or for learning."""
+    if input_noise is None or isinstance(input_noise, str):
+        return input_noise
+    root = _root_of(input_noise, X.shape[1])
+    noise = np.sqrt(np.einsum("dr,dr->d", root, root))
+    drowned = (noise > MOST_NOISE * column_scale(X)) & ~constant_columns(X)
+    if drowned.any():
+        found = {name: f"{s:.2g}" for name, s, out in zip(names, X.std(axis=0), drowned, strict=True) if out}
+        raise ValueError(
+            f"Got input_noise that is more than {MOST_NOISE} times what the regressors vary by (standard deviations: "
+            f"{found}), but expected the noise that is part of this. Give it in the units of X, one for each column."
+        )
+    return root
+
+
+def _root_of(input_noise, d):
+    given = np.asarray(input_noise, dtype=float)
+    expected = f"expected a standard deviation, {d} of them, or a covariance ({d}, {d}), in the units of X."
+    if given.shape not in ((), (d,), (d, d)) or not np.isfinite(given).all():
+        raise ValueError(f"Got input_noise of shape {given.shape}, but {expected}")
+    if given.ndim < 2:
+        if (given < 0).any():
+            raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
+        return np.diag(np.broadcast_to(given, d))
+    values, vectors = np.linalg.eigh(given)
+    if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
+        raise ValueError(f"Got input_noise that is no covariance (not symmetric, or not positive), but {expected}")
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def unnamed(n: int) -> list[str]:
+    """Return the names of outputs that came without."""
+    return [f"y{i}" for i in range(n)]
+
+
+def warn_of_indices(index, y) -> None:
+    """Warn when the rows of two tables are named differently."""
+    if isinstance(index, pd.Index) and isinstance(y, (pd.DataFrame, pd.Series)) and not index.equals(y.index):
+        _warn(
+            "The indices of X and y differ; rows are matched by position. If rows of one were dropped or sorted, do "
+            "the same to the other (y.loc[X.index])."
+        )
+
+
+def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
+    """Warn of outputs that are constant and of samples that stand twice."""
+    constant = [name for name, same in zip(names, constant_columns(Y), strict=True) if same]
+    if constant:
+        _warn(
+            f"The outputs {constant} are constant over the samples: nothing can be learned of how they depend on the "
+            "regressors, and their stated uncertainty means little. Leave them out, or check the log."
+        )
+    repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
+    if repeated:
+        _warn(
+            f"{repeated} of {len(X)} samples repeat another one, regressors and targets alike. Each counts as new "
+            "evidence, so the uncertainty comes out too small: drop repeated rows (was a log read twice?)."
+        )
+
+
+def warn_of_search(best, max_iter: int) -> None:
+    """Warn of a search for hyperparameters that was interrupted, or stopped far from an optimum."""
+    if best.interrupted:
+        _warn(
+            f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
+            "hyperparameters so far are kept. Fit again for more.",
+            ConvergenceWarning,
+        )
+    elif best.rising:
+        _warn(
+            f"The fit stopped at max_iter={max_iter} while the log likelihood was still rising fast: the "
+            "hyperparameters are not good yet. Raise max_iter, or scale the regressors (StandardScaler).",
+            ConvergenceWarning,
+        )
+
+
+def _warn(message, category=UserWarning):
+    # From here through the check, fit and scikit-learn's wrapper of it, to who called fit.
+    warnings.warn(message, category, stacklevel=5)
 
 
 def _allow_compact(size):

@@ -16,7 +16,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, checkpointing, listening
-from skdgp._checkpoint import FILES, _hash_of_arrays, _load
+from skdgp._compute.checkpoint import FILES, _hash_of_arrays, _load
 
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -334,7 +334,7 @@ for moment in {moments.tolist()!r}:
         """The file is an old or a new one, and whole."""
         work = """
             import joblib, numpy as np
-            from skdgp._files import write_atomically
+            from skdgp._compute.files import write_atomically
 
             def work(begun):
                 for number in range(10**6):

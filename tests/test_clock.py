@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 from sklearn.dummy import DummyRegressor
 
-from skdgp._cli._source import _by_flight
-from skdgp._clock import flight_codes, flight_rows, flight_segments, part_restarts
-from skdgp._faults import find_faults
+from skdgp._flight.checks import check_flight
+from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, part_restarts
+from skdgp._flight.faults import find_faults
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import aerodynamic_coefficients
-from skdgp.dynamics._checks import check_flight
+from skdgp.identification._source import _by_flight
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.metrics import score_flights
 from skdgp.model_selection import BlockSplit, flight_learning_curve

@@ -15,8 +15,8 @@ from sklearn.model_selection import GridSearchCV
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor
-from skdgp._parallel import fit_map, share_map, sharing
-from skdgp._progress import listening
+from skdgp._compute.parallel import fit_map, share_map, sharing
+from skdgp._compute.progress import listening
 
 distributed = pytest.importorskip("distributed", reason='dask.distributed is not installed: pip install "skdgp[dask]"')
 
@@ -106,7 +106,7 @@ class TestSameNumbers:
 
     def test_work_is_done_by_the_workers_on_one_thread_of_blas(self, on_dask):
         def where(share):
-            from skdgp._threads import n_threads
+            from skdgp._compute.threads import n_threads
 
             return os.getpid(), n_threads()
 

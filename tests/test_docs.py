@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skdgp._vocabulary import CHANNELS
+from skdgp._flight.channels import CHANNELS
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN_ELSEWHERE = {
@@ -139,7 +139,7 @@ class TestNotation:
 
 
 def test_limits_on_the_page_are_those_of_the_code():
-    from skdgp._linalg import JITTER_FIRST, JITTER_LAST
+    from skdgp._compute.linalg import JITTER_FIRST, JITTER_LAST
     from skdgp._regressor import EXACT_LIMIT
 
     text = (ROOT / "docs" / "inference.md").read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from skdgp._files import LARGEST, parse_json, read_json, read_toml, write_atomically
+from skdgp._compute.files import LARGEST, parse_json, read_json, read_toml, write_atomically
 
 
 def names(folder):

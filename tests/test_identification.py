@@ -18,9 +18,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._model_file import CHECKSUM, END, MAGIC
 from skdgp.dynamics import Aircraft
 from skdgp.identification import ModelFileError, calibrate_noise, load_model, save_model
+from skdgp.identification._model_file import CHECKSUM, END, MAGIC
 from skdgp.metrics import SCORERS
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector

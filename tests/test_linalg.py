@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp._linalg import (
+from skdgp._compute.linalg import (
     JITTER_LAST,
     JitterWarning,
     cholesky_inverse,

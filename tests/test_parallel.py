@@ -16,8 +16,8 @@ from joblib import Parallel, cpu_count, delayed, parallel_config
 from sklearn.model_selection import GridSearchCV
 
 from skdgp import DependentGPRegressor
-from skdgp._parallel import _first_interrupt, check_n_jobs, fit_map, share_map, sharing
-from skdgp._threads import n_threads
+from skdgp._compute.parallel import _first_interrupt, check_n_jobs, fit_map, share_map, sharing
+from skdgp._compute.threads import n_threads
 
 SHARES = [np.full(3, float(k)) for k in range(7)]
 LOKY = {"backend": "loky", "n_jobs": 2}
@@ -38,7 +38,7 @@ def processes():
         import os
         import time
 
-        from skdgp._threads import n_threads
+        from skdgp._compute.threads import n_threads
 
         time.sleep(0.05)
         return factor * share.sum(), os.getpid(), n_threads()
@@ -105,7 +105,7 @@ class TestWhoWorks:
         def nested(shares):
             import os
 
-            from skdgp._parallel import fit_map, share_map, sharing
+            from skdgp._compute.parallel import fit_map, share_map, sharing
 
             with sharing(shares):
                 inner = share_map(lambda share: os.getpid(), (), shares)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from skdgp._progress import listening, tell
-from skdgp._threads import thread_map
+from skdgp._compute.progress import listening, tell
+from skdgp._compute.threads import thread_map
 
 
 def test_nobody_listens():

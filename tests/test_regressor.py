@@ -16,7 +16,7 @@ from sklearn.utils.estimator_checks import check_estimator
 
 import skdgp
 from skdgp import DependentGPRegressor
-from skdgp._progress import listening
+from skdgp._compute.progress import listening
 from skdgp.inference import Data, ExactPosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

@@ -141,7 +141,7 @@ def test_a_real_ctrl_c_keeps_the_best_so_far(threads, tmp_path):
     script = """
         import warnings, numpy as np
         from skdgp import DependentGPRegressor
-        from skdgp._progress import listening
+        from skdgp._compute.progress import listening
 
         rng = np.random.default_rng(0)
         X = rng.normal(size=(150, 6))

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy import signal
 
-from skdgp._signal import differentiate, flight_segments, noise_level, smooth
+from skdgp._flight.smoothing import differentiate, flight_segments, noise_level, smooth
 
 RATE = 40.0
 CUTOFFS = ["auto", 3.0, None]

@@ -8,10 +8,11 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
 from skdgp import DependentGPRegressor
-from skdgp._targets import check_targets, target_names
+from skdgp._compute.tables import column_names
+from skdgp._regressor import check_targets
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics._replay import _coefficient_array
-from skdgp.dynamics._starts import STATE_NAMES, as_starts
+from skdgp.dynamics._replay.replay import _coefficient_array
+from skdgp.dynamics._simulation.starts import STATE_NAMES, as_starts
 from skdgp.metrics import coverage_curve, score_outputs
 from skdgp.model_selection import flight_learning_curve, thin_targets
 from skdgp.preprocessing import FlightSmoother
@@ -32,12 +33,12 @@ def test_names(library):
     assert (names, single) == (["CZ", "Cm"], False)
     np.testing.assert_array_equal(values, np.column_stack(list(TARGETS.values())))
     assert check_targets(Y["Cm"], 40, "test")[1:] == (["Cm"], True)
-    assert target_names(library.Series([1.0, 2.0])) == []
+    assert column_names(library.Series([1.0, 2.0])) == []
 
 
 @pytest.mark.parametrize("y", [X, X.tolist(), pd.DataFrame(X), pd.DataFrame(X, columns=["CZ", 1]), pd.Series([1.0])])
 def test_what_has_no_names(y):
-    assert target_names(y) == []
+    assert column_names(y) == []
 
 
 def test_missing_values_are_not_observed():
@@ -69,7 +70,7 @@ def test_thinned(library):
     for Y in (library.DataFrame(TARGETS), library.DataFrame(TARGETS)["CZ"]):
         thin = thin_targets(Y, 10)
         assert type(thin) is type(Y)
-        assert target_names(thin) == target_names(Y)
+        assert column_names(thin) == column_names(Y)
         assert np.isfinite(np.asarray(thin, float).reshape(40, -1)[:, 0]).sum() == 10
 
 

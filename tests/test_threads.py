@@ -10,7 +10,7 @@ from threading import Event
 import pytest
 from threadpoolctl import threadpool_limits
 
-from skdgp._threads import n_threads, thread_map
+from skdgp._compute.threads import n_threads, thread_map
 
 word = ContextVar("word", default="unset")
 

@@ -11,8 +11,8 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from skdgp._cli._values import FileName
-from skdgp._files import read_toml
-from skdgp._model_file import software_versions
+from skdgp._compute.files import read_toml
+from skdgp.identification._model_file import software_versions
 
 COMMAND, VERSIONS = "command", "versions"
 NOT_KEPT = (COMMAND, "config", "output", "traceback")

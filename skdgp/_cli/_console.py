@@ -82,7 +82,7 @@ class Console:
             self._stage, self._began, self._detail = words, time.monotonic(), ""
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
-        """Show where a fit is; the listener of ``skdgp._progress.listening``, called from any thread."""
+        """Show where a fit is; the listener of ``skdgp._compute.progress.listening``, called from any thread."""
         with self._lock:
             if stage.startswith("output"):
                 self._alone[stage] = n_evaluations

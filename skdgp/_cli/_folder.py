@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
-from skdgp._files import write_atomically
+from skdgp._compute.files import write_atomically
 
 
 class OutputFolder:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from skdgp._cli._task import Task
-from skdgp._files import write_atomically
+from skdgp._compute.files import write_atomically
 from skdgp.io import inspect_log, servo_template
 
 

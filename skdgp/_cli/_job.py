@@ -9,19 +9,19 @@ from importlib.util import find_spec
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._checkpoint import checkpointing
-from skdgp._cli._evaluation import Evaluation, Loads, evaluate
-from skdgp._cli._outcome import Outcome, by_coefficient, fit_facts, thrusts
 from skdgp._cli._outputs import metrics_of, writers
-from skdgp._cli._rows import check_known, check_same_columns, checked, complete_rows, warn_of_short
-from skdgp._cli._source import Source, example_source, file_source
 from skdgp._cli._summary import summary
 from skdgp._cli._task import Task
-from skdgp._faults import TOLD, FlightDataWarning
-from skdgp._progress import listening
+from skdgp._compute.checkpoint import checkpointing
+from skdgp._compute.progress import listening
+from skdgp._flight.faults import TOLD, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import calibrate_noise, make_identification_pipeline
+from skdgp.identification._evaluation import Evaluation, Loads, evaluate
+from skdgp.identification._outcome import Outcome, by_coefficient, fit_facts, thrusts
+from skdgp.identification._rows import check_known, check_same_columns, checked, complete_rows, warn_of_short
+from skdgp.identification._source import Source, example_source, file_source
 from skdgp.model_selection import thin_targets
 
 CHECKPOINT = "checkpoint"  # in the folder of the outputs, while these are made

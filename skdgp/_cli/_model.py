@@ -7,12 +7,12 @@ import warnings
 import pandas as pd
 from sklearn.utils import Bunch
 
-from skdgp._cli._evaluation import Loads
-from skdgp._cli._rows import check_same_columns, checked, complete_rows
-from skdgp._cli._source import read_aircraft, read_named
-from skdgp._faults import TOLD, FlightDataWarning
+from skdgp._flight.faults import TOLD, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.identification import load_model
+from skdgp.identification._evaluation import Loads
+from skdgp.identification._rows import check_same_columns, checked, complete_rows
+from skdgp.identification._source import read_aircraft, read_named
 
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 

@@ -6,11 +6,11 @@ from datetime import datetime
 
 import numpy as np
 
-from skdgp._cli._evaluation import Evaluation, grouped, scores
-from skdgp._cli._outcome import Outcome
 from skdgp._cli._report import report_of
 from skdgp._cli._writers import Writer, json_writer, text_writer
-from skdgp._model_file import dump_model, model_bunch, software_versions
+from skdgp.identification._evaluation import Evaluation, grouped, scores
+from skdgp.identification._model_file import dump_model, model_bunch, software_versions
+from skdgp.identification._outcome import Outcome
 from skdgp.report import render_report
 
 FORMAT = 1

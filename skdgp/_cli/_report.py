@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from skdgp._cli._evaluation import Evaluation, grouped, scores
-from skdgp._cli._outcome import Outcome, lacking, thrusts
-from skdgp._model_file import software_versions
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.identification._evaluation import Evaluation, grouped, scores
+from skdgp.identification._model_file import software_versions
+from skdgp.identification._outcome import Outcome, lacking, thrusts
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent
 

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 
 from skdgp._cli._model import engine_of, read_model
-from skdgp._cli._rows import checked
-from skdgp._cli._source import read_named
 from skdgp._cli._task import Task
 from skdgp._cli._writers import Writer, check_writable, json_writer, picture_writers, table_writer
-from skdgp._validation import check_columns
+from skdgp._flight.checks import check_columns
 from skdgp.dynamics import SimulationWarning, as_aerodynamics, simulate, trajectory_bands, trim
-from skdgp.dynamics._trajectory import REASONS
+from skdgp.dynamics._simulation.trajectory import REASONS
+from skdgp.identification._rows import checked
+from skdgp.identification._source import read_named
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
 from skdgp.plotting._style import display_unit

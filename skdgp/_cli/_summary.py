@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from skdgp._cli._evaluation import Evaluation, grouped, scores
-from skdgp._cli._outcome import Outcome
+from skdgp.identification._evaluation import Evaluation, grouped, scores
+from skdgp.identification._outcome import Outcome
 from skdgp.plotting._style import display_unit
 
 SHOWN_STATES = ("v_east", "p", "r")

@@ -6,8 +6,8 @@ import warnings
 
 from skdgp._cli._job import finish, try_on
 from skdgp._cli._model import loads_of, read_flights, read_model
-from skdgp._cli._outcome import Outcome, fit_facts
 from skdgp._cli._task import Task
+from skdgp.identification._outcome import Outcome, fit_facts
 
 
 def validate(task: Task) -> None:

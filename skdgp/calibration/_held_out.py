@@ -12,7 +12,7 @@ from sklearn.model_selection import GroupKFold
 from sklearn.utils import _safe_indexing
 from sklearn.utils.validation import _num_samples
 
-from skdgp._clock import flight_codes
+from skdgp._flight.clock import flight_codes
 from skdgp.metrics._scorers import predict_observed
 from skdgp.model_selection import BlockSplit
 from skdgp.model_selection._blocks import held_out

@@ -14,7 +14,8 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._targets import check_targets, target_names
+from skdgp._compute.tables import column_names
+from skdgp._regressor import check_targets
 from skdgp.calibration._conformal import ROUNDING, unit_weights, units_needed, units_of, weighted_quantile
 from skdgp.calibration._held_out import conformity_scores, fit_and_score, flights_of, splits_of
 from skdgp.calibration._paths import ScaledPaths
@@ -158,7 +159,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         """
         X = _checked(X)
         Y, self.output_names_, single = check_targets(y, len(X), type(self).__name__)
-        y = y if target_names(y) else Y[:, 0] if single else Y
+        y = y if column_names(y) else Y[:, 0] if single else Y
         self._single = single
         flights = flights_of(X, groups)
         splits = splits_of(flights, self.cv)

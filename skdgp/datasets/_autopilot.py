@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skdgp.dynamics import quaternion_to_euler
-from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 __all__ = ["COMMANDS", "Autopilot"]
 

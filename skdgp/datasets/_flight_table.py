@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from skdgp._vocabulary import COEFFICIENTS, TRUTH_SUFFIX
+from skdgp._flight.channels import COEFFICIENTS, TRUTH_SUFFIX
 from skdgp.datasets._brumby import BRUMBY
 from skdgp.datasets._loads import Loads, loads
 from skdgp.datasets._sensors import measure
 from skdgp.datasets._simulation import FlightRecord
 from skdgp.dynamics import body_to_ned, quaternion_to_euler, standard_density
-from skdgp.dynamics._rigid_body import STANDARD_GRAVITY
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 __all__ = ["flight_table", "truth_of"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import air_data, ned_to_body, rigid_body_derivative, standard_density
-from skdgp.dynamics._gusts import Gusts
+from skdgp.dynamics._simulation.gusts import Gusts
 
 __all__ = ["Loads", "loads"]
 

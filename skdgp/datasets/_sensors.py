@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from skdgp._vocabulary import TRUTH_SUFFIX
+from skdgp._flight.channels import TRUTH_SUFFIX
 
 __all__ = ["SENSOR_NOISE", "measure"]
 

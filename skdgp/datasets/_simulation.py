@@ -11,7 +11,7 @@ from skdgp.datasets._brumby import BRUMBY
 from skdgp.datasets._flight_plans import FlightPlan, scheduled
 from skdgp.datasets._loads import loads
 from skdgp.dynamics import euler_to_quaternion, ned_to_body, rk4_step
-from skdgp.dynamics._gusts import Gusts, dryden_gusts, low_altitude_turbulence
+from skdgp.dynamics._simulation.gusts import Gusts, dryden_gusts, low_altitude_turbulence
 
 __all__ = ["STEP", "FlightRecord", "fly"]
 

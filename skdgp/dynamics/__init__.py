@@ -4,11 +4,10 @@ Body axes x forward, y right, z down; moments about the centre of gravity; SI un
 The seam to the learning half is a table: flights in, the six coefficients out, and back.
 """
 
-from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._atmosphere import Atmosphere, standard_atmosphere, standard_density
-from skdgp.dynamics._derivatives import stability_derivatives
-from skdgp.dynamics._frames import (
+import sys as _sys
+
+from skdgp._flight.atmosphere import Atmosphere, standard_atmosphere, standard_density
+from skdgp._flight.frames import (
     air_data,
     air_velocity,
     body_to_ned,
@@ -20,20 +19,23 @@ from skdgp.dynamics._frames import (
     quaternion_to_euler,
     quaternion_to_matrix,
 )
-from skdgp.dynamics._gusts import dryden_wind
-from skdgp.dynamics._integrate import rk4, rk4_step
-from skdgp.dynamics._inverse import aerodynamic_coefficients
-from skdgp.dynamics._linearize import LinearModel, linearize
-from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
-from skdgp.dynamics._propeller import Propeller
-from skdgp.dynamics._replay import replay, replay_errors
-from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative
-from skdgp.dynamics._simulate import simulate
-from skdgp.dynamics._simulator import Simulator
-from skdgp.dynamics._thrust_line import ThrustLine
-from skdgp.dynamics._thrust_table import ThrustTable
-from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
-from skdgp.dynamics._trim import Trim, trim
+from skdgp.dynamics._control.derivatives import stability_derivatives
+from skdgp.dynamics._control.linearize import LinearModel, linearize
+from skdgp.dynamics._control.trim import Trim, trim
+from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp.dynamics._equations.integrate import rk4, rk4_step
+from skdgp.dynamics._equations.inverse import aerodynamic_coefficients
+from skdgp.dynamics._equations.rigid_body import STATE_NAMES, rigid_body_derivative
+from skdgp.dynamics._replay.replay import replay, replay_errors
+from skdgp.dynamics._simulation.gusts import dryden_wind
+from skdgp.dynamics._simulation.simulate import simulate
+from skdgp.dynamics._simulation.simulator import Simulator
+from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_bands
+from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
+from skdgp.dynamics._vehicle.propeller import Propeller
+from skdgp.dynamics._vehicle.thrust_line import ThrustLine
+from skdgp.dynamics._vehicle.thrust_table import ThrustTable
 
 __all__ = [
     "STATE_NAMES",
@@ -77,3 +79,6 @@ __all__ = [
     "trajectory_bands",
     "trim",
 ]
+
+for _name in ("aircraft", "propeller", "thrust_line"):  # where model files of earlier versions look for these classes
+    _sys.modules[f"{__name__}._{_name}"] = _sys.modules[f"{__name__}._vehicle.{_name}"]

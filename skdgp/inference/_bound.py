@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._linalg import triangular_solve
+from skdgp._compute.linalg import triangular_solve
 from skdgp.inference._samples import sample_slope
 from skdgp.inference._shares import bound_slope
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import column_scale
+from skdgp._compute.linalg import column_scale
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._samples import data_of, shares_of

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from skdgp._linalg import jittered_cholesky, triangular_solve, unexplained_variance
-from skdgp._threads import n_threads, thread_map, threads_for
+from skdgp._compute.linalg import jittered_cholesky, triangular_solve, unexplained_variance
+from skdgp._compute.threads import n_threads, thread_map, threads_for
 from skdgp.inference._factor import Factor
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, tiles_of
 from skdgp.inference._paths import Paths, exact_paths

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._linalg import jittered_cholesky, log_determinant, triangular_solve
+from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve
 
 TAIL = 8  # one part in so many is kept apart before both are copied into one
 

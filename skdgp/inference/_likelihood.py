@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.blas import dsymv, dsyr
 
-from skdgp._linalg import (
+from skdgp._compute.linalg import (
     cholesky_inverse,
     jittered_cholesky,
     log_determinant,
     triangular_solve,
 )
-from skdgp._threads import thread_map, threads_for
+from skdgp._compute.threads import thread_map, threads_for
 from skdgp.inference._noise import Scatter, add_noise, noise_gradient
 
 TILE = 768  # values of an output a side: the kernel cuts further, for the cache

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from skdgp._checkpoint import answers_of
-from skdgp._progress import tell
+from skdgp._compute.checkpoint import answers_of
+from skdgp._compute.progress import tell
 
 
 class Optimum(NamedTuple):

@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import triangular_solve
-from skdgp._threads import threads_for
+from skdgp._compute.linalg import triangular_solve
+from skdgp._compute.threads import threads_for
 from skdgp.inference._noise import draw_noise
 
 FREQUENCIES = 64  # waves of each latent process, of every path

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from skdgp._linalg import semidefinite_root, triangular_solve, unexplained_variance
+from skdgp._compute.linalg import semidefinite_root, triangular_solve, unexplained_variance
 from skdgp.inference._shares import own_factor
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._linalg import triangular_solve
-from skdgp._parallel import share_map
+from skdgp._compute.linalg import triangular_solve
+from skdgp._compute.parallel import share_map
 from skdgp.inference._likelihood import Data
 from skdgp.inference._shares import ROWS, data_of_values, own_factor, row_slices, statistics, value_shares
 from skdgp.inference._sums import Sums

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._checkpoint import Record, kept_in
+from skdgp._compute.checkpoint import Record, kept_in
 from skdgp.inference._fit import Found, fit_exact, some_rows
 
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._linalg import triangular_solve
-from skdgp._parallel import share_map
+from skdgp._compute.linalg import triangular_solve
+from skdgp._compute.parallel import share_map
 from skdgp.inference._likelihood import Data
 
 ROWS = 512  # samples at a time: their covariances stay in the cache

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._threads import thread_map
+from skdgp._compute.threads import thread_map
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import maximize
 

@@ -12,7 +12,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from skdgp._linalg import (
+from skdgp._compute.linalg import (
     cholesky_inverse,
     cholesky_solve,
     jittered_cholesky,
@@ -21,7 +21,7 @@ from skdgp._linalg import (
     triangular_solve,
     unexplained_variance,
 )
-from skdgp._threads import thread_map, threads_for
+from skdgp._compute.threads import thread_map, threads_for
 from skdgp.inference._bound import bound_gradient
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize

@@ -3,7 +3,7 @@
 >>> from skdgp.io import read_flight, inspect_log, servo_template
 """
 
-from skdgp.io._autopilot import READERS as AUTOPILOTS
+from skdgp.io._autopilot.autopilot import READERS as AUTOPILOTS
 from skdgp.io._errors import FlightReadError
 from skdgp.io._inspect import LogSummary, inspect_log, servo_template
 from skdgp.io._read import read_flight, read_flights

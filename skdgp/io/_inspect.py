@@ -9,16 +9,16 @@ from textwrap import fill
 
 import numpy as np
 
-from skdgp._clock import flight_rows
-from skdgp._faults import SENSORS
-from skdgp.io._autopilot import READERS, on_one_clock, read_log
-from skdgp.io._columns import gaps
+from skdgp._flight.clock import flight_rows
+from skdgp._flight.faults import SENSORS
+from skdgp.io._autopilot.autopilot import READERS, on_one_clock, read_log
+from skdgp.io._autopilot.columns import gaps
+from skdgp.io._autopilot.resample import sampling_rate
+from skdgp.io._autopilot.segments import no_flight_because
+from skdgp.io._autopilot.servo_template import template
+from skdgp.io._autopilot.topics import Topic
 from skdgp.io._errors import FlightReadError
 from skdgp.io._read import read_flight
-from skdgp.io._resample import sampling_rate
-from skdgp.io._segments import no_flight_because
-from skdgp.io._servo_template import template
-from skdgp.io._topics import Topic
 
 SPECIFIC_FORCE, RATES, ATTITUDE = ("ax", "ay", "az"), ("p", "q", "r"), ("phi", "theta", "psi")
 VELOCITY = ("v_north", "v_east", "v_down")

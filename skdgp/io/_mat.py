@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp._vocabulary import CHANNELS
+from skdgp._flight.channels import CHANNELS
 from skdgp.io._errors import FlightReadError
 from skdgp.io._mat5 import parse_mat5
 from skdgp.io._units import base_name

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from skdgp._vocabulary import CHANNELS, TRUTH_SUFFIX
+from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 from skdgp.io._errors import FlightReadError
 
 TO_SI = {

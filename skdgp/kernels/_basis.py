@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import issparse
 from sklearn.base import clone
 
-from skdgp._linalg import column_scale
+from skdgp._compute.linalg import column_scale
 
 STEP = 1e-3  # of a regressor's spread, for differences of fourth order
 

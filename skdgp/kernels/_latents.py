@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._linalg import column_scale, constant_columns
+from skdgp._compute.linalg import column_scale, constant_columns
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
 MOST_UNLIKE = 1e5  # standard deviations of regressors that share a length scale, largest over smallest

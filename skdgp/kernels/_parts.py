@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import cluster_centres, pivoted_cholesky
+from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
 from skdgp.kernels._features import JITTER, Features
 from skdgp.kernels._paths import FeaturePaths
 from skdgp.kernels._rows import ExponentialRows

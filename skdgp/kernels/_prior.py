@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._linalg import column_scale
+from skdgp._compute.linalg import column_scale
 
 
 def prior_of(prior, X) -> np.ndarray | None:

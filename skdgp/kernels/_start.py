@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._linalg import column_scale, output_scale
+from skdgp._compute.linalg import column_scale, output_scale
 
 TIE = 1e-9  # of a variance
 SHARED_VARIANCE = 0.1  # of an output that also has a latent of its own

@@ -7,7 +7,7 @@ from abc import abstractmethod
 import numpy as np
 from sklearn.base import clone
 
-from skdgp._linalg import column_scale
+from skdgp._compute.linalg import column_scale
 from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._basis import FittedBasis, check_transformer
 from skdgp.kernels._features import TrendFeatures

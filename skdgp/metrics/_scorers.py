@@ -14,8 +14,8 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils import _safe_indexing
 
-from skdgp._clock import flight_rows
-from skdgp._validation import check_columns, check_table
+from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.clock import flight_rows
 from skdgp.metrics._arrays import output_names
 from skdgp.metrics._point import median_relative_error, normalized_rmse
 from skdgp.metrics._probabilistic import (

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 from sklearn.model_selection import BaseCrossValidator
 
-from skdgp._clock import check_clock, flight_rows
-from skdgp._validation import check_columns, check_table
+from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.clock import check_clock, flight_rows
 
 FEWEST = 3
-"""Rows of a block at least: so wide a hole is seen as one by the clock of what is left (:mod:`skdgp._clock`)."""
+"""Rows of a block at least: so wide a hole is seen as one by the clock of what is left (:mod:`skdgp._flight.clock`)."""
 
 
 class BlockSplit(BaseCrossValidator):

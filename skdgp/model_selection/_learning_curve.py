@@ -10,7 +10,7 @@ from sklearn.model_selection import LeaveOneGroupOut
 from sklearn.utils import _safe_indexing
 from sklearn.utils.parallel import Parallel, delayed
 
-from skdgp._validation import check_columns, check_table
+from skdgp._flight.checks import check_columns, check_table
 from skdgp.metrics import score_outputs
 from skdgp.model_selection._blocks import held_out, rows_by_flight
 from skdgp.model_selection._thin import thin_targets

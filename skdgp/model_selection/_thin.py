@@ -7,7 +7,7 @@ from numbers import Integral
 import numpy as np
 import pandas as pd
 
-from skdgp._targets import target_names
+from skdgp._compute.tables import column_names
 
 
 def thin_targets(Y, n_samples: int):
@@ -54,6 +54,6 @@ def thin_targets(Y, n_samples: int):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):
         return pd.Series(values, index=Y.index, name=Y.name)
-    if target_names(Y):  # polars and its kin, which have no index
+    if column_names(Y):  # polars and its kin, which have no index
         return type(Y)(dict(zip(Y.columns, values.T, strict=True))) if values.ndim == 2 else type(Y)(Y.name, values)
     return values

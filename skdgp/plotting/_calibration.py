@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.metrics._probabilistic import LEVELS, check_levels, shares_inside, standardized
 from skdgp.plotting._arrays import check_columns_of, check_std, choose, names_of
 from skdgp.plotting._coefficients import grid, predict_with_std

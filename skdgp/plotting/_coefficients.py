@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.metrics._scorers import predict_with_noise
 from skdgp.plotting._arrays import check_columns_of, check_std, check_time, choose, names_of
 from skdgp.plotting._comparison import Comparison, check_level, draw_comparison

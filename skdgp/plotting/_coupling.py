@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting._arrays import names_of
 from skdgp.plotting._style import check_matplotlib, panels, scale_beside, symbol
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from skdgp._clock import flight_rows
-from skdgp._validation import check_columns, check_table
+from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.clock import flight_rows
 from skdgp.plotting._arrays import check_time, choose
 from skdgp.plotting._envelope import line_points
 from skdgp.plotting._ground_path import ground_path

@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
-from skdgp._validation import check_names
+from skdgp._flight.checks import check_names
 from skdgp.plotting._arrays import choose
 from skdgp.plotting._style import PALETTE, axis_label, check_matplotlib, display_unit, panels, tidy
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
-from skdgp._validation import check_columns
+from skdgp._flight.checks import check_columns
 
 PATH_POINTS = 600
 """Points of one flight's path; more than a picture resolves."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._validation import check_columns
+from skdgp._flight.checks import check_columns
 from skdgp.plotting._arrays import check_columns_of, check_std, check_time, choose, names_of
 from skdgp.plotting._comparison import Comparison, check_level, draw_comparison
 from skdgp.plotting._style import PALETTE, axis_label, check_matplotlib, display_unit, legend_above, panels, tidy

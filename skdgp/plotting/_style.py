@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._vocabulary import CHANNELS, COEFFICIENTS, LONGITUDINAL
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
 
 # Okabe & Ito (2008), Color Universal Design.
 PALETTE = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._validation import check_columns
+from skdgp._flight.checks import check_columns
 from skdgp.plotting._comparison import check_level
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, legend_above, panels, tidy
 

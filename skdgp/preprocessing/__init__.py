@@ -7,12 +7,12 @@
 ... )
 """
 
-from skdgp._faults import FlightDataWarning
+from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._check import FlightCheck, inspect_flight
 from skdgp.preprocessing._elevons import ElevonSplitter
 from skdgp.preprocessing._lag import LagCorrector
 from skdgp.preprocessing._rates import RateNondimensionalizer
-from skdgp.preprocessing._reconstruction import FlightPathReconstruction
+from skdgp.preprocessing._reconstruction.reconstruction import FlightPathReconstruction
 from skdgp.preprocessing._selector import RegressorSelector
 from skdgp.preprocessing._smoother import FlightSmoother
 

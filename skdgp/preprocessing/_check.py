@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from sklearn.utils._param_validation import Interval
 
-from skdgp._clock import check_clock, flight_segments, part_restarts
-from skdgp._fault_signs import usual_spacing
-from skdgp._faults import POSSIBLE, Finding, FlightDataWarning, find_faults, told, without_faults
-from skdgp._validation import check_columns, check_table
+from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.clock import check_clock, flight_segments, part_restarts
+from skdgp._flight.fault_detectors import usual_spacing
+from skdgp._flight.faults import POSSIBLE, Finding, FlightDataWarning, find_faults, told, without_faults
 from skdgp.preprocessing._smoother import WRAPPED, _rewrapped, _unwrapped
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from skdgp._validation import check_columns
+from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
 DISAGREEMENT = 1e-3  # rad: more than rounding of a log

@@ -10,11 +10,11 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 from sklearn.utils._param_validation import StrOptions
 
-from skdgp._clock import flight_codes, flight_segments, uniform_grid
-from skdgp._validation import check_columns
-from skdgp.preprocessing._flight_log import NEEDED
+from skdgp._flight.checks import check_columns
+from skdgp._flight.clock import flight_codes, flight_segments, uniform_grid
 from skdgp.preprocessing._lag_estimate import FORCE, RATE, SURFACES, UNKNOWN, Lag, air_lag, stretches, surface_lag
-from skdgp.preprocessing._reconstruction import FlightPathReconstruction
+from skdgp.preprocessing._reconstruction.flight_log import NEEDED
+from skdgp.preprocessing._reconstruction.reconstruction import FlightPathReconstruction
 from skdgp.preprocessing._smoother import WRAPPED, _rewrapped, _unwrapped
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import linalg, signal
 from scipy.interpolate import CubicSpline
 
-from skdgp._clock import check_clock, runs_by_flight, uniform_grid
+from skdgp._flight.clock import check_clock, runs_by_flight, uniform_grid
 from skdgp.preprocessing._table import numeric
 
 Floats = NDArray[np.float64]

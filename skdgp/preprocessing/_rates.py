@@ -7,7 +7,7 @@ from numbers import Real
 import numpy as np
 from sklearn.utils._param_validation import Interval
 
-from skdgp._validation import check_columns
+from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
 RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from sklearn.utils._param_validation import StrOptions
 
-from skdgp._faults import FlightDataWarning
-from skdgp._validation import check_columns
-from skdgp._vocabulary import TRUTH_SUFFIX
+from skdgp._flight.channels import TRUTH_SUFFIX
+from skdgp._flight.checks import check_columns
+from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._rates import SUFFIX
 from skdgp.preprocessing._table import TableTransformer, numeric
 

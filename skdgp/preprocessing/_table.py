@@ -11,9 +11,9 @@ from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin, _fit_context
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
-from skdgp._callbacks import CallbackSupportMixin, FitTask
-from skdgp._validation import check_table
-from skdgp._vocabulary import CHANNELS
+from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
+from skdgp._flight.channels import CHANNELS
+from skdgp._flight.checks import check_table
 
 
 class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None):

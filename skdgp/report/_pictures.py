@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import (
     CalibrationDisplay,
     CoefficientDisplay,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._vocabulary import LATERAL, LONGITUDINAL
+from skdgp._flight.channels import LATERAL, LONGITUDINAL
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _pictures as pictures
 from skdgp.report import _views as views

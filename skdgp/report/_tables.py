@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 import pandas as pd
 
-from skdgp._vocabulary import COEFFICIENTS, LATERAL, LONGITUDINAL
+from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.plotting._style import display_unit
 
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}

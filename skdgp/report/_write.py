@@ -6,7 +6,7 @@ import os
 from datetime import datetime
 from pathlib import Path
 
-from skdgp._files import write_atomically
+from skdgp._compute.files import write_atomically
 from skdgp.plotting._style import check_matplotlib
 from skdgp.report import _sections as sections
 from skdgp.report._charts import POLICY, SCRIPT

@@ -26,7 +26,7 @@ from _fuzzing import Campaign, Difference, only
 from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
-from skdgp._linalg import JitterWarning
+from skdgp._compute.linalg import JitterWarning
 from skdgp.inference import Data
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._samples import data_of

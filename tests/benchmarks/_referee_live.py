@@ -19,7 +19,7 @@ from skdgp.dynamics import (
     rk4,
     standard_atmosphere,
 )
-from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 
 CHANNELS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
 EARTH_RADIUS = 6356766.0  # m, of the standard atmosphere's geopotential altitude

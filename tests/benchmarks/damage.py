@@ -20,8 +20,8 @@ import numpy as np
 from _common import finish, parser_of
 
 from skdgp.io import FlightReadError
-from skdgp.io._dataflash import DEFINITIONS, read_dataflash
-from skdgp.io._ulog import read_ulog
+from skdgp.io._autopilot.dataflash import DEFINITIONS, read_dataflash
+from skdgp.io._autopilot.ulog import read_ulog
 
 LOGS = {
     "ULog": ("pyulog_sample_log_small_vtol_bench.ulg", read_ulog),

@@ -21,11 +21,11 @@ from _common import finish, parser_of, show
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.datasets._brumby import brumby_derivatives
 from skdgp.dynamics import Aerodynamics, aerodynamic_coefficients, linearize, stability_derivatives, trim
-from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._equations.motion import Motion
 from skdgp.model_selection import thin_targets
 
 AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0

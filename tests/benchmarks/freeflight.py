@@ -27,7 +27,7 @@ from _common import finish, parser_of
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aircraft,

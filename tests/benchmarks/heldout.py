@@ -25,7 +25,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._progress import listening
+from skdgp._compute.progress import listening
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import read_flight
 from skdgp.metrics import normalized_rmse

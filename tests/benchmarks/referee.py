@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from _common import finish, parser_of
 
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import (
     Aircraft,
     aerodynamic_loads,
@@ -29,7 +29,7 @@ from skdgp.dynamics import (
     propulsive_loads,
     rigid_body_derivative,
 )
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY
 from skdgp.io import read_flight
 
 CHANNELS = ("ax", "ay", "az", "u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")

@@ -18,7 +18,7 @@ import numpy as np
 from _common import finish, interleaved, parser_of
 from joblib import parallel_config
 
-from skdgp._parallel import share_map, sharing
+from skdgp._compute.parallel import share_map, sharing
 from skdgp.inference import Data, SparsePosterior, shares_of
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from skdgp._cli import _outputs, _predict, _writers, main
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
 from skdgp.identification import load_model, predict_flight, save_model
 

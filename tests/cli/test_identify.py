@@ -21,13 +21,13 @@ import pandas as pd
 import pytest
 
 from skdgp import checkpointing, datasets
-from skdgp._cli import _evaluation, _job, _outputs, _source, main
+from skdgp._cli import _job, _outputs, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._folder import OutputFolder
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import load_model, predict_flight
+from skdgp.identification import _evaluation, _source, load_model, predict_flight
 from skdgp.metrics import interval_coverage, median_relative_error
 
 # Fits cut short to be quick say so.

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from skdgp._vocabulary import COEFFICIENTS, LATERAL
+from skdgp._flight.channels import COEFFICIENTS, LATERAL
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 
 TYPICAL = np.array([0.12, -0.06, 0.02, 0.004, -0.015, 0.002, 0.004, -0.05, 0.04, 0.10])

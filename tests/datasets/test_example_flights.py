@@ -11,7 +11,7 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.linear_model import LinearRegression
 from sklearn.preprocessing import StandardScaler
 
-from skdgp._vocabulary import CHANNELS, COEFFICIENTS
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp.datasets import _example_flights, load_example_flights
 from skdgp.datasets._sensors import SENSOR_NOISE
 from skdgp.dynamics import aerodynamic_coefficients, air_data, euler_to_matrix

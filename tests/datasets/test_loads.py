@@ -5,7 +5,7 @@ import pytest
 
 from skdgp.datasets._loads import loads
 from skdgp.dynamics import euler_to_quaternion, ned_to_body, standard_density
-from skdgp.dynamics._gusts import Gusts
+from skdgp.dynamics._simulation.gusts import Gusts
 
 STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15]
 CONTROLS = np.array([0.04, -0.09, 0.08, 640.0])

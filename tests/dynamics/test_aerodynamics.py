@@ -10,7 +10,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from skdgp import DependentGPRegressor
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aerodynamics, as_aerodynamics
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector

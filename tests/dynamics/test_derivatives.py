@@ -7,7 +7,7 @@ import pytest
 from skdgp import DependentGPRegressor
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, stability_derivatives, trim
-from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._equations.motion import Motion
 
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
 NAMES = [f"{name}_hat" if name in HATS else name for name in REGRESSORS]

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._vocabulary import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 
 COEFFICIENTS = list(COEFFICIENTS)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from skdgp._flight.frames import quaternion_rate
 from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body
-from skdgp.dynamics._frames import quaternion_rate
-from skdgp.dynamics._jacobian import ERRORS, OUTPUTS, jacobian
-from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._control.jacobian import ERRORS, OUTPUTS, jacobian
+from skdgp.dynamics._equations.motion import Motion
 
 WIND, WIND_RATE = np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3])
 QUASI_STEADY = ["alpha", "beta", "p_hat", "q", "r_hat", "airspeed", "phi", "elevator", "thrust"]

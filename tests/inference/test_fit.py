@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from skdgp._progress import listening
+from skdgp._compute.progress import listening
 from skdgp.inference import Data, _fit, _singles, fit_exact, fit_sparse, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

@@ -5,7 +5,7 @@ import pytest
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor
-from skdgp._progress import listening
+from skdgp._compute.progress import listening
 from skdgp.inference import Data, _fit, choose_kernel, fit_exact, log_likelihood
 from skdgp.kernels import ConvolvedGaussian
 

@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._vocabulary import CHANNELS
+from skdgp._flight.channels import CHANNELS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, standard_atmosphere
 from skdgp.io import FlightReadError, read_flight, read_flights
-from skdgp.io._rules import EQUIVALENT, QUATERNION, RULES, standard_density, standard_pressure
+from skdgp.io._autopilot.rules import EQUIVALENT, QUATERNION, RULES, standard_density, standard_pressure
 from skdgp.preprocessing import FlightDataWarning
 
 SURFACES = ("aileron", "elevator", "rudder")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from skdgp._cli import main
-from skdgp._cli._source import read_named
-from skdgp.dynamics import _inverse
+from skdgp.dynamics._equations import inverse as _inverse
+from skdgp.identification._source import read_named
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS
-from skdgp.preprocessing import _flight_log
+from skdgp.preprocessing._reconstruction import flight_log as _flight_log
 from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 SERVOS = {

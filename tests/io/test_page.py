@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from skdgp.io import _autopilot, _rules
-from skdgp.io._servos import read_servos
+from skdgp.io._autopilot import autopilot as _autopilot
+from skdgp.io._autopilot import rules as _rules
+from skdgp.io._autopilot.servos import read_servos
 
 PAGE = (Path(__file__).parents[2] / "docs" / "autopilot_logs.md").read_text(encoding="utf-8")
 

@@ -8,9 +8,9 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
-from skdgp._cli._rows import checked
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification._rows import checked
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import (
     FlightCheck,

@@ -7,11 +7,19 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
-from skdgp._faults import FlightDataWarning
+from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing import FlightPathReconstruction, FlightSmoother
-from skdgp.preprocessing._bordered import Prior, Rows, solve
-from skdgp.preprocessing._flight_log import NEEDED, first_guess, flight_logs
-from skdgp.preprocessing._kinematics import CONSTANTS, PLACE, SENSORS, air_data, air_data_rates, looks, ties
+from skdgp.preprocessing._reconstruction.bordered import Prior, Rows, solve
+from skdgp.preprocessing._reconstruction.flight_log import NEEDED, first_guess, flight_logs
+from skdgp.preprocessing._reconstruction.kinematics import (
+    CONSTANTS,
+    PLACE,
+    SENSORS,
+    air_data,
+    air_data_rates,
+    looks,
+    ties,
+)
 
 GRAVITY = 9.80665
 SHEET = {
@@ -231,7 +239,7 @@ class TestHonesty:
     def test_windows_leave_no_seam(self, monkeypatch):
         table = flown(20.0, lags={"alpha": 0.1, "beta": 0.1})
         whole = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
-        monkeypatch.setattr("skdgp.preprocessing._flight_path.WINDOW", 120)
+        monkeypatch.setattr("skdgp.preprocessing._reconstruction.flight_path.WINDOW", 120)
         parts = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
         assert parts.sensors_["vane_lag"] == pytest.approx(whole.sensors_["vane_lag"], rel=1e-6)
         assert parts.error_std_ == pytest.approx(whole.error_std_, rel=1e-6)

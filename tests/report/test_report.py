@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
-from skdgp._vocabulary import COEFFICIENTS, LATERAL
+from skdgp._flight.channels import COEFFICIENTS, LATERAL
 from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report

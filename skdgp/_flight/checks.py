@@ -1,0 +1,235 @@
+"""Checks at the door: what was got, what was expected, what to do."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+import numpy as np
+import pandas as pd
+
+from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
+from skdgp._flight.clock import flight_codes, flight_segments
+
+LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
+SLACK = 0.05
+"""Noise that may carry an angle over its largest value [rad]."""
+FASTEST = 50.0
+"""Rates beyond this [rad/s], eight turns a second, are in other units."""
+
+
+def check_table(table, *, what: str = "flight") -> pd.DataFrame:
+    """Return ``table`` if it is a DataFrame with named, unique columns and at least one row.
+
+    Raises
+    ------
+    TypeError
+        If it is not a DataFrame.
+    ValueError
+        If it has no rows or a column name stands twice.
+    """
+    if not isinstance(table, pd.DataFrame):
+        raise TypeError(
+            f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named columns "
+            "(one row per sample): build one with skdgp.io.read_flight or pandas.DataFrame, or convert another "
+            "library's with its to_pandas()."
+        )
+    if len(table) == 0:
+        raise ValueError(f"Got {what} with no rows, but expected at least one sample.")
+    twice = table.columns[table.columns.duplicated()].unique().tolist()
+    if twice:
+        raise ValueError(f"Got {what} with repeated columns {twice}, but expected each name once: drop one.")
+    return table
+
+
+def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "flight") -> None:
+    """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
+    lacking = _lacking(needed, [str(column) for column in table.columns])
+    if lacking:
+        raise ValueError(
+            f"The {_named(table, what)} lacks the columns {lacking}. "
+            "Rename or compute them; docs/notation.md lists every name with its unit."
+        )
+
+
+def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
+    """Raise a ValueError that tells which of the ``needed`` names are not among those there are, and the nearest."""
+    have = [str(name) for name in have]
+    lacking = _lacking(needed, have)
+    if lacking:
+        raise ValueError(f"The {what} lack {lacking}: got {have}. docs/notation.md lists every name with its unit.")
+
+
+def _lacking(needed, have) -> str:
+    """Return what is missing, each with the nearest name that there is; empty if nothing is."""
+    hints = []
+    for name in dict.fromkeys(needed):
+        if name not in have:
+            near = get_close_matches(name, have, n=1, cutoff=0.75)
+            hints.append(f"{name!r} (nearest: {near[0]!r})" if near else f"{name!r}")
+    return ", ".join(hints)
+
+
+def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
+    """Raise a ValueError if one of the ``names``, angles and rates, holds what no radians can be; absent ones pass."""
+    for name in names:
+        values = np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
+        if not np.isfinite(values).any():
+            continue
+        top = np.nanmax(values)
+        if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + SLACK:
+            raise ValueError(
+                f"Got {name} up to {top:g}, but expected radians, at most {LARGEST_ANGLE[name]:.3f}: if these are "
+                f"degrees, use numpy.deg2rad(flight[{name!r}])."
+            )
+        if name in ("p", "q", "r") and top > FASTEST:
+            raise ValueError(
+                f"Got |{name}| up to {top:g}, but expected rad/s ({FASTEST:g} rad/s is eight turns a second): if these "
+                f"are degrees per second, use numpy.deg2rad(flight[{name!r}])."
+            )
+
+
+def _named(table, what) -> str:
+    """Return what a table is, with the name of the flight where it holds one."""
+    if what != "flight" or "flight" not in table:
+        return what
+    names = table["flight"].astype(str).unique()
+    return f"flight {names[0]!r}" if len(names) == 1 else what
+
+
+def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
+    """Return the contiguous stretches of a flight table that has the ``needed`` columns in SI units.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or not numeric, time does not increase within a flight, airspeed is not
+        positive, or values are impossible in SI units.
+
+    Warns
+    -----
+    UserWarning
+        If values are possible but smell of another unit or sign.
+    """
+    check_columns(check_table(flight), needed)
+    for name in needed:
+        if not pd.api.types.is_numeric_dtype(flight[name]):
+            raise ValueError(f"Got column {name!r} of type {flight[name].dtype}, but expected numbers.")
+    segments = flight_segments(flight["time"].to_numpy(float), flight.get("flight"))
+    for check in (_airspeed, _density, _angles, _rates, _accelerations):
+        check(flight)
+    return segments
+
+
+def _airspeed(flight: pd.DataFrame) -> None:
+    airspeed = _values(flight, "airspeed")
+    bad = np.flatnonzero(airspeed <= 0)
+    if bad.size:
+        raise ValueError(
+            f"Got airspeed {airspeed[bad[0]]:g} m/s at row {bad[0]} and {bad.size} rows with airspeed <= 0, but "
+            "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the ground, e.g. "
+            "flight[flight.airspeed > 5], or set the airspeed of those rows to NaN."
+        )
+    slow = airspeed < 0.2 * np.nanmedian(airspeed) if _seen(airspeed) else np.array([False])
+    if slow.any():
+        _warn(
+            f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its median "
+            f"({np.nanmedian(airspeed):.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on "
+            "the ground still in the flight? Cut it, e.g. flight[flight.airspeed > 5]."
+        )
+    ground = np.sqrt(sum(_values(flight, name) ** 2 for name in ("v_north", "v_east", "v_down")))
+    ratio = np.nanmedian(airspeed) / np.nanmedian(ground) if _seen(airspeed) and _seen(ground) else 1.0
+    if not 0.5 < ratio < 1.8:
+        _warn(
+            f"The median airspeed is {ratio:.2f} times the median ground speed, but both should be m/s (1.94: "
+            "airspeed in knots; 3.6: in km/h). Ignore this only if the wind was that strong."
+        )
+
+
+def _density(flight: pd.DataFrame) -> None:
+    density = _values(flight, "density")
+    if not _seen(density):
+        return
+    middle = np.nanmedian(density)
+    if not 0.05 < middle < 2.5 or np.nanmin(density) <= 0:
+        raise ValueError(
+            f"Got density from {np.nanmin(density):g} to {np.nanmax(density):g}, but expected air in kg/m^3 (1.225 "
+            "at sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
+        )
+    altitude = _values(flight, "altitude")
+    if _seen(altitude) and LOWEST <= np.nanmedian(altitude) <= HIGHEST:
+        standard = float(standard_density(np.nanmedian(altitude)))
+        if not 0.8 < middle / standard < 1.25:
+            _warn(
+                f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of the standard "
+                f"atmosphere at the median altitude {np.nanmedian(altitude):.0f} m: check the units of both."
+            )
+
+
+def _angles(flight: pd.DataFrame) -> None:
+    check_radians(flight, LARGEST_ANGLE)
+    for name in ("alpha", "beta"):
+        values = np.abs(_values(flight, name))
+        if _seen(values) and np.nanmedian(values) > 0.7:
+            _warn(
+                f"The median |{name}| is {np.nanmedian(values):.2f} rad ({np.rad2deg(np.nanmedian(values)):.0f} "
+                "deg), but expected radians: these look like degrees."
+            )
+
+
+def _rates(flight: pd.DataFrame) -> None:
+    check_radians(flight, ("p", "q", "r"))
+    turned, gyro = _roll_over_a_second(flight)
+    if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
+        raise ValueError(
+            f"The roll rate p integrates to {gyro / turned:.3g} times the change of phi, but expected about 1: one "
+            "of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad on it, and on q and r as on p."
+        )
+
+
+def _roll_over_a_second(flight: pd.DataFrame) -> tuple[float, float]:
+    """Return the root mean squares of the change of phi in a second, and of p integrated over it."""
+    phi, p, time = (_values(flight, name) for name in ("phi", "p", "time"))
+    if not (_seen(phi) and _seen(p) and len(flight) > 2):
+        return 0.0, 0.0
+    step = np.nanmedian(np.diff(time))
+    lag = int(min(max(round(1.0 / step), 1), len(flight) - 1))
+    codes = flight_codes(flight["flight"])[0] if "flight" in flight else np.zeros(len(flight))
+    whole = (codes[lag:] == codes[:-lag]) & (np.abs(time[lag:] - time[:-lag] - lag * step) < step)
+    change = np.angle(np.exp(1j * (phi[lag:] - phi[:-lag])))[whole]
+    integral = np.convolve(p, np.ones(lag), mode="valid")[: len(phi) - lag][whole] * step
+    good = np.isfinite(change) & np.isfinite(integral)
+    if not good.any():
+        return 0.0, 0.0
+    return float(np.sqrt(np.mean(change[good] ** 2))), float(np.sqrt(np.mean(integral[good] ** 2)))
+
+
+def _accelerations(flight: pd.DataFrame) -> None:
+    specific = np.stack([_values(flight, name) for name in ("ax", "ay", "az")], axis=-1)
+    size = np.linalg.norm(specific, axis=-1)
+    if not _seen(size):
+        return
+    if not 3.0 < np.nanmedian(size) < 300.0:
+        _warn(
+            f"The median specific force |(ax, ay, az)| is {np.nanmedian(size):.3g} m/s^2, but level flight gives 9.8: "
+            "multiply by 9.80665 if these are g; if gravity was taken out of them, put it back (an accelerometer "
+            "reads specific force)."
+        )
+    elif np.nanmedian(specific[:, 2]) > 3.0:
+        _warn(
+            f"The median az is {np.nanmedian(specific[:, 2]):+.2f} m/s^2, but z points down and level flight gives "
+            "about -9.8: change the signs of ay and az if the sensor's z points up."
+        )
+
+
+def _values(flight: pd.DataFrame, name: str) -> np.ndarray:
+    return flight[name].to_numpy(float) if name in flight else np.full(len(flight), np.nan)
+
+
+def _seen(values: np.ndarray) -> bool:
+    return bool(np.isfinite(values).any())
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, UserWarning, stacklevel=5)

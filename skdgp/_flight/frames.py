@@ -1,0 +1,195 @@
+"""Frames: attitude (Euler angles, quaternions, rotation matrices) and air data, vectorised over leading axes.
+
+Body axes: x forward, y right, z down. Earth axes: north, east, down (NED), flat and not rotating.
+Quaternions are scalar first and turn body vectors into NED vectors; ``q`` and ``-q`` are the same attitude.
+A quaternion need not have unit length anywhere here: its length is divided out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+__all__ = [
+    "air_data",
+    "air_velocity",
+    "body_to_ned",
+    "euler_per_rotation",
+    "euler_to_matrix",
+    "euler_to_quaternion",
+    "gravity_in_body_axes",
+    "ned_to_body",
+    "quaternion_rate",
+    "quaternion_to_euler",
+    "quaternion_to_matrix",
+]
+
+
+def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
+    """Return the unit quaternions (..., 4), body to NED, of roll, pitch and heading [rad].
+
+    The rotation order is yaw, pitch, roll (Stevens, Lewis & Johnson 2016, section 1.8).
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import euler_to_quaternion, quaternion_to_euler
+    >>> quaternion_to_euler(euler_to_quaternion(0.3, -0.2, 1.5)).round(12)
+    array([ 0.3, -0.2,  1.5])
+    """
+    phi, theta, psi = (0.5 * np.asarray(angle, dtype=float) for angle in (phi, theta, psi))
+    (c_phi, c_theta, c_psi), (s_phi, s_theta, s_psi) = ([f(phi), f(theta), f(psi)] for f in (np.cos, np.sin))
+    return np.stack(
+        np.broadcast_arrays(
+            c_phi * c_theta * c_psi + s_phi * s_theta * s_psi,
+            s_phi * c_theta * c_psi - c_phi * s_theta * s_psi,
+            c_phi * s_theta * c_psi + s_phi * c_theta * s_psi,
+            c_phi * c_theta * s_psi - s_phi * s_theta * c_psi,
+        ),
+        axis=-1,
+    )
+
+
+def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
+    """Return (phi, theta, psi) [rad], (..., 3), of quaternions (..., 4).
+
+    Roll and heading lie in [-pi, pi], pitch in [-pi/2, pi/2].
+    """
+    q0, q1, q2, q3 = _components(quaternion)
+    norm2 = q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3
+    phi = np.arctan2(2.0 * (q0 * q1 + q2 * q3), q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3)
+    theta = np.arcsin(np.clip(2.0 * (q0 * q2 - q1 * q3) / norm2, -1.0, 1.0))
+    psi = np.arctan2(2.0 * (q0 * q3 + q1 * q2), q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3)
+    return _vector(phi, theta, psi)
+
+
+def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
+    """Return the rotation matrices (..., 3, 3) that take body vectors to NED, of quaternions (..., 4)."""
+    q0, q1, q2, q3 = _components(quaternion)
+    s = 2.0 / (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    rows = (
+        (1.0 - s * (q2 * q2 + q3 * q3), s * (q1 * q2 - q0 * q3), s * (q1 * q3 + q0 * q2)),
+        (s * (q1 * q2 + q0 * q3), 1.0 - s * (q1 * q1 + q3 * q3), s * (q2 * q3 - q0 * q1)),
+        (s * (q1 * q3 - q0 * q2), s * (q2 * q3 + q0 * q1), 1.0 - s * (q1 * q1 + q2 * q2)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def euler_to_matrix(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
+    """Return the rotation matrices (..., 3, 3) that take body vectors to NED, of Euler angles [rad]."""
+    return quaternion_to_matrix(euler_to_quaternion(phi, theta, psi))
+
+
+def body_to_ned(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
+    """Return body vectors (..., 3) in NED axes, at the attitude of ``quaternion`` (..., 4)."""
+    return _turn(_components(quaternion), vector)
+
+
+def ned_to_body(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
+    """Return NED vectors (..., 3) in body axes, at the attitude of ``quaternion`` (..., 4)."""
+    q0, q1, q2, q3 = _components(quaternion)
+    return _turn((q0, -q1, -q2, -q3), vector)
+
+
+def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
+    """Return d (phi, theta, psi) / d (small body rotation), (..., 3, 3): of body rates it makes Euler angles' rates."""
+    phi, theta = np.broadcast_arrays(np.asarray(phi, dtype=float), np.asarray(theta, dtype=float))
+    sine, cosine = np.sin(phi), np.cos(phi)
+    matrix = np.zeros((*phi.shape, 3, 3))
+    matrix[..., 0, 0] = 1.0
+    matrix[..., 0, 1], matrix[..., 0, 2] = sine * np.tan(theta), cosine * np.tan(theta)
+    matrix[..., 1, 1], matrix[..., 1, 2] = cosine, -sine
+    matrix[..., 2, 1], matrix[..., 2, 2] = sine / np.cos(theta), cosine / np.cos(theta)
+    return matrix
+
+
+def quaternion_rate(quaternion: ArrayLike, rates: ArrayLike) -> np.ndarray:
+    """Return d quaternion / dt = 1/2 quaternion * (0, p, q, r), (..., 4), for body rates (..., 3) [rad/s]."""
+    q0, q1, q2, q3 = _components(quaternion)
+    p, q, r = _components(rates)
+    return 0.5 * np.stack(
+        np.broadcast_arrays(
+            -q1 * p - q2 * q - q3 * r,
+            q0 * p + q2 * r - q3 * q,
+            q0 * q + q3 * p - q1 * r,
+            q0 * r + q1 * q - q2 * p,
+        ),
+        axis=-1,
+    )
+
+
+def gravity_in_body_axes(phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = 9.80665) -> np.ndarray:
+    """Return gravity in body axes, g (-sin theta, sin phi cos theta, cos phi cos theta), (..., 3) [m/s^2]."""
+    phi, theta, gravity = (np.asarray(x, dtype=float) for x in (phi, theta, gravity))
+    return np.stack(
+        np.broadcast_arrays(
+            -gravity * np.sin(theta),
+            gravity * np.sin(phi) * np.cos(theta),
+            gravity * np.cos(phi) * np.cos(theta),
+        ),
+        axis=-1,
+    )
+
+
+def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return airspeed [m/s], alpha and beta [rad] of body velocities (..., 3) relative to the air.
+
+    ``V = |v|``, ``alpha = atan2(w, u)``, ``beta = asin(v / V)``.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import air_data, air_velocity
+    >>> [float(x.round(12)) for x in air_data(air_velocity(30.0, 0.1, -0.05))]
+    [30.0, 0.1, -0.05]
+    """
+    u, v, w = _components(velocity)
+    # atan2 keeps beta accurate near 90 degrees and defined at rest, where asin(v / V) is neither.
+    return np.sqrt(u * u + v * v + w * w), np.arctan2(w, u), np.arctan2(v, np.hypot(u, w))
+
+
+def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.ndarray:
+    """Return the body velocity relative to the air, V (cos a cos b, sin b, sin a cos b), (..., 3) [m/s]."""
+    airspeed, alpha, beta = (np.asarray(x, dtype=float) for x in (airspeed, alpha, beta))
+    return np.stack(
+        np.broadcast_arrays(
+            airspeed * np.cos(alpha) * np.cos(beta),
+            airspeed * np.sin(beta),
+            airspeed * np.sin(alpha) * np.cos(beta),
+        ),
+        axis=-1,
+    )
+
+
+def _components(vector: ArrayLike) -> tuple:
+    """Return the components along the last axis: of one vector plain numbers, which are fastest."""
+    vector = np.asarray(vector, dtype=float)
+    return tuple(vector.tolist()) if vector.ndim == 1 else tuple(vector[..., k] for k in range(vector.shape[-1]))
+
+
+def _vector(*components) -> np.ndarray:
+    """Return the components as vectors (..., k)."""
+    if all(isinstance(component, float) for component in components):
+        return np.array(components)
+    return np.stack(np.broadcast_arrays(*components), axis=-1)
+
+
+def _turn(quaternion: tuple, vector: ArrayLike) -> np.ndarray:
+    """Return vector + s q0 (e x vector) + s e x (e x vector), e the vector part and s = 2 / |q|^2."""
+    q0, e1, e2, e3 = quaternion
+    x, y, z = _components(vector)
+    s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
+    cx, cy, cz = s * (e2 * z - e3 * y), s * (e3 * x - e1 * z), s * (e1 * y - e2 * x)
+    return _vector(
+        x + q0 * cx + e2 * cz - e3 * cy,
+        y + q0 * cy + e3 * cx - e1 * cz,
+        z + q0 * cz + e1 * cy - e2 * cx,
+    )
+
+
+def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:
+    """Return the same attitudes with signs such that neighbours are near each other; NaN rows stay."""
+    known = np.isfinite(quaternions).all(axis=1)
+    some = quaternions[known]
+    turns = np.cumsum(np.r_[0, (some[1:] * some[:-1]).sum(axis=1) < 0])
+    result = quaternions.copy()
+    result[known] = some * np.where(turns % 2, -1.0, 1.0)[:, None]
+    return result

@@ -1,0 +1,221 @@
+"""Stability and control derivatives: the slopes of a model at a flight, as flight engineers read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp.dynamics._control.jacobian import check_settled
+from skdgp.dynamics._control.linearize import check_paths, flight_point
+from skdgp.dynamics._control.trim import Trim
+from skdgp.dynamics._equations.motion import ACCELERATION_LENGTHS, HAT, LENGTHS, Motion
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
+from skdgp.dynamics._vehicle.aircraft import Aircraft
+
+__all__ = ["stability_derivatives"]
+
+ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
+TURNED = (("p", "r"), ("p_dot", "r_dot"))
+"""Rates about the x and the z axis, which turn with the axes."""
+NORMAL_95 = 1.959963984540054
+
+
+def stability_derivatives(
+    model,
+    aircraft: Aircraft,
+    point: Trim | Sequence[Trim] | ArrayLike,
+    controls: Mapping[str, ArrayLike] | None = None,
+    *,
+    axes: str = "body",
+    n_paths: int = 200,
+    random_state=0,
+    thrust="auto",
+    gravity: float = STANDARD_GRAVITY,
+    density=None,
+) -> pd.DataFrame:
+    r"""Return the coefficients and their derivatives at a flight, or at several, and how sure the model is of them.
+
+    Derivatives by rates are by the non-dimensional ones, :math:`pb/2V`, :math:`qc/2V`, :math:`rb/2V`,
+    :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever the model was given (Stevens, Lewis & Johnson 2016,
+    section 2.3). Lift and drag follow from
+
+    .. math:: C_L = C_X \sin\alpha - C_Z \cos\alpha, \quad C_D = -C_X \cos\alpha - C_Z \sin\alpha, \quad
+        C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D
+
+    as their axes turn with alpha. Stability axes are the body's, turned to the alpha of the flight and fixed there:
+    in them are then the moments, and the rates p and r.
+
+    Parameters
+    ----------
+    model : Aerodynamics, Pipeline or estimator
+        As for :func:`skdgp.dynamics.as_aerodynamics`.
+    aircraft : Aircraft
+    point : Trim, array-like of shape (13,), or several of them
+        Where: trims, or states (`STATE_NAMES`) with their ``controls``.
+    controls : mapping of str to float or array-like of shape (n,), optional
+    axes : {"body", "stability"}
+        "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
+    n_paths : int
+        How many functions of the posterior tell the standard deviations, each with a relative error of
+        1 / sqrt(2 n_paths); 0: no deviations. One function has all its derivatives together, so their sums are told
+        rightly too. A model without a posterior has none.
+    random_state : int, RandomState instance or None
+        Of these.
+    thrust, gravity, density
+        As for :func:`skdgp.dynamics.simulate`; they tell the regressors that follow from the loads, if there are any.
+
+    Returns
+    -------
+    DataFrame
+        A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``), with columns
+        ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``, ``regressor``, and ``per``, the unit of
+        the regressor. Several points have an outer level ``point``, and columns ``airspeed``, ``alpha``, ``beta``.
+
+    Raises
+    ------
+    ValueError
+        If axes are unknown, or the model is not defined there.
+
+    Notes
+    -----
+    A model without alpha_dot and beta_dot gives the rates what these do, as far as they went together in the flights:
+    its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot, its Cn_r between Cn_r and Cn_r - Cn_beta_dot cos(alpha), its
+    Cn_p between Cn_p and Cn_p + Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1; docs/control.md).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, stability_derivatives
+    >>> def linear(X):
+    ...     alpha, q, elevator = X.T
+    ...     zero = 0 * alpha
+    ...     return np.stack([-0.04 + 0.3 * alpha, zero, -0.3 - 4.5 * alpha - 0.4 * elevator, zero,
+    ...                      0.02 - 0.6 * alpha - 0.12 * q - elevator, zero], axis=-1)
+    >>> glider = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
+    >>> state = np.array([0, 0, -100, 20, 0, 0, 1, 0, 0, 0, 0, 0, 0])
+    >>> table = stability_derivatives(Aerodynamics(linear, ["alpha", "q", "elevator"]), glider, state,
+    ...                               {"elevator": 0.0}, thrust=None)
+    >>> table.loc[["CL", "CL_alpha", "CD", "Cm_q", "Cm_elevator"], "value"].round(3).to_dict()
+    {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
+    """
+    if axes not in ROWS:
+        raise ValueError(f"Got axes={axes!r}, but expected one of {list(ROWS)}.")
+    motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
+    states, controls, single = _points(motion, point, controls)
+    now = motion.at(states, controls)
+    check_settled(now)
+    X, frame = now.regressors, _Frame(motion, now, axes)
+    values = frame(now.coefficients, motion.aerodynamics.gradient(X))
+    if not np.isfinite(values).all():
+        raise ValueError("Got coefficients or slopes that are not finite: the model is not defined there.")
+    std = None
+    if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
+        drawn = motion.aerodynamics.sample(n_paths, random_state)
+        each = np.broadcast_to(X, (n_paths, *X.shape))
+        std = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
+    tables = [frame.table(values[k], None if std is None else std[k]) for k in range(len(states))]
+    if single:
+        return tables[0]
+    for k, table in enumerate(tables):
+        for place, name in enumerate(("airspeed", "alpha", "beta")):
+            table.insert(place, name, float(getattr(now, name)[k]))
+    return pd.concat(tables, keys=range(len(tables)), names=["point", None])
+
+
+class _Frame:
+    """From coefficients and slopes in body axes, by the model's regressors, to rows and columns of the table."""
+
+    def __init__(self, motion: Motion, now, axes: str):
+        self.rows, self.alpha, self.stability = ROWS[axes], now.alpha, axes == "stability"
+        self.turn = _axes(now.alpha, self.rows, self.stability)
+        self.columns = list(motion.regressors)
+        self.scale = np.stack([_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1)
+        self.added = []
+        if self.stability:
+            have = set(self.columns)
+            self.added = [n for pair in TURNED if have & set(pair) for n in pair if n not in have]
+        self.columns += self.added
+
+    def __call__(self, coefficients, slopes) -> np.ndarray:
+        """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
+        C = self.turn @ coefficients[..., None]
+        S = self.turn @ (slopes * self.scale[:, None, :])
+        S = np.concatenate([S, np.zeros((*S.shape[:-1], len(self.added)))], axis=-1)
+        if "alpha" in self.columns:
+            lift, drag, k = (*(self.rows.index(name) for name in ("CL", "CD")), self.columns.index("alpha"))
+            S[..., lift, k] -= C[..., drag, 0]
+            S[..., drag, k] += C[..., lift, 0]
+        if self.stability:
+            sin, cos = np.sin(self.alpha)[:, None], np.cos(self.alpha)[:, None]
+            for pair in TURNED:
+                if set(pair) <= set(self.columns):
+                    x, z = map(self.columns.index, pair)
+                    about_x, about_z = S[..., x].copy(), S[..., z].copy()
+                    S[..., x], S[..., z] = cos * about_x + sin * about_z, cos * about_z - sin * about_x
+        return np.concatenate([C, S], axis=-1)
+
+    def table(self, values, std) -> pd.DataFrame:
+        """Return the table of one point, of values and deviations (rows, 1 + columns)."""
+        names = ["", *self.columns]
+        pairs = [(row, name) for row in self.rows for name in names]
+        table = pd.DataFrame({"value": values.ravel()}, index=[f"{row}_{name}".rstrip("_") for row, name in pairs])
+        if std is not None:
+            table["std"] = std.ravel()
+            table["lower"] = table["value"] - NORMAL_95 * table["std"]
+            table["upper"] = table["value"] + NORMAL_95 * table["std"]
+        table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
+        table["per"] = [_unit(name) for _, name in pairs]
+        return table
+
+
+def _points(motion: Motion, point, controls):
+    """Return states (n, 13), controls by name (n,), and whether a single point was asked for."""
+    if isinstance(point, Sequence) and len(point) and all(isinstance(one, Trim) for one in point):
+        found = [flight_point(motion, one, controls) for one in point]
+    elif isinstance(point, Trim) or np.ndim(point) == 1:
+        found = [flight_point(motion, point, controls)]
+        return found[0][0][None], {name: np.array([value]) for name, value in found[0][1].items()}, True
+    else:
+        n = len(point)
+        given = {name: np.broadcast_to(value, n) for name, value in (controls or {}).items()}
+        each = [{name: values[k] for name, values in given.items()} if given else None for k in range(n)]
+        found = [flight_point(motion, state, one) for state, one in zip(point, each, strict=True)]
+    names = found[0][1]
+    return np.stack([state for state, _ in found]), {n: np.array([c[n] for _, c in found]) for n in names}, False
+
+
+def _axes(alpha, rows, stability) -> np.ndarray:
+    """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
+    sin, cos = np.sin(alpha), np.cos(alpha)
+    turn = np.zeros((len(alpha), len(rows), 6))
+    for k, row in enumerate(rows):
+        if row in COEFFICIENTS:
+            turn[:, k, COEFFICIENTS.index(row)] = 1.0
+    lift, drag = rows.index("CL"), rows.index("CD")
+    turn[:, lift, 0], turn[:, lift, 2] = sin, -cos
+    turn[:, drag, 0], turn[:, drag, 2] = -cos, -sin
+    if stability:
+        roll, yaw = rows.index("Cl"), rows.index("Cn")
+        turn[:, roll, 3], turn[:, roll, 5] = cos, sin
+        turn[:, yaw, 3], turn[:, yaw, 5] = -sin, cos
+    return turn
+
+
+def _scale(motion: Motion, k: int, airspeed) -> np.ndarray:
+    """Return the slope by the conventional quantity over the slope by the model's k-th regressor, (n,)."""
+    name, full = motion.regressors[k], motion.aerodynamics.regressors[k]
+    lengths = LENGTHS | ACCELERATION_LENGTHS
+    if name not in lengths:
+        return np.ones_like(airspeed)
+    usual, own = (getattr(of, lengths[name]) for of in (motion.aircraft, motion.aerodynamics))
+    power = 2 if name in ACCELERATION_LENGTHS else 1
+    one = (1.0 if own is None else own / usual) if HAT in full else 2.0 * airspeed / usual
+    return np.broadcast_to(one**power, airspeed.shape)
+
+
+def _unit(name: str) -> str:
+    return "rad" if name in LENGTHS or name in ACCELERATION_LENGTHS else CHANNELS[name].unit if name in CHANNELS else ""

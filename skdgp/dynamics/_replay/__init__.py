@@ -1,0 +1,1 @@
+"""Predicted coefficients integrated to states."""

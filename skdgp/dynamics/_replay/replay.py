@@ -1,0 +1,301 @@
+"""Replay: fly the predicted coefficients again and see where the aircraft would have gone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.checks import check_columns, check_flight
+from skdgp._flight.frames import body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
+from skdgp.dynamics._equations.integrate import rk4_step
+from skdgp.dynamics._equations.rigid_body import (
+    ATTITUDE,
+    POSITION,
+    RATES,
+    STANDARD_GRAVITY,
+    VELOCITY,
+    rigid_body_derivative,
+)
+from skdgp.dynamics._replay.replay_covariance import REPLAYED, covariance_factor, replayed_std
+from skdgp.dynamics._replay.windows import restart_windows, runs_of
+from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propulsive_loads
+
+__all__ = ["replay", "replay_errors"]
+
+ANGLES = ["phi", "theta", "psi"]
+
+
+def replay(
+    flight: pd.DataFrame,
+    aircraft: Aircraft,
+    coefficients: pd.DataFrame | ArrayLike,
+    *,
+    std: pd.DataFrame | ArrayLike | None = None,
+    horizon: float | Sequence[float] = 2.0,
+    correlation_time: float = 0.5,
+    initial_std: Mapping[str, float] | None = None,
+    thrust: str | None = "auto",
+    external_forces: Sequence[str] = (),
+    gravity: float = STANDARD_GRAVITY,
+) -> pd.DataFrame:
+    """Integrate predicted coefficients along a flight, restarting from the measured state every horizon.
+
+    The equations of motion of `rigid_body_derivative` are integrated by RK4 over the log's samples, with the
+    loads of the predicted coefficients at the measured airspeed and density, the propulsive and external loads
+    and gravity. All windows of a horizon are integrated as one batch.
+
+    Parameters
+    ----------
+    flight : pandas.DataFrame
+        ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``; ``v_north``, ``v_east``,
+        ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down`` where known; ``flight`` (id); the columns
+        that tell the thrust.
+    aircraft : Aircraft
+        Mass, inertia and reference lengths.
+    coefficients : array-like of shape (n, 6)
+        CX CY CZ Cl Cm Cn at every row of the flight. Rows with NaN are not flown: windows end there.
+    std : array-like of shape (n, 6) or (n, 6, 6), optional
+        Standard deviations of the coefficients, or their covariances across the six. Gives the bands.
+    horizon : float or sequence of float, default=2.0
+        Seconds from restart to restart.
+    correlation_time : float, default=0.5
+        Time [s] over which the errors of the coefficients forget themselves: error = std * z with
+        ``corr(z(t), z(t')) = exp(-|t - t'| / correlation_time)``. 0: every sample anew; ``numpy.inf``: one error for a
+        whole window, the widest bands.
+    initial_std : mapping of str to float, optional
+        Standard deviations of the measured state at a restart, by name ("v_east", "phi", "p", ...).
+    thrust, external_forces
+        As for `aerodynamic_coefficients`.
+    gravity : float, default=9.80665
+        [m/s^2].
+
+    Returns
+    -------
+    pandas.DataFrame
+        Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``, ``window`` (count of
+        restarts), ``elapsed`` [s] since the restart, the states (north, east, down where known) v_north, v_east,
+        v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ...
+        A row where one window ends and the next starts shows the end. Rows not flown are NaN, their window -1: those
+        without loads, and those before the first row whose whole state was measured.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, shapes disagree, or a parameter is out of its range.
+
+    Notes
+    -----
+    The bands are linear: with small errors of position, velocity, attitude and rates, and the errors z as six
+    further states, the covariance obeys P' = A P + P A^T + Q along the replayed path. They hold what ``std``
+    and ``initial_std`` say and nothing else: not the noise of airspeed, density, thrust, mass or inertia.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from skdgp.dynamics import Aircraft, replay
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> flight = pd.DataFrame({"time": np.arange(101) * 0.02, "airspeed": 12.0, "density": 1.2, "phi": 0.0,
+    ...                        "theta": 0.0, "psi": 0.0, "p": 0.0, "q": 0.0, "r": 0.0, "v_north": 12.0,
+    ...                        "v_east": 0.0, "v_down": 0.0})
+    >>> coefficients = np.tile([0.0, 0.02, -0.45, 0.0, 0.0, 0.0], (101, 1))
+    >>> flown = replay(flight, glider, coefficients, std=np.full((101, 6), 1e-4), thrust=None)
+    >>> flown[["elapsed", "v_east", "v_east_std"]].iloc[-1].round(2).to_dict()
+    {'elapsed': 2.0, 'v_east': 0.86, 'v_east_std': 0.4}
+    """
+    horizons = np.atleast_1d(np.asarray(horizon, dtype=float))
+    if not (horizons > 0).all() or not correlation_time >= 0:
+        raise ValueError(
+            f"Got horizon={horizon!r} and correlation_time={correlation_time!r}, but expected seconds, the horizon > 0."
+        )
+    segments = check_flight(flight, ["time", "airspeed", "density", *ANGLES, "p", "q", "r"])
+    path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces)
+    runs, tables = runs_of(path.is_driven(), segments), []
+    for h in horizons.tolist():
+        rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state).all(axis=1))
+        flown = _integrate(path, rows, aircraft, float(gravity))
+        bands = _bands(path, rows, flown, aircraft, correlation_time, initial_std or {})
+        tables.append(_table(flight, rows, flown, bands, h))
+    return pd.concat(tables) if len(tables) > 1 else tables[0]
+
+
+def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str = "") -> pd.DataFrame:
+    """Return how far a replay is from the flight: median absolute error of each state for each horizon.
+
+    Parameters
+    ----------
+    trajectory : pandas.DataFrame
+        What `replay` returned.
+    flight : pandas.DataFrame
+        The flight replayed.
+    suffix : str, default=""
+        Added to the names of the flight's columns: "_true" compares with the truth of a simulation.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``state``, ``horizon`` [s], ``median`` (over all samples but the restarts themselves),
+        ``at_end`` (over the ends of full windows) and, where the replay has bands, ``coverage``: the share of
+        samples within 1.96 standard deviations. Units of the states; angles the short way round.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from skdgp.dynamics import replay_errors
+    >>> flight = pd.DataFrame({"v_east": [0.0, 1.0, 2.0]})
+    >>> flown = pd.DataFrame({"horizon": 1.0, "window": 0, "elapsed": [0.0, 0.5, 1.0], "v_east": [0.0, 1.1, 2.3]})
+    >>> replay_errors(flown, flight).round(2)
+        state  horizon  median  at_end
+    0  v_east      1.0     0.2     0.3
+    """
+    states = [name for name in REPLAYED if name in trajectory and name + suffix in flight]
+    if not states:
+        raise ValueError(f"The flight has none of the replayed states {list(REPLAYED)} with suffix {suffix!r}.")
+    rows = []
+    for horizon, part in trajectory.groupby("horizon", sort=False):
+        if len(part) != len(flight):
+            raise ValueError(f"Got a replay of {len(part)} rows for a flight of {len(flight)}, but expected as many.")
+        elapsed = part["elapsed"].to_numpy()
+        flown, ends = elapsed > 0, np.abs(elapsed - horizon) < 0.02 * horizon
+        for state in states:
+            error = np.abs(_difference(part[state].to_numpy(), flight[state + suffix].to_numpy(float), state))
+            row = {"state": state, "horizon": horizon, "median": _nanmedian(error[flown])}
+            row["at_end"] = _nanmedian(error[ends])
+            if f"{state}_std" in part:
+                seen = flown & np.isfinite(error)
+                inside = error[seen] <= 1.96 * part[f"{state}_std"].to_numpy()[seen]
+                row["coverage"] = float(inside.mean()) if inside.size else np.nan
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+class _Path(NamedTuple):
+    """What drives a replay and what it starts from, one row per sample."""
+
+    time: np.ndarray  # (n,)
+    force: np.ndarray  # (n, 3), all but gravity
+    moment: np.ndarray  # (n, 3)
+    state: np.ndarray  # (n, 13), measured
+    load_factor: np.ndarray | None  # (n, 6, 6), loads per unit of coefficient error
+
+    @classmethod
+    def of(cls, flight, aircraft, coefficients, std, thrust, external_forces) -> _Path:
+        airspeed, density = flight["airspeed"].to_numpy(float), flight["density"].to_numpy(float)
+        loads = (
+            aerodynamic_loads(_coefficient_array(coefficients, flight), airspeed, density, aircraft),
+            propulsive_loads(flight, aircraft, thrust),
+            external_loads(flight, external_forces),
+        )
+        force, moment = (sum(parts) for parts in zip(*loads, strict=True))
+        load_factor = None
+        if std is not None:
+            per_coefficient = np.hstack(aerodynamic_loads(np.ones((len(flight), 6)), airspeed, density, aircraft))
+            load_factor = per_coefficient[:, :, None] * covariance_factor(std, len(flight))
+        return cls(flight["time"].to_numpy(float), force, moment, measured_state(flight), load_factor)
+
+    def is_driven(self) -> np.ndarray:
+        """Return where the loads, and with them the uncertainty, are known, (n,)."""
+        driven = np.isfinite(self.force).all(axis=1) & np.isfinite(self.moment).all(axis=1)
+        return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))
+
+
+def measured_state(flight: pd.DataFrame) -> np.ndarray:
+    """Return the rigid-body states (n, 13) that a flight measured; position 0 where it has none."""
+    state = np.zeros((len(flight), 13))
+    state[:, ATTITUDE] = euler_to_quaternion(*flight[ANGLES].to_numpy(float).T)
+    state[:, RATES] = flight[["p", "q", "r"]].to_numpy(float)
+    for k, name in enumerate(["north", "east", "down"]):
+        if name in flight:
+            state[:, k] = flight[name]
+    earth, body = ["v_north", "v_east", "v_down"], ["u", "v", "w"]
+    if all(name in flight for name in body) and not all(name in flight for name in earth):
+        state[:, VELOCITY] = flight[body].to_numpy(float)
+        return state
+    check_columns(flight, earth)
+    state[:, VELOCITY] = ned_to_body(state[:, ATTITUDE], flight[earth].to_numpy(float))
+    return state
+
+
+def _coefficient_array(coefficients: pd.DataFrame | ArrayLike, flight: pd.DataFrame) -> np.ndarray:
+    if hasattr(coefficients, "columns"):
+        check_columns(coefficients, COEFFICIENTS, what="table of coefficients")
+        coefficients = coefficients[list(COEFFICIENTS)]
+    values = np.asarray(coefficients, dtype=float)
+    if values.shape != (len(flight), 6):
+        raise ValueError(
+            f"Got coefficients of shape {values.shape}, but expected ({len(flight)}, 6): {', '.join(COEFFICIENTS)} at "
+            "every row of the flight."
+        )
+    return values
+
+
+def _table(flight, rows, flown, bands, horizon) -> pd.DataFrame:
+    """Return the samples of all windows in the order of the flight; a shared row shows the end of its window."""
+    time, n = flight["time"].to_numpy(float), len(flight)
+    columns = {"window": np.full(n, -1), "elapsed": np.full(n, np.nan), "states": np.full((n, 12), np.nan)}
+    window = np.broadcast_to(np.arange(len(rows))[:, None], rows.shape)
+    values = {"window": window, "elapsed": time[rows] - time[rows[:, :1]], "states": flown}
+    if bands is not None:
+        columns["bands"], values["bands"] = np.full((n, 12), np.nan), bands
+    for samples in (slice(0, 1), slice(1, None)):
+        for name, column in columns.items():
+            column[rows[:, samples]] = values[name][:, samples]
+    table = pd.DataFrame({"time": time}, index=flight.index)
+    if "flight" in flight:
+        table["flight"] = flight["flight"]
+    table = table.assign(horizon=horizon, window=columns["window"], elapsed=columns["elapsed"])
+    measured = flight[ANGLES].to_numpy(float)
+    angles = columns["states"][:, 6:9]
+    # The turn nearest to the log's, which may count heading from 0 to 2 pi: the two can be drawn together.
+    angles += 2 * np.pi * np.nan_to_num(np.round((measured - angles) / (2 * np.pi)))
+    known = [k for k, name in enumerate(REPLAYED) if k >= 3 or name in flight]
+    table[[REPLAYED[k] for k in known]] = columns["states"][:, known]
+    if bands is not None:
+        table[[f"{REPLAYED[k]}_std" for k in known]] = columns["bands"][:, known]
+    return table
+
+
+def _bands(path, rows, flown, aircraft, correlation_time, initial_std) -> np.ndarray | None:
+    if path.load_factor is None:
+        return None
+    return replayed_std(
+        flown, np.diff(path.time[rows]), path.force[rows] / aircraft.mass, path.load_factor[rows], aircraft,
+        correlation_time, initial_std,
+    )  # fmt: skip
+
+
+def _integrate(path: _Path, rows: np.ndarray, aircraft: Aircraft, gravity: float) -> np.ndarray:
+    """Return position, NED velocity, Euler angles and rates (n_windows, n_steps + 1, 12) of each window."""
+    states = np.empty((*rows.shape, 13))
+    states[:, 0] = path.state[rows[:, 0]]
+    for k in range(rows.shape[1] - 1):
+        step = rows[:, k : k + 2]
+        rate = partial(_rate_per_step, path=path, step=step, aircraft=aircraft, gravity=gravity)
+        states[:, k + 1] = rk4_step(rate, 0.0, states[:, k], 1.0)
+    velocity = body_to_ned(states[..., ATTITUDE], states[..., VELOCITY])
+    angles = quaternion_to_euler(states[..., ATTITUDE])
+    return np.concatenate([states[..., POSITION], velocity, angles, states[..., RATES]], axis=-1)
+
+
+def _rate_per_step(fraction, state, *, path, step, aircraft, gravity) -> np.ndarray:
+    """Return d state / d fraction, 0 to 1, of each window's own time step, its loads linear over the step."""
+    here, there = step[:, 0], step[:, 1]
+    force, moment = ((1 - fraction) * load[here] + fraction * load[there] for load in (path.force, path.moment))
+    dt = (path.time[there] - path.time[here])[:, None]
+    return rigid_body_derivative(state, force, moment, aircraft, gravity) * dt
+
+
+def _difference(values: np.ndarray, reference: np.ndarray, state: str) -> np.ndarray:
+    difference = values - reference
+    return np.angle(np.exp(1j * difference)) if state in ANGLES else difference
+
+
+def _nanmedian(values: np.ndarray) -> float:
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else np.nan

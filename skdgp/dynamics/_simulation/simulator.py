@@ -1,0 +1,173 @@
+"""An aircraft flown step by step: what a controller, or whoever learns one, talks to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from skdgp.dynamics._equations.integrate import rk4_step
+from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
+from skdgp.dynamics._simulation.fly import FLYING, lost
+from skdgp.dynamics._simulation.schedules import air_of
+from skdgp.dynamics._simulation.starts import as_starts, initial_states, perturbed
+from skdgp.dynamics._simulation.trajectory import beyond, channels
+from skdgp.dynamics._vehicle.aircraft import Aircraft
+
+__all__ = ["Simulator"]
+
+
+class Simulator:
+    """A learned aircraft in the loop with a controller: ``reset``, then ``step`` by ``step``.
+
+    Each step holds the controls for ``dt`` and integrates the same equations as `simulate` (RK4). Several starts fly
+    side by side. With a seed each of them flies a function of its own, drawn from the posterior: a controller that is
+    good on all of them is good on what the aircraft may be.
+
+    Parameters
+    ----------
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
+    dt : float, default=0.02
+        Time step [s].
+    wind : array-like (3,), callable or None
+        Velocity of the air, north, east, down [m/s]: constant, or a function (t, position (..., 3)).
+    thrust, density, gravity
+        As for :func:`skdgp.dynamics.simulate`.
+
+    Attributes
+    ----------
+    ended : str or ndarray of str
+        Why the flight, or each, is over; "" while it is not.
+    beyond : str or ndarray of str
+        After a step: the regressor that is farthest outside of what the model was learned from, or "".
+    control_names : tuple of str
+        Controls that the model needs; what tells the thrust is needed besides.
+
+    Examples
+    --------
+    A controller that holds the bank angle:
+
+    >>> import numpy as np
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, Simulator
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> def coefficients(X):
+    ...     alpha, beta, p, q, r, aileron = X.T
+    ...     Cl = -0.05 * beta - 0.4 * p + 0.1 * aileron
+    ...     return np.stack([-0.02 + 2 * alpha**2, -0.4 * beta, -0.2 - 4.5 * alpha, Cl,
+    ...                      0.02 - 0.4 * alpha - 8 * q, 0.08 * beta - 0.1 * r], axis=-1)
+    >>> model = Aerodynamics(coefficients, ["alpha", "beta", "p_hat", "q_hat", "r_hat", "aileron"])
+    >>> simulator = Simulator(model, glider, thrust=None)
+    >>> seen = simulator.reset({"airspeed": 12.0, "alpha": 0.05, "phi": 0.0, "altitude": 100.0})
+    >>> for _ in range(150):
+    ...     seen = simulator.step({"aileron": 1.5 * (0.4 - seen["phi"]) - 0.3 * seen["p"]})
+    >>> round(float(seen["time"]), 2), bool(abs(seen["phi"] - 0.4) < 0.05)
+    (3.0, True)
+    """
+
+    def __init__(
+        self,
+        model,
+        aircraft: Aircraft,
+        dt: float = 0.02,
+        *,
+        wind=None,
+        thrust: str | Callable | None = "auto",
+        density: float | Callable | None = None,
+        gravity: float = STANDARD_GRAVITY,
+    ):
+        if not (np.isfinite(dt) and dt > 0):
+            raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
+        self.motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
+        self.dt, self.ended, self._steps = float(dt), FLYING, 0
+        self._mean, self._air, self._state, self.beyond = self.motion.aerodynamics, air_of(wind), None, ""
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Controls that the model needs."""
+        return self.motion.controls
+
+    @property
+    def time(self) -> float:
+        """Since the reset [s]."""
+        return self._steps * self.dt
+
+    @property
+    def state(self) -> np.ndarray:
+        """The state (13,), or states (n, 13), see `STATE_NAMES`; NaN where a flight has ended."""
+        if self._state is None:
+            raise ValueError("Got no start yet: call reset(x0) first.")
+        shown = np.where((self._ended == FLYING)[..., None], self._state, np.nan)
+        return shown.reshape(-1, 13)[0] if self._single else shown
+
+    def reset(self, x0, *, random_state=None, initial_std: Mapping[str, float] | None = None) -> dict:
+        """Begin a flight, or several, and return what is seen.
+
+        Parameters
+        ----------
+        x0
+            One start or several, as for :func:`skdgp.dynamics.simulate`.
+        random_state : int, RandomState or None
+            None: the mean of the model flies. Else functions drawn from its posterior, one for each start.
+        initial_std : mapping of str to float, optional
+            Standard deviations of the start, by name.
+
+        Returns
+        -------
+        dict of str to float or ndarray (n,)
+            ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude.
+        """
+        starts = as_starts(x0)
+        states = initial_states(starts, None if self._air is None else lambda at: self._air(0.0, at)[0])
+        states = perturbed(states, initial_std, 1, random_state)[0]
+        single, mean_flies = len(states) == 1, random_state is None
+        self.motion.aerodynamics = self._mean if mean_flies else self._mean.sample(len(states), random_state)
+        self._state = states[0] if single and mean_flies else states
+        self._single, self._start, self._steps = single, self._state, 0
+        self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)
+        self._implicit, self.beyond = None, "" if single else np.full(len(states), "", dtype=object)
+        return self._seen()
+
+    def step(self, controls: Mapping) -> dict:
+        """Hold the controls, by name, for one step, and return what is seen at its end.
+
+        Raises
+        ------
+        ValueError
+            If there was no `reset`, every flight has ended, or a control is missing.
+        """
+        if self._state is None or not (self._ended == FLYING).any():
+            what = "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
+            raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
+        controls = self.motion.mixed(controls)
+
+        def at(t, state):
+            wind, wind_rate = (None, None) if self._air is None else self._air(t, state)
+            now = self.motion.at(state, controls, wind, wind_rate, self._implicit)
+            self._implicit = now.implicit
+            return now
+
+        with np.errstate(all="ignore"):  # what diverges is found
+            state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
+            self._steps += 1
+            now = at(self.time, state)
+            for reason, where in lost(state, now).items():
+                self._ended[np.broadcast_to(where, self._ended.shape) & (self._ended == FLYING)] = reason
+        names = np.array(["", *self.motion.regressors], dtype=object)[beyond(self.motion, now.regressors)]
+        self.beyond = str(np.reshape(names, -1)[0]) if self._single else names
+        flying = self._ended == FLYING
+        self._state = state if flying.all() else np.where(flying[..., None], state, self._start)
+        return self._seen()
+
+    def _seen(self) -> dict:
+        wind = None if self._air is None else self._air(self.time, self._state)[0]
+        seen = {"time": self.time} | channels(self._state, wind)
+        over = self._ended != FLYING
+        if over.any():
+            seen = {name: np.where(over, np.nan, value) if name != "time" else value for name, value in seen.items()}
+        if not self._single:
+            self.ended = self._ended.copy()
+            return seen
+        self.ended = str(self._ended.reshape(-1)[0])
+        return {name: float(np.reshape(value, -1)[0]) for name, value in seen.items()}

@@ -1,0 +1,201 @@
+"""Trajectories as flight tables: what is seen along them, and how an ensemble spreads."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.checks import check_columns
+from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY
+
+__all__ = ["SimulationWarning", "beyond", "channels", "trajectory_bands", "trajectory_table", "warn_of"]
+
+BEYOND = 0.02
+"""By which a regressor may exceed what was flown, as a share of its range, before it is told."""
+TINY = 1e-12
+REASONS = {
+    "airspeed": "airspeed under 1 m/s",
+    "altitude": "outside of the atmosphere",
+    "diverged": "diverged",
+    "fixed point": "no fixed point of the regressors that follow from the loads",
+}
+
+ANGLES = ("phi", "theta", "psi")
+EARTH, AIR = ("v_north", "v_east", "v_down"), ("airspeed", "alpha", "beta")
+
+
+class SimulationWarning(UserWarning):
+    """A trajectory ended early, or left what the model was learned from."""
+
+
+def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
+    """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
+    attitude = states[..., ATTITUDE]
+    earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
+    air = states[..., VELOCITY] if wind is None else states[..., VELOCITY] - ned_to_body(attitude, wind)
+    groups = {
+        ("north", "east", "down"): states[..., POSITION],
+        EARTH: earth,
+        ("u", "v", "w"): states[..., VELOCITY],
+        ANGLES: angles,
+        ("p", "q", "r"): states[..., RATES],
+    }
+    found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
+    found |= dict(zip(AIR, air_data(air), strict=True))
+    return found | {"altitude": -states[..., 2]}
+
+
+def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
+    """Return what was flown as one flight table: path by path, start by start, row by row.
+
+    Parameters
+    ----------
+    record : Record
+        Of trajectories (), (n_starts,) or (n_paths, n_starts).
+    motion : Motion
+    first_times : ndarray (n_starts,)
+        What the clock shows at each start.
+    further : dict of str to ndarray (n_times, ...)
+        More columns.
+    """
+    shape = record.ended.shape
+    n_times = len(record.time)
+    wind = record.wind
+
+    def column(values):
+        return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
+
+    over = np.arange(n_times).reshape(-1, *[1] * len(shape)) >= record.end
+    seen = channels(record.states, wind) | {"density": record.density}
+    for k, name in enumerate(("p_dot", "q_dot", "r_dot")):
+        seen[name] = record.derivative[..., RATES][..., k]
+    for names, values in ((("ax", "ay", "az"), record.specific_force), (COEFFICIENTS, record.coefficients)):
+        seen |= {name: values[..., k] for k, name in enumerate(names)}
+    if wind is not None:
+        seen |= {name: wind[..., k] for k, name in enumerate(("wind_north", "wind_east", "wind_down"))}
+    clock = np.add.outer(record.time, first_times)
+    table = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
+    table |= _identity(shape, n_times)
+    table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
+    table["beyond"] = pd.Categorical.from_codes(column(beyond(motion, record.regressors)), ["", *motion.regressors])
+    table["ended"] = pd.Categorical(column(np.where(over, record.ended, "")))
+    return pd.DataFrame(table)
+
+
+def _identity(shape, n_times) -> dict:
+    """Return the columns that tell the trajectories apart."""
+    if not shape:
+        return {"flight": pd.Categorical(["simulation"] * n_times)}
+    *paths, starts = np.indices(shape).reshape(len(shape), -1)
+    names = [f"start {start}" for start in starts]
+    if paths:
+        several = shape[1] > 1
+        names = [f"path {p}, {name}" if several else f"path {p}" for p, name in zip(*paths, names, strict=True)]
+    found = {"flight": pd.Categorical.from_codes(np.repeat(np.arange(len(names)), n_times), names)}
+    found["start"] = np.repeat(starts, n_times)
+    return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
+
+
+def beyond(motion, regressors) -> np.ndarray:
+    """Return 1 + the one of the regressors (..., d) that is farthest outside of what was flown, 0 where none is."""
+    limits = motion.aerodynamics.limits
+    if limits is None:
+        return np.zeros(regressors.shape[:-1], dtype=int)
+    low, high = limits
+    outside = np.maximum(low - regressors, regressors - high) / np.maximum(high - low, TINY)
+    outside = np.where(np.isfinite(outside), outside, 0.0)
+    return np.where(outside.max(axis=-1) > BEYOND, 1 + outside.argmax(axis=-1), 0)
+
+
+def warn_of(record, motion) -> None:
+    """Say which trajectories ended early, and which left what the model was learned from."""
+    ended = record.ended[~record.flying].tolist()
+    n, dt = record.ended.size, record.time[1]
+    if ended:
+        why = ", ".join(f"{REASONS[reason]}: {ended.count(reason)}" for reason in REASONS if reason in ended)
+        warnings.warn(
+            f"{len(ended)} of {n} trajectories ended early, the first {record.end.min() * dt:.2f} s after its start "
+            f"({why}). Their rows are NaN from there on, and the column ended says why. Look at start, controls, wind "
+            "and thrust; try a smaller dt.",
+            SimulationWarning,
+            stacklevel=3,
+        )
+    outside = beyond(motion, record.regressors)
+    if outside.any():
+        flights = outside.reshape(len(outside), -1)
+        first = int(np.flatnonzero(flights.any(axis=1))[0])
+        k = int(flights[first].max()) - 1
+        low, high = motion.aerodynamics.limits[:, k]
+        values, name = record.regressors[..., k], motion.aerodynamics.regressors[k]
+        warnings.warn(
+            f"{np.count_nonzero(flights.any(axis=0))} of {n} trajectories left what the model was learned from, the "
+            f"first {first * dt:.2f} s after its start in {name} (here {np.nanmin(values):.3g} to "
+            f"{np.nanmax(values):.3g}, learned from {low:.3g} to {high:.3g}): the column beyond says where.",
+            SimulationWarning,
+            stacklevel=3,
+        )
+
+
+def trajectory_bands(
+    trajectories: pd.DataFrame, level: float = 0.95, columns: Sequence[str] | None = None
+) -> pd.DataFrame:
+    """Return the bands that simulated flights of an ensemble fill, time by time.
+
+    Parameters
+    ----------
+    trajectories : pandas.DataFrame
+        What `simulate` returned with ``n_paths``.
+    level : float, default=0.95
+        Share of the paths inside: quantiles (1 - level) / 2 and (1 + level) / 2, of those that still fly.
+    columns : sequence of str, optional
+        By default velocities, angles (heading unwrapped), rates, airspeed, alpha, beta, altitude.
+
+    Returns
+    -------
+    pandas.DataFrame
+        By ``start`` and ``time``: ``<column>`` (the median), ``<column>_low``, ``<column>_high``, and ``flying``, the
+        share of the paths that have not ended.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.dynamics import trajectory_bands
+    >>> paths = pd.DataFrame({"start": 0, "path": [0, 1, 2], "time": 0.0, "airspeed": [20.0, 21.0, 22.0], "ended": ""})
+    >>> trajectory_bands(paths, level=1.0)[["airspeed", "airspeed_low", "airspeed_high"]].iloc[0].tolist()
+    [21.0, 20.0, 22.0]
+    """
+    if not 0 < level <= 1:
+        raise ValueError(f"Got level={level!r}, but expected a share between 0 and 1.")
+    check_columns(trajectories, ["start", "path", "time", "ended"], what="ensemble (simulate with n_paths=...)")
+    wanted = (*EARTH, *ANGLES, "p", "q", "r", *AIR, "altitude", "north", "east") if columns is None else columns
+    names = [name for name in wanted if name in trajectories]
+    rows = []
+    for start, part in trajectories.groupby("start", sort=False):
+        n_paths = part["path"].nunique()
+        time = part["time"].to_numpy().reshape(n_paths, -1)[0]
+        band = {
+            "start": start,
+            "time": time,
+            "flying": (part["ended"] == "").to_numpy().reshape(n_paths, -1).mean(axis=0),
+        }
+        for name in names:
+            values = part[name].to_numpy(float).reshape(n_paths, -1)
+            if name in ANGLES:
+                values = values[:1, :1] + np.unwrap(np.angle(np.exp(1j * (values - values[:1, :1]))), axis=1)
+            low, middle, high = _quantiles(values, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level])
+            band |= {name: middle, f"{name}_low": low, f"{name}_high": high}
+        rows.append(pd.DataFrame(band))
+    return pd.concat(rows, ignore_index=True)
+
+
+def _quantiles(values, q) -> np.ndarray:
+    """Return the quantiles over the paths that still fly, (len(q), n_times); NaN where none does."""
+    found = np.full((len(q), values.shape[1]), np.nan)
+    some = np.isfinite(values).any(axis=0)
+    found[:, some] = np.nanquantile(values[:, some], q, axis=0)
+    return found

@@ -1,0 +1,1 @@
+"""The aircraft: mass and geometry, propeller, thrust."""

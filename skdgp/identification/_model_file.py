@@ -1,0 +1,226 @@
+"""Model files: whole or refused, and never read in silence by other versions than wrote them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import warnings
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import BinaryIO
+
+import joblib
+from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
+from sklearn.pipeline import Pipeline
+from sklearn.utils import Bunch
+from sklearn.utils.validation import check_is_fitted
+
+from skdgp._compute.files import write_atomically
+from skdgp.dynamics import Aircraft
+
+__all__ = ["ModelFileError", "dump_model", "load_model", "model_bunch", "save_model", "software_versions"]
+
+MAGIC = b"\nskdgp model file "
+FORMAT = 2
+UNCHECKED = 1  # the format before, which has no checksum
+CHECKSUM, END = b', "sha256": "', b'"}\n'
+CHECKSUM_LENGTH = 64
+LONGEST_CLOSING = 2**14
+MATTERS = ("skdgp", "scikit-learn", "numpy")
+
+
+class ModelFileError(ValueError):
+    """A file could not be read as a model: what was got, what was expected, what to do."""
+
+
+def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts) -> Path:
+    """Keep a fitted pipeline, its aircraft and how they came about in one file, which appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Such as ``model.joblib``; its folder must exist.
+    pipeline : Pipeline
+        Fitted.
+    aircraft : Aircraft
+    **facts
+        What else to remember, such as ``options={"thrust": "columns"}``.
+
+    Returns
+    -------
+    Path
+        ``path``.
+
+    Raises
+    ------
+    TypeError
+        If ``pipeline`` is not a fitted estimator or ``aircraft`` no `Aircraft`.
+    """
+    model = model_bunch(pipeline, aircraft, **facts)
+    if not _is_model(model):
+        raise TypeError(
+            f"Got {type(pipeline).__name__} and {type(aircraft).__name__} to save, but expected a fitted pipeline and "
+            "its Aircraft: call fit first."
+        )
+    return write_atomically(path, lambda temporary: dump_model(temporary, model))
+
+
+def model_bunch(pipeline: Pipeline, aircraft: Aircraft, **facts) -> Bunch:
+    """Return what a model file holds, with the time and the versions of now."""
+    now = {"created": datetime.now().astimezone().isoformat(timespec="seconds"), "versions": software_versions()}
+    return Bunch(pipeline=pipeline, aircraft=aircraft, **facts | now)
+
+
+def dump_model(path: Path, model: Bunch) -> None:
+    """Write the model and, after it, a line of JSON that can be read when the model itself cannot.
+
+    Unpickling stops before that line, so ``joblib.load`` reads the file too; and a file that lacks the line is cut off.
+    The line ends in the SHA-256 of all that stands before the digest, the rest of the line included.
+    """
+    joblib.dump(model, path)
+    closing = {"format": FORMAT, "bytes": path.stat().st_size, "created": model.created, "versions": model.versions}
+    with path.open("a+b") as file:
+        file.write(MAGIC + json.dumps(closing).encode().removesuffix(b"}") + CHECKSUM)
+        file.write(_checksum(file, file.tell()) + END)
+
+
+def load_model(path: str | os.PathLike) -> Bunch:
+    """Read a model that :func:`save_model` or ``python -m skdgp identify`` wrote.
+
+    Loading runs what the file says (it is a pickle): open only files whose origin you trust.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    Bunch
+        ``pipeline`` (fitted, raw flight table in, coefficients out), ``aircraft``, ``created``, ``versions`` and what
+        else was remembered: the command line adds ``options`` (thrust, external forces, ...), ``fit`` (samples,
+        seconds, log likelihood, ...) and ``flights`` learned from.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModelFileError
+        If the file is not a model, is cut off or differs from what was written in a single bit, or cannot be read by
+        the versions installed here.
+
+    Warns
+    -----
+    UserWarning
+        If it was made by other versions of skdgp, scikit-learn or NumPy; or by an earlier skdgp, without a checksum.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Got {path}, but there is no such file: python -m skdgp identify writes model.joblib.")
+    with path.open("rb") as file:
+        closing = _closing(file, path)
+        _warn_of(closing, path)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", InconsistentVersionWarning)  # said above, once for all
+                file.seek(0)
+                model = joblib.load(file)
+        except Exception as error:  # unpickling may raise anything
+            raise ModelFileError(
+                f"Got {path}, written by {_said(closing['versions'])}, which cannot be read here, with "
+                f"{_said(software_versions())} ({type(error).__name__}: {error}): fit it again, or install those "
+                "versions."
+            ) from error
+    if not _is_model(model):
+        raise ModelFileError(
+            f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and its aircraft: fit it "
+            "again, and keep it with skdgp.identification.save_model."
+        )
+    return model
+
+
+def software_versions() -> dict[str, str]:
+    """Return the versions of skdgp and of what its numbers depend on."""
+    found = {"skdgp": "unknown", "python": platform.python_version()}
+    for name in ("skdgp", "scikit-learn", "numpy", "scipy", "pandas"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # run from a folder that was never installed
+            continue
+    return found
+
+
+def _closing(file: BinaryIO, path) -> dict:
+    """Return what the file's last line says, once it is known that the file is whole."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - LONGEST_CLOSING))
+    end = file.read()
+    start = end.rfind(MAGIC)
+    before = size - CHECKSUM_LENGTH - len(END)
+    try:
+        closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
+        form, made_by = closing["format"], _said(closing["versions"])
+        whole = closing["bytes"] == size - (len(end) - start)
+        whole &= form == UNCHECKED or _checksum(file, before) + END == end[before - size :]
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):  # not what dump_model writes
+        whole = False
+    if not whole:
+        raise ModelFileError(
+            f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is missing or does not "
+            "fit. Expected a file that python -m skdgp identify or skdgp.identification.save_model wrote; if it is "
+            "one, it was cut off or changed: copy it again."
+        )
+    if form not in (UNCHECKED, FORMAT):
+        raise ModelFileError(
+            f"Got {path} of format {form}, written by {made_by}, but this skdgp reads format {FORMAT}: fit it again, "
+            "or install that version."
+        )
+    return closing
+
+
+def _checksum(file: BinaryIO, size: int) -> bytes:
+    """Return the SHA-256 of the first bytes of a file, as hexadecimal digits; leave the file where they end."""
+    found = hashlib.sha256()
+    file.seek(0)
+    while chunk := file.read(min(size, 2**20)):
+        found.update(chunk)
+        size -= len(chunk)
+    return found.hexdigest().encode()
+
+
+def _warn_of(closing, path):
+    """Warn of a file without a checksum, and of one that other versions wrote."""
+    if closing["format"] == UNCHECKED:
+        warnings.warn(
+            f"{path} is of a format without a checksum, so damage may go unnoticed. If it is as it was, save it again: "
+            "save_model(path, **load_model(path)).",
+            UserWarning,
+            stacklevel=3,
+        )
+    if not _same_versions(closing["versions"]):
+        warnings.warn(
+            f"{path} was made by {_said(closing['versions'])}, and this is {_said(software_versions())}: its "
+            "predictions may differ. Compare a few, fit it again, or install those versions.",
+            UserWarning,
+            stacklevel=3,
+        )
+
+
+def _is_model(found) -> bool:
+    """Whether this is what a model file holds: a fitted estimator and an aircraft."""
+    try:
+        check_is_fitted(found.pipeline)
+    except (AttributeError, TypeError, NotFittedError):
+        return False
+    return isinstance(found, Bunch) and isinstance(found.get("aircraft"), Aircraft)
+
+
+def _same_versions(made_by) -> bool:
+    here = software_versions()
+    return all(made_by.get(name) == here.get(name) for name in MATTERS)
+
+
+def _said(versions) -> str:
+    return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in MATTERS)

@@ -1,0 +1,1 @@
+"""Logs of autopilots: PX4 ULog and ArduPilot DataFlash."""

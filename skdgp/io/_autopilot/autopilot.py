@@ -1,0 +1,165 @@
+"""A log of an autopilot as flights: read, believe a clock, map, find the flights."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from skdgp._flight.smoothing import differentiate
+from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, gaps, to_table
+from skdgp.io._autopilot.dataflash import read_dataflash
+from skdgp.io._autopilot.rules import RULES
+from skdgp.io._autopilot.segments import find_segments, no_flight_because, threshold, trimmed
+from skdgp.io._autopilot.servos import read_servos
+from skdgp.io._autopilot.stamps import clock_parts
+from skdgp.io._autopilot.topics import Log, Topic
+from skdgp.io._autopilot.ulog import read_ulog
+from skdgp.io._errors import FlightReadError
+
+READERS = {".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash}
+"""By suffix: add a reader of another format here, and its rules in ``_rules``."""
+RATE_CUTOFF = 0.2
+"""Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What stands between two restarts of the clock."""
+
+    topics: dict[str, Topic]
+    sources: list[Source]
+    table: pd.DataFrame
+    segments: list[slice]
+
+
+@dataclass(frozen=True)
+class FlightLog:
+    """A log, its parts, where columns come from, and what was wrong."""
+
+    log: Log
+    parts: list[Part]
+    origin: dict[str, Origin]
+    speed: float
+    remarks: list[str]
+
+
+def read_log(path: Path) -> Log:
+    """Read a log of an autopilot as it is.
+
+    Raises
+    ------
+    FlightReadError
+        If the file cannot be read as what its suffix says.
+    FileNotFoundError
+        If there is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"Got {path}, but there is no such file.")
+    return READERS[path.suffix.lower()](path)
+
+
+def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
+    """Read a log onto one clock.
+
+    Raises
+    ------
+    FlightReadError
+        If an option makes no sense, the file cannot be read, or it tells nothing of a flight.
+    """
+    _check_options(rate, airborne, imu_position)
+    servos = read_servos(servos)
+    with np.errstate(all="ignore"):  # what is damaged may hold any number
+        log = read_log(path)
+        topics, remarks = clock_parts(log.topics)
+        speed = threshold(log, airborne if airborne is not False else True)
+        parts, origin, useless = [], {}, []
+        found = [(some, *find_sources(log, some, RULES[log.kind], servos)) for some in topics]
+        for some, sources, unused in [each for each in found if each[1]] or found[:1]:
+            useless += unused
+            clock, chosen = follow(sources, rate)
+            table, where = to_table(sources, clock, chosen)
+            origin |= where
+            if imu_position is not None:
+                table = at_centre_of_gravity(table, imu_position, chosen)
+            parts.append(Part(some, sources, table, find_segments(table, log, some, speed)))
+    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_told_gaps(parts)]
+    return FlightLog(log, parts, origin, speed, remarks)
+
+
+def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
+    """Return the flights of a log one after another, named apart: name, name#2, ...
+
+    Raises
+    ------
+    FlightReadError
+        If there is none.
+    """
+    if airborne is False:
+        pieces = [part.table for part in flown.parts if len(part.table)]
+    else:
+        pieces = [trimmed(part.table.iloc[rows]) for part in flown.parts for rows in part.segments]
+    if not pieces:
+        longest = max((part.table for part in flown.parts), key=len, default=pd.DataFrame())
+        why = no_flight_because(longest, flown.log, flown.speed) if len(longest) else "there are no samples"
+        raise FlightReadError(
+            f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but expected a fixed wing in "
+            "the air: airborne=False reads all of it, airborne=6.0 takes another airspeed [m/s] for flight."
+        )
+    names = [name, *(f"{name}#{k + 2}" for k in range(len(pieces) - 1))]
+    return pd.concat([piece.assign(flight=n) for piece, n in zip(pieces, names, strict=True)], ignore_index=True)
+
+
+def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataFrame:
+    """Move specific force from the accelerometer to the centre of gravity.
+
+    f_cg = f - omega_dot x r - omega x (omega x r), r from the centre of gravity to the accelerometer (Klein & Morelli
+    2006, Aircraft System Identification, equation 10.12).
+    """
+    names, rates = ["ax", "ay", "az"], ["p", "q", "r"]
+    if not {*names, *rates} <= set(table.columns):
+        return table
+    omega, time = table[rates].to_numpy(), table["time"].to_numpy()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
+            accelerations = differentiate(omega, time, cutoff=RATE_CUTOFF * rate)
+    except ValueError as error:
+        raise FlightReadError(f"The gyros cannot be differentiated, as imu_position asks for: {error}") from error
+    arm = np.asarray(position, float)
+    extra = np.cross(accelerations, arm) + np.cross(omega, np.cross(omega, arm))
+    return table.assign(**dict(zip(names, (table[names].to_numpy() - extra).T, strict=True)))
+
+
+def _told_gaps(parts):
+    """Say the longest gap of each topic that has some."""
+    for part in parts:
+        for source in {source.name.split(".")[0]: source for source in part.sources}.values():
+            found = gaps(source.time)
+            if found:
+                begin, length = max(found, key=lambda gap: gap[1])
+                columns = " ".join(source.columns)
+                yield (
+                    f"{source.name} ({columns}) has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
+                )
+
+
+def _check_options(rate, airborne, imu_position):
+    if rate is not None and not (_is_real(rate) and 0 < rate <= 1000):
+        raise FlightReadError(f"Got rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000.")
+    if not isinstance(airborne, bool) and not (_is_real(airborne) and airborne > 0):
+        raise FlightReadError(f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s.")
+    if imu_position is not None:
+        position = np.asarray(imu_position, dtype=float) if np.ndim(imu_position) == 1 else np.empty(0)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise FlightReadError(
+                f"Got imu_position={imu_position!r}, but expected x, y, z from the centre of gravity to the "
+                "accelerometer in body axes [m]."
+            )
+
+
+def _is_real(value):
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)

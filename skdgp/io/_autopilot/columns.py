@@ -1,0 +1,202 @@
+"""From topics to the columns of a flight table on one clock, by the table of rules."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from skdgp._flight.channels import CHANNELS
+from skdgp._flight.clock import GAP
+from skdgp._flight.faults import POSSIBLE, RARE
+from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
+from skdgp.io._autopilot.resample import resample, sampling_rate, uniform_clock
+from skdgp.io._autopilot.rules import (
+    ATTITUDE,
+    DENSITY,
+    EQUIVALENT,
+    QUATERNION,
+    Rule,
+    standard_density,
+    standard_pressure,
+)
+from skdgp.io._autopilot.servos import Servo
+from skdgp.io._autopilot.topics import Log, Topic
+from skdgp.io._errors import FlightReadError
+
+SLOW = 5.0
+"""A source slower than this [Hz] gives way to a faster one further down."""
+FASTEST = 50.0
+"""The clock follows the gyros, but not beyond this [Hz]: rigid aircraft and surfaces move slower than 20 Hz."""
+LONG = 0.5
+"""Seconds from which a gap is told."""
+
+
+class Origin(NamedTuple):
+    """Where a column is from, in words, and how often that was sampled [Hz]."""
+
+    words: str
+    rate: float
+
+
+class Source(NamedTuple):
+    """Where columns come from, their samples, and how many of these are missing."""
+
+    columns: tuple[str, ...]
+    name: str
+    time: np.ndarray
+    values: np.ndarray
+    note: str = ""
+
+    @property
+    def alive(self) -> bool:
+        """Whether there are samples."""
+        return len(self.time) > 1
+
+    @property
+    def rate(self) -> float:
+        """The usual rate [Hz]."""
+        return sampling_rate(self.time)
+
+
+def find_sources(log: Log, topics: dict[str, Topic], rules, servos: dict[str, Servo]) -> tuple[list[Source], list[str]]:
+    """Return the source of each group of columns, and what stands in the log but is of no use."""
+    part = Log(log.kind, topics, log.parameters, log.firmware, log.vehicle)
+    candidates, useless = {}, []
+    for rule in rules:
+        source = _source(part, rule)
+        if source is None:
+            continue
+        if not source.alive:
+            useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
+        elif impossible := _impossible(source):
+            useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * impossible:.0f} % is impossible")
+        else:
+            candidates.setdefault(rule.columns, []).append(source)
+    found = [_preferred(sources) for columns, sources in candidates.items() if not servos.keys() & set(columns)]
+    surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
+    useless += [f"{each.name} sends no pulse, so there is no {each.columns[0]}" for each in surfaces if not each.alive]
+    return found + [each for each in surfaces if each.alive], list(dict.fromkeys(useless))
+
+
+def follow(sources: list[Source], rate: float | None) -> tuple[np.ndarray, float]:
+    """Return the clock that the table gets, and its rate [Hz].
+
+    Raises
+    ------
+    FlightReadError
+        If nothing was sampled often enough to follow.
+    """
+    by_column = {name: source for source in sources for name in source.columns}
+    leader = next((by_column[name] for name in ("p", "ax", "qw") if name in by_column), None)
+    leader = leader or max(sources, key=lambda source: source.rate, default=None)
+    if leader is None:
+        raise FlightReadError(
+            "Got no message that tells of a flight, but expected rates, accelerations, attitude, airspeed: log "
+            "these topics."
+        )
+    rate = rate or float(f"{min(FASTEST, leader.rate):.3g}")
+    try:
+        clock = uniform_clock(leader.time, rate)
+    except ValueError as error:
+        raise FlightReadError(f"{leader.name}: {error} Is the clock of the log sound?") from error
+    return clock, rate
+
+
+def to_table(sources: list[Source], clock: np.ndarray, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
+    """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
+    columns, origin = {"time": clock}, {}
+    for source in sources:
+        values = source.values
+        if source.columns == QUATERNION:
+            values = without_sign_changes(values)
+        values = resample(source.time, values, clock, rate)
+        names = source.columns
+        if names == QUATERNION:
+            known = values.any(axis=1, keepdims=True)  # a quaternion of zeros is no attitude
+            names, values = ATTITUDE, quaternion_to_euler(np.where(known, values, np.nan))
+        for name, column in zip(names, values.T, strict=True):
+            columns[name] = column
+            origin[name] = Origin(source.name + (f" ({source.note})" if source.note else ""), source.rate)
+    _complete(columns, origin)
+    table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
+    table = table.where(np.isfinite(table))
+    return table, {name: origin[name] for name in table.columns if name in origin}
+
+
+def gaps(time: np.ndarray) -> list[tuple[float, float]]:
+    """Return beginnings and lengths [s] of the gaps between increasing times that are worth telling."""
+    step = np.diff(time)
+    long = np.flatnonzero(step > max(LONG, GAP * np.median(step))) if len(step) else []
+    return [(float(time[i]), float(step[i])) for i in long]
+
+
+def _complete(columns, origin):
+    """Derive density and true airspeed where they were not logged."""
+    if "density" not in columns and "altitude" in columns:
+        columns["density"] = standard_density(standard_pressure(columns["altitude"]))
+        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
+    if EQUIVALENT in columns:
+        equivalent, (words, rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
+        known = "density" in columns
+        columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if known else equivalent
+        said = "equivalent; true by density" if known else "equivalent, taken for true: density unknown"
+        origin["airspeed"] = Origin(f"{words} ({said})", rate)
+
+
+def _source(log, rule: Rule) -> Source | None:
+    name = log.find(rule.topic)
+    topic = log.topics.get(name)
+    if topic is None or not all(field in topic for field in rule.fields):
+        return None
+    raw = topic.columns(rule.fields)
+    values = rule.convert(raw)
+    known = np.isfinite(values).all(axis=1)
+    for field in rule.valid:
+        known &= topic[field] > 0 if field in topic else True
+    return Source(rule.columns, f"{name}.{_joined(rule.fields)}", topic.time[known], values[known], rule.note)
+
+
+def _impossible(source) -> float:
+    """Return the share of samples that no aircraft can have, 0 if it is small enough to be faults of a sensor."""
+    bounds = np.array([POSSIBLE.get(name, (-np.inf, np.inf)) for name in source.columns])
+    share = float(((source.values < bounds[:, 0]) | (source.values > bounds[:, 1])).any(axis=1).mean())
+    return share if share > RARE else 0.0
+
+
+def _surface(log, name, servo: Servo) -> Source:
+    topic_name, _, field = servo.channel.partition(".")
+    topic = log.topics.get(topic_name)
+    if topic is None or field not in topic:
+        moving = [f"{key}.{each}" for key in log.topics if key in CHANNEL_TOPICS for each in log.topics[key].channels()]
+        raise FlightReadError(
+            f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one of "
+            f"{[each for each in moving if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
+        )
+    values = servo.deflection(topic[field])
+    known = np.isfinite(values)
+    return Source((name,), servo.channel, topic.time[known], values[known][:, None], "by the servo file")
+
+
+CHANNEL_TOPICS = (
+    "actuator_servos",
+    "actuator_outputs",
+    "actuator_outputs#1",
+    "actuator_controls_0",
+    "actuator_controls_1",
+    "RCOU",
+)
+
+
+def _preferred(sources):
+    """Return the first source that is fast enough, or the first of all."""
+    return next((source for source in sources if source.rate >= SLOW), sources[0])
+
+
+def _joined(fields) -> str:
+    """Return the names of fields shortly: q[0..3], GyrX GyrY GyrZ."""
+    first, last = fields[0], fields[-1]
+    if len(fields) > 1 and first.endswith("[0]"):
+        return f"{first[:-1]}..{last.split('[')[1]}"
+    return " ".join(fields)

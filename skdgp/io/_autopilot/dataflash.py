@@ -1,0 +1,179 @@
+"""ArduPilot's DataFlash log: messages behind two fixed bytes and a type, whose formats are messages themselves.
+
+The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. No length in the file
+is trusted: where no message begins, reading goes on at the next two fixed bytes.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from skdgp.io._autopilot.topics import Log, Topic, instance_name
+from skdgp.io._errors import FlightReadError
+
+MARK, HEAD = b"\xa3\x95", 3
+FMT, FMT_LENGTH = 0x80, 89
+TYPES = {
+    "a": ("<i2", (32,)), "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
+    "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
+    "M": "u1", "q": "<i8", "Q": "<u8",
+}  # fmt: skip
+SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
+DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
+"""Messages that describe the log, and are no topics."""
+INSTANCES = ("I", "Instance", "C")
+"""Fields that number the instances of a sensor or filter, in logs that do not say which field does."""
+VEHICLES = {
+    "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
+    "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
+}  # fmt: skip
+
+
+def read_dataflash(path: Path) -> Log:
+    """Read a DataFlash log (``.bin``).
+
+    Raises
+    ------
+    FlightReadError
+        If it is none, or holds no message with a time.
+    """
+    data = path.read_bytes()
+    if not data.startswith(MARK):
+        raise FlightReadError(
+            f"Got {path}, which does not begin as a DataFlash log does, but expected a binary log of ArduPilot: is it "
+            "empty, or of another kind?"
+        )
+    reader = _Reader(data)
+    reader.read()
+    topics = reader.topics()
+    if not topics:
+        raise FlightReadError(
+            f"Got {path}, a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but expected "
+            "messages: was it cut off, or written before 2015?"
+        )
+    messages, parameters = reader.texts("MSG", "Message"), reader.parameters()
+    firmware = next((text for text in messages if text.split(" ")[0] in VEHICLES), "ArduPilot")
+    vehicle = VEHICLES.get(firmware.split(" ")[0])
+    if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
+        vehicle = "VTOL"
+    return Log("ArduPilot DataFlash", topics, parameters, firmware, vehicle, tuple(reader.remarks()))
+
+
+class _Format:
+    """One type of message, and where its messages stand."""
+
+    def __init__(self, name, length, codes, columns):
+        self.name, self.length = name, length
+        layout = [(column, TYPES[code]) for column, code in zip(columns, codes, strict=True)]
+        self.dtype = np.dtype([(name, *((kind,) if isinstance(kind, str) else kind)) for name, kind in layout])
+        if self.dtype.itemsize != length - HEAD:
+            raise ValueError(f"Got {name} of {length} bytes, whose fields take {self.dtype.itemsize}.")
+        self.scale = {column: SCALE[code] for column, code in zip(columns, codes, strict=True) if code in SCALE}
+        small = [column for column in columns if self.dtype[column] == np.uint8]
+        self.instance = next((column for column in small if column in INSTANCES), None)
+        self.starts = []
+
+
+class _Reader:
+    def __init__(self, data):
+        self.data = data
+        self.formats = {FMT: _Format("FMT", FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
+        self.skipped, self.cut = 0, False
+
+    def read(self):
+        """Go through the file."""
+        data, formats, position, n = self.data, self.formats, 0, len(self.data)
+        while position + HEAD <= n:
+            of = formats.get(data[position + 2]) if data.startswith(MARK, position) else None
+            if of is not None and position + of.length <= n:
+                of.starts.append(position + HEAD)
+                if data[position + 2] == FMT:
+                    self._define(position + HEAD)
+                position += of.length
+                continue
+            found = data.find(MARK, position + 1)
+            found = n if found < 0 else found
+            if of is not None and found == n:
+                self.cut = True
+            elif data[position:found].strip(b"\x00\xff"):  # pages of the memory chip are filled up
+                self.skipped += found - position
+            position = found
+
+    def _define(self, start):
+        kind, length, name, codes, columns = np.frombuffer(self.data, self.formats[FMT].dtype, 1, start)[0].tolist()
+        if kind in self.formats:
+            return
+        try:
+            texts = [text.decode("ascii") for text in (name, codes, columns)]
+            if re.fullmatch(r"\w+", texts[0]):
+                self.formats[kind] = _Format(texts[0], length, texts[1], texts[2].split(",") if texts[2] else [])
+        except (KeyError, ValueError, TypeError):  # a definition that makes no sense; its messages are skipped
+            return
+
+    def records(self, name) -> tuple[_Format | None, np.ndarray]:
+        """Return the messages of a name."""
+        of = next((of for of in self.formats.values() if of.name == name), None)
+        return of, np.empty(0) if of is None else self._gather(of)
+
+    def _gather(self, of):
+        size = of.dtype.itemsize
+        return np.frombuffer(b"".join([self.data[start : start + size] for start in of.starts]), of.dtype)
+
+    def texts(self, name, column) -> list[str]:
+        """Return a column of texts."""
+        of, records = self.records(name)
+        if of is None or column not in of.dtype.names or of.dtype[column].kind != "S":
+            return []
+        return [text.decode("utf-8", "replace").strip("\x00 ") for text in records[column].tolist()]
+
+    def parameters(self) -> dict[str, float]:
+        """Return what was set on the autopilot."""
+        of, records = self.records("PARM")
+        if of is None or "Value" not in of.dtype.names:
+            return {}
+        return dict(zip(self.texts("PARM", "Name"), records["Value"].astype(float).tolist(), strict=False))
+
+    def topics(self) -> dict[str, Topic]:
+        """Return what has a time, by instance."""
+        numbered, found = self._numbered(), {}
+        for kind, of in self.formats.items():
+            if (
+                of.name in DEFINITIONS
+                or not of.starts
+                or "TimeUS" not in (of.dtype.names or ())
+                or of.dtype["TimeUS"].kind not in "iu"
+            ):
+                continue
+            records, order = self._gather(of), np.array(of.starts)
+            instance = numbered.get(kind, of.instance)
+            topic = Topic(records["TimeUS"] * 1e-6, order, records, of.scale)
+            if instance is None:
+                found.setdefault(of.name, topic)
+                continue
+            numbers = records[instance]
+            for number in np.unique(numbers).tolist():
+                found.setdefault(instance_name(of.name, int(number)), topic.taken(numbers == number))
+        return dict(sorted(found.items()))
+
+    def _numbered(self) -> dict[int, str | None]:
+        """Return by type the field that numbers instances, where the log says so: unit "#" of an FMTU message."""
+        of, records = self.records("FMTU")
+        if of is None or not {"FmtType", "UnitIds"} <= set(of.dtype.names):
+            return {}
+        found = {}
+        for kind, units in zip(records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True):
+            names = self.formats[kind].dtype.names if kind in self.formats else ()
+            place = units.find("#")
+            field = names[place] if 0 <= place < len(names) else None
+            found[kind] = field if field and self.formats[kind].dtype[field].kind in "iu" else None
+        return found
+
+    def remarks(self):
+        """Say what was wrong with the file."""
+        if self.skipped:
+            yield f"{self.skipped} bytes could not be read and were skipped"
+        if self.cut:
+            yield "the file ends within a message: it was cut off"

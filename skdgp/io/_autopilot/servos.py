@@ -1,0 +1,136 @@
+"""From what was sent to a servo to the angle of its surface: calibration files in TOML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._compute.files import read_toml
+from skdgp.io._errors import FlightReadError
+
+SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle")
+KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
+HUGE = 1e300
+"""Whole numbers beyond this are no floats."""
+NO_PULSE = 500.0
+"""Pulses shorter than this [us] move no servo: an output that is switched off."""
+
+
+class Servo(NamedTuple):
+    """Which channel moves a surface, and the surface's angle at some of its values.
+
+    Attributes
+    ----------
+    channel : str
+        Topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``.
+    inputs, angles : tuple of float
+        Values of the channel, increasing, and the angles [rad] of the surface there. Between them and beyond, straight
+        lines.
+    """
+
+    channel: str
+    inputs: tuple[float, ...]
+    angles: tuple[float, ...]
+
+    def deflection(self, values: np.ndarray) -> np.ndarray:
+        """Return angles [rad] of values of the channel.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Servo("RCOU.C2", (1100, 1500, 1900), (-0.4, 0.0, 0.3)).deflection(np.array([1500, 1700, 0.0])).round(3)
+        array([0.  , 0.15,  nan])
+        """
+        inputs, angles = np.array(self.inputs), np.array(self.angles)
+        if inputs[0] >= NO_PULSE:
+            values = np.where(values < NO_PULSE, np.nan, values)
+        piece = np.clip(np.searchsorted(inputs, values) - 1, 0, len(inputs) - 2)
+        slope = np.diff(angles) / np.diff(inputs)
+        return angles[piece] + slope[piece] * (values - inputs[piece])
+
+
+def read_servos(servos) -> dict[str, Servo]:
+    r"""Read a calibration: one table for each surface.
+
+    Parameters
+    ----------
+    servos : path or mapping, or None
+        TOML: ``[elevator]`` with ``channel``, and either ``points``, a list of pairs (value of the channel, angle in
+        rad), or ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at
+        ``min`` is its negative; two numbers give both). ``reversed = true`` turns the sign of all angles.
+
+    Raises
+    ------
+    FlightReadError
+        If the file is no TOML, or a surface or number makes no sense.
+
+    Examples
+    --------
+    >>> read_servos({"rudder": {"channel": "RCOU.C4", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.3}})
+    {'rudder': Servo(channel='RCOU.C4', inputs=(1100.0, 1500.0, 1900.0), angles=(-0.3, 0.0, 0.3))}
+    """
+    if servos is None:
+        return {}
+    if isinstance(servos, (str, Path)):
+        try:
+            servos = read_toml(servos)
+        except ValueError as error:
+            raise FlightReadError(f"Got {servos} as the servo file, but expected TOML: {error}") from error
+    return {name: _servo(name, entry) for name, entry in servos.items()}
+
+
+def _servo(name, entry) -> Servo:
+    if name not in SURFACES:
+        raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(SURFACES)}.")
+    if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
+        raise FlightReadError(f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".')
+    if set(entry) - KEYS:
+        raise FlightReadError(f"Got {sorted(set(entry) - KEYS)} for {name}, but expected only {sorted(KEYS)}.")
+    pairs = _points(name, entry) if "points" in entry else _ends(name, entry)
+    pairs = np.array(sorted(pairs), dtype=float)
+    if not np.isfinite(pairs).all() or (np.diff(pairs[:, 0]) <= 0).any():
+        raise FlightReadError(
+            f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each value of the channel "
+            "once: measure the angle of the surface at these values, in rad."
+        )
+    if np.abs(pairs[:, 1]).max() > np.pi / 2:
+        raise FlightReadError(
+            f"Got angles up to {np.abs(pairs[:, 1]).max():g} for {name}, but expected radians, at most pi/2: convert "
+            "degrees."
+        )
+    sign = -1.0 if _flag(name, entry) else 1.0
+    return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple((sign * pairs[:, 1] + 0.0).tolist()))
+
+
+def _flag(name, entry):
+    flag = entry.get("reversed", False)
+    if not isinstance(flag, bool):
+        raise FlightReadError(f"Got reversed = {flag!r} for {name}, but expected true or false.")
+    return flag
+
+
+def _points(name, entry):
+    points = entry["points"]
+    pairs = isinstance(points, list) and len(points) > 1 and all(isinstance(p, list) and len(p) == 2 for p in points)
+    if not pairs or not all(_is_number(value) for pair in points for value in pair):
+        raise FlightReadError(
+            f"Got points = {points!r} for {name}, but expected pairs of numbers, as in [[1100, -0.35], [1900, 0.35]]."
+        )
+    return points
+
+
+def _ends(name, entry):
+    ends, deflection = [entry.get(key) for key in ("min", "trim", "max")], entry.get("deflection")
+    angles = [-deflection, deflection] if _is_number(deflection) else deflection
+    if not (isinstance(angles, list) and len(angles) == 2 and all(map(_is_number, [*ends, *angles]))):
+        raise FlightReadError(
+            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad] (one number, or two: "
+            "at min and at max), or points."
+        )
+    return list(zip(ends, [angles[0], 0.0, angles[1]], strict=True))
+
+
+def _is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > HUGE

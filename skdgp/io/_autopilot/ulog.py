@@ -1,0 +1,308 @@
+"""PX4's ULog: a header, definitions of messages, then messages, little-endian, each behind its length and type.
+
+The format is that of https://docs.px4.io/main/en/dev_log/ulog_file_format. No length in the file is trusted: what does
+not fit is left out, and reading goes on at the next place where three messages in a row make sense.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from skdgp.io._autopilot.topics import Log, Topic, instance_name, whole
+from skdgp.io._errors import FlightReadError
+
+HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
+SYNC = bytes.fromhex("2f731320250cbb12")
+KINDS = b"BFIMPQARDLCSO"
+HEAD = struct.Struct("<HB")
+NEXT = re.compile(rb"(?=..[" + KINDS + rb"])", re.DOTALL)
+NAME, FORMAT = re.compile(rb"[\w/]{1,255}"), re.compile(rb"([\w/]{1,255}+):([\w\[\] ;]*+)")
+KEY = re.compile(rb"(\w+)(?:\[(\d{1,5})\])? ([\w.\-/]+)")
+FIELD = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
+TYPES = {
+    **{f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
+    "float": "<f4", "double": "<f8", "bool": "u1", "char": "u1",
+}  # fmt: skip
+LARGEST = 2**16
+"""A message cannot be longer [bytes]: its length is 16 bits."""
+LONGEST_TEXT = 2000
+LATEST = 1_000_000
+"""Microseconds from sampling to publishing, at most."""
+DEEPEST = 8
+"""Levels of nested messages."""
+RELEASED = 64
+"""The last byte of a version from which it is an alpha, beta or release, not a state of development."""
+MAV_TYPES = {
+    1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
+    **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"), **dict.fromkeys(range(19, 26), "VTOL"),
+}  # fmt: skip
+VEHICLE_TYPES = {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}
+
+
+def read_ulog(path: Path) -> Log:
+    """Read a ULog.
+
+    Raises
+    ------
+    FlightReadError
+        If it is no ULog, of a later incompatible format, or holds no message.
+    """
+    data = path.read_bytes()
+    if not data.startswith(HEADER):
+        raise FlightReadError(
+            f"Got {path}, which does not begin as a ULog does, but expected a log of PX4: is it empty, or of "
+            "another kind?"
+        )
+    reader = _Reader(data)
+    reader.read()
+    topics = reader.topics()
+    if not topics:
+        raise FlightReadError(
+            f"Got {path}, a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
+        )
+    return Log(
+        kind="PX4 ULog",
+        topics=topics,
+        parameters=reader.parameters,
+        firmware=_firmware(reader.information),
+        vehicle=_vehicle(topics, reader.parameters),
+        remarks=tuple(reader.remarks()),
+    )
+
+
+class _Subscription:
+    """Where the messages of one topic stand."""
+
+    def __init__(self, name, instance, layout):
+        self.name, self.instance = name, instance
+        self.dtype, self.largest = layout
+        self.starts = []
+
+
+class _Reader:
+    def __init__(self, data):
+        self.data = data
+        self.formats, self.dtypes, self.layouts = {}, {}, {}
+        self.subscriptions, self.finished = {}, []
+        self.parameters, self.information = {}, {}
+        self.appended, self.skipped, self.lost, self.cut = [], 0, 0, False
+        take = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum, "S": self._sync}
+        take |= {"I": self._information, "P": self._parameter, "M": self._after_a_byte, "Q": self._after_a_byte}
+        take |= {"O": self._two_bytes, "R": self._two_bytes, "L": self._text, "C": self._text}
+        self.take = {ord(kind): method for kind, method in take.items()}
+
+    def read(self):
+        """Go through the file."""
+        data, position = self.data, HEADER_SIZE
+        while position + HEAD.size <= len(data):
+            size, kind = HEAD.unpack_from(data, position)
+            start, end = position + HEAD.size, position + HEAD.size + size
+            if self.appended and end > self.appended[0]:  # a crash report was appended there, perhaps to half a message
+                position = max(position, self.appended.pop(0))
+            elif self._taken(kind, start, end):
+                position = end
+            else:
+                found = self._next(position + 1)
+                whole = end <= len(data) or kind not in KINDS
+                self.cut = self.cut or (found == len(data) and not whole)
+                self.skipped += found - position if whole else 0
+                position = found
+
+    def _taken(self, kind, start, end) -> bool:
+        """Take a message, if there is one: of a known kind that makes sense, or of a new kind between known ones."""
+        if start == end or end > len(self.data):
+            return False
+        return self.take[kind](start, end) if kind in self.take else self._chain(end, 3)
+
+    def _chain(self, position, n):
+        """Whether n messages of known kinds follow each other, or fewer up to the end of the file."""
+        for _ in range(n):
+            if position == len(self.data):
+                return True
+            if position + HEAD.size > len(self.data):
+                return False
+            size, kind = HEAD.unpack_from(self.data, position)
+            position += HEAD.size + size
+            if kind not in KINDS or not size or position > len(self.data):
+                return False
+        return True
+
+    def _next(self, position):
+        found = (match.start() for match in NEXT.finditer(self.data, position))
+        return next((start for start in found if self._chain(start, 3)), len(self.data))
+
+    # Each of these takes the bytes of one message from start to end, and returns whether they make sense.
+
+    def _flags(self, start, end):
+        if start != HEADER_SIZE + HEAD.size or end - start < 40:
+            return False
+        incompatible = self.data[start + 8 : start + 16]
+        if incompatible[0] & ~1 or any(incompatible[1:]):
+            raise FlightReadError(
+                f"Got a ULog with incompatible flags {incompatible.hex()}, but expected none but 'data appended': "
+                "it is of a later format than this reader."
+            )
+        if incompatible[0] & 1:
+            self.appended = sorted(o for o in struct.unpack_from("<3Q", self.data, start + 16) if o > end)
+        return True
+
+    def _format(self, start, end):
+        match = FORMAT.fullmatch(self.data, start, end)
+        if match is None:
+            return False
+        self.formats.setdefault(match[1].decode(), match[2].decode())
+        return True
+
+    def _subscribe(self, start, end):
+        match = NAME.fullmatch(self.data, start + 3, end)
+        if match is None:
+            return False
+        instance, number = struct.unpack_from("<BH", self.data, start)
+        name = match[0].decode()
+        if name not in self.layouts:
+            self.layouts[name] = self._layout(name)
+        if self.layouts[name] is not None:
+            if number in self.subscriptions and self.subscriptions[number].starts:
+                self.finished.append(self.subscriptions[number])
+            self.subscriptions[number] = _Subscription(name, instance, self.layouts[name])
+        return True
+
+    def _layout(self, name):
+        """Return the layout of a topic as it is logged and its largest size; None if its definition makes no sense."""
+        try:
+            dtype = self._dtype(name)
+        except (KeyError, ValueError, TypeError):  # a definition that is lost, or makes no sense
+            return None
+        names = list(dtype.names)
+        while names and names[-1].startswith("_padding"):  # at the end it is not logged
+            names.pop()
+        timed = "timestamp" in names and dtype["timestamp"] == np.dtype("<u8")
+        return (np.dtype([(name, dtype[name]) for name in names]), dtype.itemsize) if timed else None
+
+    def _dtype(self, name, depth=0):
+        """Return the layout of a message, made once; nested ones and arrays stay nested, so no size can be abused."""
+        if name not in self.dtypes:
+            self.dtypes[name] = None  # until it is made: a message that holds itself is none
+            self.dtypes[name] = self._made(name, depth)
+        if self.dtypes[name] is None:
+            raise ValueError(f"Got a definition of {name} that is no message.")
+        return self.dtypes[name]
+
+    def _made(self, name, depth):
+        if depth > DEEPEST:
+            raise ValueError(f"Got messages nested deeper than {DEEPEST}.")
+        fields = [FIELD.fullmatch(text) for text in self.formats[name].split(";") if text]
+        layout = []
+        for kind, length, field in (match.groups() for match in fields if match is not None):
+            inner = np.dtype(TYPES[kind]) if kind in TYPES else self._dtype(kind, depth + 1)
+            layout.append((field, inner) if length is None else (field, inner, (int(length),)))
+        dtype = np.dtype(layout)
+        if len(layout) < len(fields) or not 0 < dtype.itemsize < LARGEST:
+            raise ValueError(f"Got a definition of {name} that is no message.")
+        return dtype
+
+    def _datum(self, start, end):
+        if end - start < 2:
+            return False
+        subscription = self.subscriptions.get(int.from_bytes(self.data[start : start + 2], "little"))
+        if subscription is None:
+            known = self._chain(end, 1)
+            self.lost += known
+            return known
+        if not subscription.dtype.itemsize <= end - start - 2 <= subscription.largest:
+            return False
+        subscription.starts.append(start + 2)
+        return True
+
+    def _keyed(self, start, end):
+        """Return type, key and value, or None where the length is not that of the type."""
+        match = KEY.fullmatch(self.data, start + 1, min(start + 1 + self.data[start], end))
+        if match is None:
+            return None
+        kind, length, key = (group and group.decode() for group in match.groups())
+        value = self.data[match.end() : end]
+        sound = kind in TYPES and len(value) == np.dtype(TYPES[kind]).itemsize * int(length or 1)
+        return (kind, key, value) if sound else None
+
+    def _information(self, start, end):
+        keyed = self._keyed(start, end)
+        if keyed is not None:
+            kind, key, value = keyed
+            scalar = "int" in kind and len(value) == np.dtype(TYPES[kind]).itemsize
+            text = value.decode("utf-8", "replace").strip("\x00")
+            self.information[key] = int(np.frombuffer(value, TYPES[kind])[0]) if scalar else text
+        return keyed is not None
+
+    def _after_a_byte(self, start, end):
+        return end - start > 1 and self._keyed(start + 1, end) is not None
+
+    def _parameter(self, start, end):
+        keyed = self._keyed(start, end)
+        if keyed is not None and len(keyed[2]) == np.dtype(TYPES[keyed[0]]).itemsize:
+            self.parameters[keyed[1]] = float(np.frombuffer(keyed[2], TYPES[keyed[0]])[0])
+        return keyed is not None
+
+    def _sync(self, start, end):
+        return self.data[start:end] == SYNC
+
+    def _two_bytes(self, start, end):
+        return end - start == 2
+
+    def _text(self, start, end):
+        return 9 <= end - start <= LONGEST_TEXT
+
+    def topics(self) -> dict[str, Topic]:
+        found = {}
+        for each in [*self.subscriptions.values(), *self.finished]:
+            name = instance_name(each.name, each.instance)
+            if each.starts and len(each.starts) > len(found.get(name, ())):
+                size = each.dtype.itemsize
+                raw = b"".join([self.data[start : start + size] for start in each.starts])
+                records = np.frombuffer(raw, each.dtype)
+                found[name] = Topic(_sampled(each.name, records) * 1e-6, np.array(each.starts), records)
+        return dict(sorted(found.items()))
+
+    def remarks(self):
+        if self.skipped:
+            yield f"{self.skipped} bytes could not be read and were skipped"
+        if self.lost:
+            yield f"{self.lost} messages belong to no topic that the log defines"
+        if self.cut:
+            yield "the file ends within a message: it was cut off"
+
+
+def _sampled(name, records):
+    """Return when something was sampled, or if that is not told, published; outputs always when published [us]."""
+    published = records["timestamp"]
+    if "timestamp_sample" not in records.dtype.names or name.startswith("actuator"):
+        return published
+    sampled = records["timestamp_sample"]
+    believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
+    return np.where(believed, sampled, published)
+
+
+def _firmware(information) -> str:
+    name, release = information.get("sys_name") or "PX4", information.get("ver_sw_release")
+    if release and release & 255 >= RELEASED:
+        version = f" {release >> 24 & 255}.{release >> 16 & 255}.{release >> 8 & 255}"
+    else:
+        version = " development " + str(information.get("ver_sw") or "")[:8]
+    board = information.get("ver_hw")
+    return f"{name}{version.rstrip()}" + (f" on {board}" if board else "")
+
+
+def _vehicle(topics, parameters) -> str | None:
+    status = topics.get("vehicle_status")
+    if status is not None:
+        if "is_vtol" in status and status["is_vtol"].any():
+            return "VTOL"
+        for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES)):
+            if field in status:
+                found = names.get(whole(np.median(status[field])))
+                if found is not None:
+                    return found
+    return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))

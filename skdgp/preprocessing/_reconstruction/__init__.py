@@ -1,0 +1,5 @@
+"""Flight-path reconstruction."""
+
+from skdgp.preprocessing._reconstruction.reconstruction import FlightPathReconstruction
+
+__all__ = ["FlightPathReconstruction"]

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.dynamics import Aircraft, _replay_covariance, replay, replay_errors
+from skdgp.dynamics import Aircraft, replay, replay_errors
+from skdgp.dynamics._replay import replay_covariance as _replay_covariance
 
 STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r"]
 EVERY = ["north", "east", "down", *STATES]

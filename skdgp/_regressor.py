@@ -17,7 +17,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
 from skdgp._compute.checkpoint import kept_in, record_of_fit
-from skdgp._compute.linalg import column_scale, constant_columns
+from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import check_n_jobs, fit_map
 from skdgp._compute.tables import column_names
@@ -536,9 +536,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         mean = self.posterior_.predict(X)
         check_memory(mean.size, "The joint covariance of", FEWER_SAMPLES)
         cov = self.posterior_.covariance(X)
-        values, vectors = np.linalg.eigh(cov)  # a posterior covariance may be singular
-        white = check_random_state(random_state).standard_normal((len(values), n_samples))
-        draws = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * white)
+        white = check_random_state(random_state).standard_normal((len(cov), n_samples))
+        draws = eigen_root(cov) @ white  # a posterior covariance may be singular
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
         return self._shaped((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
 
@@ -836,10 +835,10 @@ def _root_of(input_noise, d):
         if (given < 0).any():
             raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
         return np.diag(np.broadcast_to(given, d))
-    values, vectors = np.linalg.eigh(given)
+    values = np.linalg.eigvalsh(given)
     if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
         raise ValueError(f"Got input_noise that is no covariance (not symmetric, or not positive), but {expected}")
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    return eigen_root(given)
 
 
 def unnamed(n: int) -> list[str]:

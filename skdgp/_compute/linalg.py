@@ -94,8 +94,13 @@ def semidefinite_root(M: np.ndarray) -> np.ndarray:
     L, info = lapack.dpotrf(M, lower=1, clean=1)
     if info == 0:
         return L
+    return np.asfortranarray(eigen_root(M))
+
+
+def eigen_root(M: np.ndarray) -> np.ndarray:
+    """Return R with R R^T = M, (N, N), of a symmetric matrix that may be singular: eigenvectors by their deviations."""
     values, vectors = eigh(M)
-    return np.asfortranarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def cholesky_solve(L: np.ndarray, b: np.ndarray) -> np.ndarray:

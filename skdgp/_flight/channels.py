@@ -1,4 +1,4 @@
-"""The words of the house: every table column with its unit, axis and sign, written once.
+"""Flight-table columns: units, axes and signs.
 
 Body axes: x forward, y right, z down, origin at the centre of gravity. SI units and radians everywhere.
 """
@@ -14,6 +14,9 @@ class Channel(NamedTuple):
     unit: str
     meaning: str
 
+
+EULER = ("phi", "theta", "psi")
+"""Attitude, in the order of its rotations from the body outward."""
 
 CHANNELS = {
     "time": Channel("s", "time on the log's one clock, increasing within a flight"),

@@ -185,6 +185,13 @@ def _turn(quaternion: tuple, vector: ArrayLike) -> np.ndarray:
     )
 
 
+def cross_matrix(vector: ArrayLike) -> np.ndarray:
+    """Return the matrices (..., 3, 3) of the products v x, of vectors (..., 3)."""
+    x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
 def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:
     """Return the same attitudes with signs such that neighbours are near each other; NaN rows stay."""
     known = np.isfinite(quaternions).all(axis=1)

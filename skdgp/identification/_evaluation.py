@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL, TRUTH_SUFFIX
+from skdgp._flight.channels import COEFFICIENTS, EULER, LATERAL, LONGITUDINAL, TRUTH_SUFFIX
 from skdgp._flight.smoothing import flight_segments, noise_level
 from skdgp.dynamics import aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification import flight_regressors
@@ -23,7 +23,6 @@ from skdgp.metrics import (
 STD_ROWS = 3000
 """Rows of a flight at which standard deviations are computed; they cost N^2 each, means only N."""
 STATES = ("north", "east", "v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
-ANGLES = ("phi", "theta", "psi")
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def _scores(evaluations, of, std) -> pd.DataFrame:
 
 def _replay(name, table, aircraft, mean, std, loads, horizons) -> pd.DataFrame | None:
     velocity = ["u", "v", "w"] if {"u", "v", "w"} <= set(table.columns) else ["v_north", "v_east", "v_down"]
-    lacking = [column for column in [*ANGLES, *velocity] if column not in table]
+    lacking = [column for column in [*EULER, *velocity] if column not in table]
     if lacking:
         warnings.warn(
             f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration would start.",
@@ -159,7 +158,7 @@ def _sensor_noise(table) -> dict[str, float]:
     names = [name for name in STATES if name in table]
     values = table[names].to_numpy(float).copy()
     for j, name in enumerate(names):
-        if name in ANGLES:
+        if name in EULER:
             known = np.isfinite(values[:, j])
             values[known, j] = np.unwrap(values[known, j])
     time = table["time"].to_numpy(float)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp.plotting._comparison import check_level
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, legend_above, panels, tidy
 
 SHOWN = ("airspeed", "altitude", "phi", "theta", "p", "q")
-ANGLES = ("phi", "theta", "psi")
 MOST_PATHS = 40
 """More paths than this would be a surface: so many of them are drawn."""
 
@@ -210,7 +210,7 @@ def _unwrapped(values, names):
     """Return values whose angles do not jump by a turn, path by path, all from the first one's turn."""
     values = values.copy()
     for k, name in enumerate(names):
-        if name in ANGLES:
+        if name in EULER:
             first = values[0, 0, k]
             values[:, :, k] = first + np.unwrap(np.angle(np.exp(1j * (values[:, :, k] - first))), axis=1)
     return values
@@ -219,12 +219,12 @@ def _unwrapped(values, names):
 def _truth(truth, time, names):
     check_columns(truth, ["time", *names], what="truth")
     clock = truth["time"].to_numpy(float)
-    columns = [np.unwrap(truth[n].to_numpy(float)) if n in ANGLES else truth[n].to_numpy(float) for n in names]
+    columns = [np.unwrap(truth[n].to_numpy(float)) if n in EULER else truth[n].to_numpy(float) for n in names]
     return np.stack([np.interp(time, clock, c, left=np.nan, right=np.nan) for c in columns], axis=-1)
 
 
 def _nearest_turn(truth, values, names):
     for k, name in enumerate(names):
-        if name in ANGLES:
+        if name in EULER:
             truth[:, k] += 2 * np.pi * np.round(np.nanmedian(values[:1, k] - truth[:1, k]) / (2 * np.pi))
     return truth

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._flight.frames import quaternion_rate
+from skdgp._flight.frames import cross_matrix, quaternion_rate
 from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
 
@@ -81,7 +81,7 @@ def jacobian(
         gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
         change = gain @ change
     rate, output = F[..., :n] + F[..., n:] @ change, H[..., :n] + H[..., n:] @ change
-    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -_cross_matrix(state[..., RATES]), np.eye(3)
+    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -cross_matrix(state[..., RATES]), np.eye(3)
     return Jacobian(rate[..., :12], rate[..., 12:], F[..., n:] @ gain, output[..., :12], output[..., 12:], instant)
 
 
@@ -150,8 +150,3 @@ def _followed(instant: Instant, motion: Motion) -> np.ndarray:
         ],
         axis=-1,
     )
-
-
-def _cross_matrix(vector) -> np.ndarray:
-    """Return [v x], (..., 3, 3), of vectors (..., 3)."""
-    return np.cross(vector[..., None, :], np.eye(3)).swapaxes(-1, -2)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS, EULER
 from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.frames import body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations.integrate import rk4_step
@@ -28,8 +28,6 @@ from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propulsive_loads
 
 __all__ = ["replay", "replay_errors"]
-
-ANGLES = ["phi", "theta", "psi"]
 
 
 def replay(
@@ -115,7 +113,7 @@ def replay(
         raise ValueError(
             f"Got horizon={horizon!r} and correlation_time={correlation_time!r}, but expected seconds, the horizon > 0."
         )
-    segments = check_flight(flight, ["time", "airspeed", "density", *ANGLES, "p", "q", "r"])
+    segments = check_flight(flight, ["time", "airspeed", "density", *EULER, "p", "q", "r"])
     path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces)
     runs, tables = runs_of(path.is_driven(), segments), []
     for h in horizons.tolist():
@@ -209,7 +207,7 @@ class _Path(NamedTuple):
 def measured_state(flight: pd.DataFrame) -> np.ndarray:
     """Return the rigid-body states (n, 13) that a flight measured; position 0 where it has none."""
     state = np.zeros((len(flight), 13))
-    state[:, ATTITUDE] = euler_to_quaternion(*flight[ANGLES].to_numpy(float).T)
+    state[:, ATTITUDE] = euler_to_quaternion(*flight[list(EULER)].to_numpy(float).T)
     state[:, RATES] = flight[["p", "q", "r"]].to_numpy(float)
     for k, name in enumerate(["north", "east", "down"]):
         if name in flight:
@@ -251,7 +249,7 @@ def _table(flight, rows, flown, bands, horizon) -> pd.DataFrame:
     if "flight" in flight:
         table["flight"] = flight["flight"]
     table = table.assign(horizon=horizon, window=columns["window"], elapsed=columns["elapsed"])
-    measured = flight[ANGLES].to_numpy(float)
+    measured = flight[list(EULER)].to_numpy(float)
     angles = columns["states"][:, 6:9]
     # The turn nearest to the log's, which may count heading from 0 to 2 pi: the two can be drawn together.
     angles += 2 * np.pi * np.nan_to_num(np.round((measured - angles) / (2 * np.pi)))
@@ -294,7 +292,7 @@ def _rate_per_step(fraction, state, *, path, step, aircraft, gravity) -> np.ndar
 
 def _difference(values: np.ndarray, reference: np.ndarray, state: str) -> np.ndarray:
     difference = values - reference
-    return np.angle(np.exp(1j * difference)) if state in ANGLES else difference
+    return np.angle(np.exp(1j * difference)) if state in EULER else difference
 
 
 def _nanmedian(values: np.ndarray) -> float:

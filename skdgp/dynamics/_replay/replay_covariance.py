@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.frames import euler_per_rotation, euler_to_matrix
+from skdgp._flight.frames import cross_matrix, euler_per_rotation, euler_to_matrix
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
 __all__ = ["REPLAYED", "covariance_factor", "replayed_std"]
@@ -97,11 +97,11 @@ def _linearised(states, specific_force, load_factor, aircraft) -> tuple[np.ndarr
     rotation, omega = euler_to_matrix(*states[:, T].T), states[:, W]
     rate, gain = np.zeros((len(states), 12, 12)), np.zeros((len(states), 12, 6))
     rate[:, P, V] = np.eye(3)
-    rate[:, V, T] = -rotation @ _cross_matrix(specific_force)
-    rate[:, T, T] = -_cross_matrix(omega)
+    rate[:, V, T] = -rotation @ cross_matrix(specific_force)
+    rate[:, T, T] = -cross_matrix(omega)
     rate[:, T, W] = np.eye(3)
     inertia = aircraft.inertia
-    rate[:, W, W] = aircraft.inertia_inverse @ (_cross_matrix(omega @ inertia) - _cross_matrix(omega) @ inertia)
+    rate[:, W, W] = aircraft.inertia_inverse @ (cross_matrix(omega @ inertia) - cross_matrix(omega) @ inertia)
     gain[:, V] = rotation @ load_factor[:, :3] / aircraft.mass
     gain[:, W] = aircraft.inertia_inverse @ load_factor[:, 3:]
     return rate, gain
@@ -135,10 +135,3 @@ def _state_std(covariance, states) -> np.ndarray:
     to_euler = euler_per_rotation(states[:, 6], states[:, 7])
     variance[:, T] = np.einsum("nij,njk,nik->ni", to_euler, covariance[:, T, T], to_euler)
     return np.sqrt(np.maximum(variance, 0.0))  # rounding may carry a variance of nothing below zero
-
-
-def _cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """Return [v x], (n, 3, 3), of vectors (n, 3)."""
-    x, y, z = vector.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)

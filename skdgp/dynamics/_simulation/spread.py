@@ -12,12 +12,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from skdgp._compute.linalg import semidefinite_root
+from skdgp._flight.channels import EULER
 from skdgp._flight.frames import euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
 from skdgp.dynamics._control.jacobian import Jacobian, jacobian
 from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._simulation.fly import Record
-from skdgp.dynamics._simulation.starts import ANGLES, BODY, EARTH, checked_std
+from skdgp.dynamics._simulation.starts import BODY, EARTH, checked_std
 
 __all__ = ["linear_std"]
 
@@ -101,8 +102,8 @@ def _start_errors(start: Mapping[str, float], state, per_rotation) -> np.ndarray
     for k, (name, size) in enumerate(start.items()):
         if name in EARTH:
             Z[3:6, k] = size * quaternion_to_matrix(state[ATTITUDE])[EARTH.index(name)]
-        elif name in ANGLES:
-            Z[6:9, k] = size * turns[:, ANGLES.index(name)]
+        elif name in EULER:
+            Z[6:9, k] = size * turns[:, EULER.index(name)]
             if not any(body in start for body in BODY):  # the velocity over the ground is what was measured
                 Z[3:6, k] = np.cross(velocity, Z[6:9, k])
         else:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import check_random_state
 
-from skdgp._flight.channels import CHANNELS
+from skdgp._flight.channels import CHANNELS, EULER
 from skdgp._flight.checks import check_names, check_radians
 from skdgp._flight.frames import (
     air_velocity,
@@ -21,11 +21,10 @@ from skdgp._flight.frames import (
 )
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, STATE_NAMES, VELOCITY
 
-__all__ = ["ANGLES", "BODY", "EARTH", "as_starts", "checked_std", "initial_states", "perturbed"]
+__all__ = ["BODY", "EARTH", "as_starts", "checked_std", "initial_states", "perturbed"]
 
-ANGLES = ("phi", "theta", "psi")
 BODY, EARTH, AIR = ("u", "v", "w"), ("v_north", "v_east", "v_down"), ("airspeed", "alpha", "beta")
-WORDS = (*AIR, *BODY, *EARTH, *ANGLES, *STATE_NAMES[10:], *STATE_NAMES[:3], "altitude")
+WORDS = (*AIR, *BODY, *EARTH, *EULER, *STATE_NAMES[10:], *STATE_NAMES[:3], "altitude")
 SLACK = 0.15
 """By which the airspeed of a start may differ from what its ground speed and the wind make of it."""
 LOWEST_LAND = -450.0
@@ -86,13 +85,13 @@ def initial_states(starts: pd.DataFrame | np.ndarray, air: Callable | None = Non
 
 
 def _from_table(table: pd.DataFrame, air) -> np.ndarray:
-    check_radians(table, (*ANGLES, "p", "q", "r", "alpha", "beta"))
+    check_radians(table, (*EULER, "p", "q", "r", "alpha", "beta"))
     states = np.zeros((len(table), len(STATE_NAMES)))
 
     def of(names):
         return np.stack([table[n].to_numpy(float) if n in table else np.zeros(len(table)) for n in names], axis=-1)
 
-    states[:, ATTITUDE] = euler_to_quaternion(*of(ANGLES).T)
+    states[:, ATTITUDE] = euler_to_quaternion(*of(EULER).T)
     states[:, RATES] = of(("p", "q", "r"))
     states[:, POSITION] = of(("north", "east", "down"))
     if "altitude" in table:
@@ -152,7 +151,7 @@ def checked_std(std: Mapping[str, float] | None) -> dict[str, float]:
         If a name is none of a start's, or a deviation is not finite, or negative.
     """
     std = dict(std or {})
-    check_names(std, (*STATE_NAMES[:6], *ANGLES, *EARTH, *STATE_NAMES[10:]), "names of initial_std")
+    check_names(std, (*STATE_NAMES[:6], *EULER, *EARTH, *STATE_NAMES[10:]), "names of initial_std")
     for name, size in std.items():
         if not (np.isfinite(size) and size >= 0):
             raise ValueError(f"Got initial_std of {name} {size!r}, but expected a finite number from 0 on.")
@@ -173,8 +172,8 @@ def perturbed(states: np.ndarray, std: Mapping[str, float] | None, n_paths: int,
     drawn[..., POSITION] += of(STATE_NAMES[POSITION])
     drawn[..., VELOCITY] += of(BODY) + ned_to_body(drawn[..., ATTITUDE], of(EARTH))
     drawn[..., RATES] += of(STATE_NAMES[RATES])
-    if any(name in std for name in ANGLES):
-        angles = quaternion_to_euler(drawn[..., ATTITUDE]) + of(ANGLES)
+    if any(name in std for name in EULER):
+        angles = quaternion_to_euler(drawn[..., ATTITUDE]) + of(EULER)
         ground = body_to_ned(drawn[..., ATTITUDE], drawn[..., VELOCITY])
         drawn[..., ATTITUDE] = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
         if not any(name in std for name in BODY):  # the velocity over the ground is what was measured

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS, EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY
@@ -25,7 +25,6 @@ REASONS = {
     "fixed point": "no fixed point of the regressors that follow from the loads",
 }
 
-ANGLES = ("phi", "theta", "psi")
 EARTH, AIR = ("v_north", "v_east", "v_down"), ("airspeed", "alpha", "beta")
 
 
@@ -42,7 +41,7 @@ def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
         ("north", "east", "down"): states[..., POSITION],
         EARTH: earth,
         ("u", "v", "w"): states[..., VELOCITY],
-        ANGLES: angles,
+        EULER: angles,
         ("p", "q", "r"): states[..., RATES],
     }
     found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
@@ -172,7 +171,7 @@ def trajectory_bands(
     if not 0 < level <= 1:
         raise ValueError(f"Got level={level!r}, but expected a share between 0 and 1.")
     check_columns(trajectories, ["start", "path", "time", "ended"], what="ensemble (simulate with n_paths=...)")
-    wanted = (*EARTH, *ANGLES, "p", "q", "r", *AIR, "altitude", "north", "east") if columns is None else columns
+    wanted = (*EARTH, *EULER, "p", "q", "r", *AIR, "altitude", "north", "east") if columns is None else columns
     names = [name for name in wanted if name in trajectories]
     rows = []
     for start, part in trajectories.groupby("start", sort=False):
@@ -185,7 +184,7 @@ def trajectory_bands(
         }
         for name in names:
             values = part[name].to_numpy(float).reshape(n_paths, -1)
-            if name in ANGLES:
+            if name in EULER:
                 values = values[:1, :1] + np.unwrap(np.angle(np.exp(1j * (values - values[:1, :1]))), axis=1)
             low, middle, high = _quantiles(values, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level])
             band |= {name: middle, f"{name}_low": low, f"{name}_high": high}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from skdgp._flight.frames import cross_matrix
 from skdgp.preprocessing._reconstruction.bordered import Rows
 
 Floats = NDArray[np.float64]
@@ -151,7 +152,7 @@ def air_data_rows(path: Path) -> Rows:
     velocity, R = path.air_velocity(), path.attitude.as_matrix()
     slopes = air_data_slopes(velocity)
     toward = slopes @ R.swapaxes(1, 2)
-    here = np.concatenate([toward, slopes @ _cross(velocity), -toward], axis=2)
+    here = np.concatenate([toward, slopes @ cross_matrix(velocity), -toward], axis=2)
     shared = np.zeros((len(R), 3, len(CONSTANTS)))
     shared[:, :, [PLACE[name] for name in WIND]] = -toward[:, :, :2]
     return Rows(air_data(velocity), here, None, shared)
@@ -180,8 +181,8 @@ def _tie_velocity(rows, path, log, turned):
     rows.residual[:, VELOCITY] = back.apply(gained)
     rows.after[:, VELOCITY, VELOCITY] = back.as_matrix() / step[..., None]
     rows.here[:, VELOCITY, VELOCITY] = -rows.after[:, VELOCITY, VELOCITY]
-    rows.after[:, VELOCITY, ATTITUDE] = turned @ _cross(force[1:]) / 2
-    rows.here[:, VELOCITY, ATTITUDE] = _cross(rows.residual[:, VELOCITY] + force[:-1] / 2)
+    rows.after[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
+    rows.here[:, VELOCITY, ATTITUDE] = cross_matrix(rows.residual[:, VELOCITY] + force[:-1] / 2)
     rows.shared[:, VELOCITY, PLACE["ax_bias"] : PLACE["az_bias"] + 1] = (np.eye(3) + turned) / 2
 
 
@@ -252,7 +253,7 @@ def _rates(path, log, scale):
 
 def _slope_of_log(angle):
     """Return the derivative of Log(exp(angle) exp(x)) by x at 0, to second order in the angle: (n, 3, 3)."""
-    half = _cross(angle) / 2
+    half = cross_matrix(angle) / 2
     return np.eye(3) + half + half @ half / 3
 
 
@@ -266,10 +267,3 @@ def _without(rows, missing):
         if values is not None:
             values[missing] = 0.0
     return rows
-
-
-def _cross(a):
-    """Return the matrices (n, 3, 3) of the products a x."""
-    x, y, z = a.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""The dependent Gaussian process as a scikit-learn regressor: validate, scale, delegate."""
+"""DependentGPRegressor, and the validation of its data and targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Configurations: the options of a command as TOML, taken before the words of the command line, kept beside outputs."""
+"""Configuration files: the options of a command as TOML, read before the command line and written beside outputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the user sees meanwhile: one line that is rewritten on a terminal, nothing in a pipe; warnings, once each."""
+"""Progress line and warnings on standard error."""
 
 from __future__ import annotations
 

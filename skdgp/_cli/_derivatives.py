@@ -1,4 +1,4 @@
-"""What the command ``derivatives`` does: trims, stability derivatives and modes over airspeed, with deviations."""
+"""The command ``derivatives``: trims, stability derivatives and modes over airspeed, with standard deviations."""
 
 from __future__ import annotations
 

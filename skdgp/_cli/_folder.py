@@ -1,4 +1,4 @@
-"""The folder that the outputs go to: known to be writable before hours of work, left as found when that fails."""
+"""The output folder: checked for writing before a long fit, and removed again when nothing was written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``--help`` teaches."""
+"""Help texts of the commands."""
 
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.

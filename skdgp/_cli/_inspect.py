@@ -1,4 +1,4 @@
-"""What the command ``inspect`` does: say what a log holds, and begin its servo file."""
+"""The command ``inspect``: what a log holds, and a template of its servo file."""
 
 from __future__ import annotations
 

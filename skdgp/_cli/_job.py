@@ -1,4 +1,4 @@
-"""The identification job: read, fit, try, write."""
+"""The commands ``identify`` and ``demo``: read, fit, evaluate, write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From words on the command line to an exit code."""
+"""The entry point: arguments in, exit code out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models that exist, and flights as they are given to them."""
+"""Saved models, and the flights that commands apply them to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which options each command has."""
+"""The options of each command."""
 
 from __future__ import annotations
 

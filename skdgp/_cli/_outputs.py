@@ -1,4 +1,4 @@
-"""The files of a job: the model, the numbers, the report."""
+"""The output files of ``identify``: model, metrics, report."""
 
 from __future__ import annotations
 

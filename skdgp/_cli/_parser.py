@@ -1,4 +1,4 @@
-"""From the words of the command line, and a configuration, to options."""
+"""The argument parser, which also reads a configuration file."""
 
 from __future__ import annotations
 

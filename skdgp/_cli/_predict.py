@@ -1,4 +1,4 @@
-"""What the command ``predict`` does: coefficients of flights, and how sure the model is of them."""
+"""The command ``predict``: coefficients of flights, with standard deviations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From an outcome to what the report shows."""
+"""The content of the report, from the outcome of a job."""
 
 from __future__ import annotations
 

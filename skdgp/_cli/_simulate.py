@@ -1,4 +1,4 @@
-"""What the command ``simulate`` does: fly a model, from a moment of a log or from a trim, and say how it went."""
+"""The command ``simulate``: fly a model from a moment of a log or from a trim."""
 
 from __future__ import annotations
 

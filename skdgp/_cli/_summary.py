@@ -1,4 +1,4 @@
-"""What is printed at the end: the few numbers that one looks at first, and where the rest is."""
+"""The summary printed at the end of a command."""
 
 from __future__ import annotations
 

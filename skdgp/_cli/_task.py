@@ -1,4 +1,4 @@
-"""A command under way: what was asked, where its outputs go, and how the user hears of it."""
+"""A running command: its options, output folder and console."""
 
 from __future__ import annotations
 

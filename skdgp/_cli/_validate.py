@@ -1,4 +1,4 @@
-"""What the command ``validate`` does: try a model that exists on flights."""
+"""The command ``validate``: evaluate a saved model on flights."""
 
 from __future__ import annotations
 

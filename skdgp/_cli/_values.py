@@ -1,4 +1,4 @@
-"""From a word of the command line, or a value of a configuration, to what the option means."""
+"""Conversion of option values from text."""
 
 from __future__ import annotations
 

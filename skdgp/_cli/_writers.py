@@ -1,4 +1,4 @@
-"""What writes the files of a command: text, JSON, tables, pictures."""
+"""Writers of output files: text, JSON, tables, pictures."""
 
 from __future__ import annotations
 

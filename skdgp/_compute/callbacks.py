@@ -1,4 +1,4 @@
-"""Scikit-learn's callbacks, from version 1.9 on, hear of a fit and of every evaluation of the likelihood in it."""
+"""Support for scikit-learn's callbacks (version 1.9 and newer)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checkpoints: what a search has evaluated so far, kept in files, so that a killed fit goes on where it was.
+"""Checkpoints: evaluations of the likelihood kept in files, so that a killed fit resumes.
 
 Where a search asks for the likelihood next follows from the answers it got. So the answers of stages under way are
 kept, and of stages that are done their ends: a fit that begins again gets them back instead of computing them, goes

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all; read, where they are JSON or TOML, or refused in one line."""
+"""Files: atomic writing; reading of JSON and TOML with one-line errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one room for factorisations: Cholesky that says what it did, inverses and solves in place."""
+"""Linear algebra: Cholesky factors with jitter, triangular solves, scales of columns, k-means."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The memory of the machine, and refusal of what would not fit into it."""
+"""Memory of the machine, and a check that matrices fit into it."""
 
 from __future__ import annotations
 

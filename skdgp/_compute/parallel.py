@@ -1,4 +1,4 @@
-"""Work on other processes and machines, through joblib's active backend; what is lost there is done again.
+"""Parallel work through joblib's active backend; work lost with a worker is done again.
 
 Who works is decided where a piece of work begins: nobody else unless ``joblib.parallel_config`` or ``n_jobs`` asks for
 it. Results stand in the order of the tasks, so sums keep their bits wherever their parts were summed.

@@ -1,4 +1,4 @@
-"""How a long fit tells whoever is listening where it is."""
+"""Listeners to the progress of a fit."""
 
 from __future__ import annotations
 

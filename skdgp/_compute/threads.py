@@ -1,4 +1,4 @@
-"""Threads for work on tiles, given back afterwards."""
+"""Threads for work on tiles, and limits of BLAS threads."""
 
 from __future__ import annotations
 

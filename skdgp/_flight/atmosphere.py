@@ -1,4 +1,4 @@
-"""The standard atmosphere: what air is like at an altitude where nobody measured it."""
+"""The standard atmosphere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks at the door: what was got, what was expected, what to do."""
+"""Validation of flight tables: columns, limits of angles and rates, degrees for radians."""
 
 from __future__ import annotations
 

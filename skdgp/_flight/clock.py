@@ -1,4 +1,4 @@
-"""The clock of a log: contiguous stretches, their sampling rate, refusal of clocks without one."""
+"""The clock of a log: flights, contiguous segments, sampling rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each channel by itself makes improbable: holds, spikes, stops, lost samples. Arrays in, rows out.
+"""Detectors of faults in one channel: holds, spikes, stops, lost samples. Arrays in, rows out.
 
 A sensor with noise hardly ever repeats a value: where a share p of all runs of equal values is longer than usual, one
 of k times the usual length has a chance of p^(k-1). The usual length is the channel's own, so that a sensor slower than

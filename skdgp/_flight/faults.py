@@ -1,4 +1,4 @@
-"""Faults of a flight log, named, and taken out of it."""
+"""Faults of a flight log: found, named, and removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spectra of noisy channels, and the Wiener smoothers they imply.
+"""Spectra of noisy channels, and the Wiener smoothers that follow from them.
 
 With P(f) the measured (cross-)power of k channels and N the white noise of their sensors, the linear smoother of
 least mean squared error is, for each channel alone and for all together,

@@ -1,4 +1,4 @@
-"""Quantiles of scores that come in flights: a flight weighs as much as another, however long."""
+"""Conformal quantiles of scores grouped by flight: every flight has the same weight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is held out, and how wrong a model that did not see it is there."""
+"""Residuals of a model on flights that are held out."""
 
 from __future__ import annotations
 

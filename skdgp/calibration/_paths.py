@@ -1,4 +1,4 @@
-"""Samples of the posterior, spread as flights held out ask for."""
+"""Samples of the posterior, rescaled by the calibration."""
 
 from __future__ import annotations
 

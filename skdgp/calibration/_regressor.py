@@ -1,4 +1,4 @@
-"""A regressor whose standard deviations hold on flights that it did not learn from."""
+"""CalibratedRegressor: standard deviations that hold on flights it did not learn from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simple autopilot: holds altitude and airspeed, flies orbits, damps; manoeuvres are added to its commands."""
+"""A simple autopilot for the example flights: holds altitude and airspeed, flies orbits, adds manoeuvres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the example flights do: paths, altitudes, speeds, wind, and the inputs that excite the aircraft."""
+"""Plans of the example flights: paths, altitudes, speeds, wind, excitation."""
 
 from __future__ import annotations
 

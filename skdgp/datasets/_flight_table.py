@@ -1,4 +1,4 @@
-"""From what was flown to flight tables: truth columns by the equations of flight, measured ones by the sensors."""
+"""Flight tables of simulated flights: true columns and measured ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All that acts on the example aircraft at an instant: air data, aerodynamic and propulsive loads, motion."""
+"""Air data, loads and motion of the example aircraft at an instant."""
 
 from __future__ import annotations
 

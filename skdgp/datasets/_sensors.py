@@ -1,4 +1,4 @@
-"""What the aircraft's sensors report: the truth plus white noise."""
+"""Sensor models of the example flights: truth plus white noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flies the plans: several flights as one batch through wind and gusts, with the autopilot in the loop."""
+"""Simulation of the example flights, several at once, with the autopilot in the loop."""
 
 from __future__ import annotations
 

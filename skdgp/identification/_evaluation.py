@@ -1,4 +1,4 @@
-"""What a fitted model says of one flight, and how right it is."""
+"""Evaluation of a fitted model on one flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Model files: whole or refused, and never read in silence by other versions than wrote them."""
+"""Model files: with a checksum, and a warning where other versions wrote them."""
 
 from __future__ import annotations
 

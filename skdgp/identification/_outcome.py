@@ -1,4 +1,4 @@
-"""What a job came to: a model, how it came about, and how it did."""
+"""The outcome of an identification: model, settings, facts of the fit, evaluations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which rows of a log can be learned from, and what cannot be learned from them."""
+"""Rows and columns of a log that can be learned from."""
 
 from __future__ import annotations
 

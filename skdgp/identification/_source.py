@@ -1,4 +1,4 @@
-"""Where flights and aircraft come from, and what is held out when no test flight is named."""
+"""Sources of flights and aircraft, and the flight held out when no test flight is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gradient of the sparse bound: sums over samples once more, with what the first sums have taught."""
+"""The gradient of the sparse bound, a second sum over samples."""
 
 from __future__ import annotations
 

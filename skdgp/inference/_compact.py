@@ -1,4 +1,4 @@
-"""A posterior made small: the samples become inducing variables, and what that changed is said."""
+"""Compaction: a posterior of few inducing variables without samples, and what that changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How strongly outputs depend on each other, and with what shift."""
+"""The largest correlation between outputs, and the shift at which it is."""
 
 from __future__ import annotations
 

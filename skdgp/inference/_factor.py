@@ -1,4 +1,4 @@
-"""A Cholesky factor that grows: rows are appended, nothing is factored again."""
+"""A Cholesky factor that grows by rows."""
 
 from __future__ import annotations
 

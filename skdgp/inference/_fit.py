@@ -1,4 +1,4 @@
-"""From a kernel without values to a posterior: starting values, hyperparameters, the state of knowledge."""
+"""Fits: starting values, hyperparameters, posterior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Noise of the values: each output's own, and what noisy regressors carry into all outputs of a sample at once.
+"""Noise covariance: each output's own noise, and the noise that regressors carry into all outputs of a sample.
 
 To first order a regressor that is off by e, e ~ N(0, S), moves the outputs of sample a by J_a e, with the slopes J_a of
 the posterior mean: their noise has the covariance diag(sigma^2) + J_a S J_a^T (McHutchon & Rasmussen 2011), the same e

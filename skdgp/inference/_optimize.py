@@ -1,4 +1,4 @@
-"""Maximising the log marginal likelihood: bounded L-BFGS, the best point kept whatever happens."""
+"""Maximisation of the log marginal likelihood by bounded L-BFGS; the best point is kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Predictions from inducing features: few products, of matrices made beforehand."""
+"""Predictions from inducing features, by few matrix products."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much neighbours in a log repeat each other."""
+"""The autocorrelation time of residuals: how many neighbouring samples count as one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sums over samples whose outputs are noisy together: what sparse inference asks of the data where regressors are.
+"""Sums over samples for sparse inference where the noise is correlated between outputs.
 
 The noise of sample a has a covariance between outputs, diag(sigma^2) + G_a G_a^T (see ``_noise``), and with its inverse
 Pi_a the bound is a sum over samples of products of all pairs of outputs. A stretch is, as a share is, summed by a

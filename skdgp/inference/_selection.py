@@ -1,4 +1,4 @@
-"""How rich a kernel the data can tell: by the evidence, less what further hyperparameters fit by chance."""
+"""Selection of the number of latents by evidence (BIC)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sums over samples, share by share: all that sparse inference asks of the data.
+"""Sums over samples for sparse inference, in shares that threads or workers sum.
 
 A share is a stretch of one output's values. The functions of one share stand at module level and get what they need as
 arguments, so that a share can be summed by a thread, a process or another machine.

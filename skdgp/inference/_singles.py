@@ -1,4 +1,4 @@
-"""Each output alone first: cheap fits that find trend, widths and noise nearly where the joint fit ends."""
+"""Fits of each output alone, which give the starting point of the joint fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What conditioning on features asks of all samples together: sums that can be added to, and kept."""
+"""Sufficient sums of sparse inference: they are added to, and kept in compact models."""
 
 from __future__ import annotations
 

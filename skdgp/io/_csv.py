@@ -1,4 +1,4 @@
-"""CSV: separator, header with or without units, decimal comma."""
+"""Reader of CSV tables: separator, header, units, decimal comma."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one error of the readers."""
+"""FlightReadError, the one error of the readers."""
 
 
 class FlightReadError(ValueError):

@@ -1,4 +1,4 @@
-"""What a log holds, and what it lacks for which step."""
+"""Inspection of a log: what it holds, and what it lacks for each step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large a table may be: a small file must not take all memory, or all day."""
+"""Limits of columns and of unpacked size, so that a small file cannot take all memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MATLAB files: vectors named as in the vocabulary, loose or as the fields of one struct."""
+"""Reader of MATLAB tables: vectors named as columns, loose or as fields of one struct."""
 
 from __future__ import annotations
 

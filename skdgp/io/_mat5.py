@@ -1,4 +1,4 @@
-"""MATLAB's MAT-files of versions 5 to 7: nested elements, each behind its type and length.
+"""Decoder of MAT-files of versions 5 to 7: nested elements, each behind its type and length.
 
 The format is that of MathWorks, MAT-File Format (R2019b). It is read here because ``scipy.io.loadmat`` ends the process
 on some damaged files. No length in the file is trusted.

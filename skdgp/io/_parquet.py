@@ -1,4 +1,4 @@
-"""Parquet: the flat columns of a file, as what they hold."""
+"""Reader of Parquet tables."""
 
 from __future__ import annotations
 

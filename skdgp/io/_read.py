@@ -1,4 +1,4 @@
-"""One flight, or several, from files: read, check, name."""
+"""read_flight and read_flights: files to flight tables."""
 
 from __future__ import annotations
 

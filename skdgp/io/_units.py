@@ -1,4 +1,4 @@
-"""Units: those written in a header are converted to SI, those that the numbers give away are refused."""
+"""Units: conversion of stated units to SI, and refusal of numbers in other units."""
 
 from __future__ import annotations
 

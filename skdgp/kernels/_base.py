@@ -1,4 +1,4 @@
-"""The contract of a multi-output kernel, and the one place where hyperparameters become theta and back."""
+"""MultiOutputKernel, the contract of a kernel, and the transform between hyperparameters and theta."""
 
 from __future__ import annotations
 

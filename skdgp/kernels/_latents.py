@@ -1,4 +1,4 @@
-"""Which latent feeds which output, and what of their filters is tied."""
+"""Which latent feeds which output, and which length scales are tied."""
 
 from __future__ import annotations
 

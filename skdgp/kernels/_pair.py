@@ -1,4 +1,4 @@
-"""Two Gaussian filters of one latent process: the covariance they make, and its derivatives.
+"""The covariance of two Gaussian filters of one latent process, and its derivatives.
 
 Notation of the convolved Gaussian: A = 2 R R^T, Sigma = A_i (A_i + A_j)^-1 A_j = F F^T, and c, the covariance at its
 peak for unit amplitudes. The leading axis runs over latents, (m, ...).

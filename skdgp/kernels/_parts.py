@@ -1,4 +1,4 @@
-"""Inducing features that are the outputs' own parts of the latents, and where to place how many of them."""
+"""Inducing features of compact models: the outputs' parts of the latents, and where they are placed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Functions of the regressors with random coefficients: what samples of prior and posterior are made of."""
+"""Functions of the regressors with random coefficients, of which posterior samples are sums."""
 
 from __future__ import annotations
 

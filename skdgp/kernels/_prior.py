@@ -1,4 +1,4 @@
-"""A log-normal prior on length scales: what a width is where the data do not say."""
+"""The log-normal prior on length scales."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The features that every output feels, for few samples at once: one product, one exponential.
+"""Features of all outputs at few samples: one matrix product, one exponential.
 
 ``sizes`` (P,) says how many columns are each output's.
 """

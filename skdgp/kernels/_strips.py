@@ -1,4 +1,4 @@
-"""The inner loops of the convolved Gaussian: exponentials of squared distances, a strip of rows at a time.
+"""Exponentials of squared distances, computed in strips of rows that fit the cache.
 
 A strip, and what is done with it, stays in the cache; what is kept are sums over it.
 """

@@ -1,4 +1,4 @@
-"""A trend in every output, linear in its weights, which are integrated out."""
+"""Trends: functions linear in weights with a Gaussian prior, which are integrated out."""
 
 from __future__ import annotations
 

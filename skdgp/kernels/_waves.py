@@ -1,4 +1,4 @@
-"""Samples of convolved Gaussians that are functions: sums of waves with random frequencies."""
+"""Prior samples as sums of waves with random frequencies."""
 
 from __future__ import annotations
 

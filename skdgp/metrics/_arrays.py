@@ -1,4 +1,4 @@
-"""What a metric is given, checked; what it returns, put together."""
+"""Validation of the arguments of metrics, and the shape of what they return."""
 
 from __future__ import annotations
 

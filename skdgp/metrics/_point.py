@@ -1,4 +1,4 @@
-"""How far predictions are off."""
+"""Metrics of point predictions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether stated uncertainty tells the truth: proper scores, and coverage."""
+"""Metrics of stated uncertainty: proper scores and coverage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Metrics as scikit-learn asks for them: scorers of fitted estimators, scores by output and by flight."""
+"""Scorers of fitted estimators, and scores by output and by flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks of flights held out, at a distance in time from what is learned from."""
+"""BlockSplit: blocks of flights held out, with a gap in time."""
 
 from __future__ import annotations
 

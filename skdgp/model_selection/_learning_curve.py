@@ -1,4 +1,4 @@
-"""How good a model gets with the seconds flown."""
+"""Learning curves over the seconds flown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which rows of a flight are learned from."""
+"""Thinning of targets: the rows of a flight that are learned from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a picture is given, checked before anything is drawn."""
+"""Validation of the arguments of displays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intervals that hold as often as they say, or not."""
+"""CalibrationDisplay: how often intervals hold what they should."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measured and estimated coefficients against time."""
+"""CoefficientDisplay: measured and estimated coefficients against time."""
 
 from __future__ import annotations
 

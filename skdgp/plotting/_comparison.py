@@ -1,4 +1,4 @@
-"""One panel that compares: measured, estimated with its band, and truth where it is known, against time."""
+"""Panels of measured and estimated values with bands, and truth where it is known, against time."""
 
 from __future__ import annotations
 

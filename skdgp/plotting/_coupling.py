@@ -1,4 +1,4 @@
-"""Which outputs vary together."""
+"""CouplingDisplay: correlations between outputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stability derivatives over a sweep of speed or angle of attack."""
+"""DerivativeDisplay: stability derivatives over speed or angle of attack."""
 
 from __future__ import annotations
 

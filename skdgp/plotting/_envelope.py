@@ -1,4 +1,4 @@
-"""Long records drawn with few points: the extremes of every time slice, so that no peak is lost.
+"""Long records drawn with few points: the extremes of every time slice.
 
 A screen shows about a thousand columns. Of all samples that share a column only the lowest and the highest
 can be seen; keeping just those gives the same picture from a fraction of the points.

@@ -1,4 +1,4 @@
-"""What was flown: the inputs against time, and the path over the ground."""
+"""FlightDisplay: inputs against time, and the path over the ground."""
 
 from __future__ import annotations
 

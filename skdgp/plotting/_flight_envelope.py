@@ -1,4 +1,4 @@
-"""Where the data are, and where the model knows nothing."""
+"""EnvelopeDisplay: where the data are, and where the model is uncertain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The path over the ground, from positions or from integrated velocities."""
+"""The path over the ground, from positions or integrated velocities."""
 
 from __future__ import annotations
 

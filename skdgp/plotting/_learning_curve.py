@@ -1,4 +1,4 @@
-"""Scores over the seconds flown."""
+"""FlightLearningCurveDisplay: scores over the seconds flown."""
 
 from __future__ import annotations
 

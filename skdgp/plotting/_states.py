@@ -1,4 +1,4 @@
-"""Measured and replayed states against time."""
+"""StateDisplay: measured and replayed states against time."""
 
 from __future__ import annotations
 

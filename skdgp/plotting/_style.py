@@ -1,4 +1,4 @@
-"""One look for every picture: colours everybody can tell apart, symbols, units, axes."""
+"""Style of all pictures: colours, symbols, units, axes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulated flights against time: the band that an ensemble fills, and what truly happened where that is known."""
+"""TrajectoryDisplay: simulated flights, the band of their ensemble, and truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs as they are: faults named, and taken out before anything is learned from them."""
+"""FlightCheck: faults of logs named and removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From surfaces that share the work to the controls that mean something: elevator, aileron, rudder."""
+"""ElevonSplitter: elevons mixed to elevator and aileron."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Channels of different clocks brought to that of the inertial unit."""
+"""LagCorrector: lags of channels removed."""
 
 from __future__ import annotations
 

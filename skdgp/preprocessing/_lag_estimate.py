@@ -1,4 +1,4 @@
-"""How late surfaces and air data are against the inertial unit: a profile likelihood over the lag.
+"""Estimates of the lags of surfaces and air data: a profile likelihood over the lag.
 
 At one and the same time the angular accelerations follow from surfaces, rates and specific force, and alpha and beta
 from specific force, rates and surfaces, locally as linear functions. All signals pass one band, so that trim and noise

@@ -1,4 +1,4 @@
-"""Rates as the aerodynamics feel them: made non-dimensional by airspeed, span and chord."""
+"""RateNondimensionalizer: rates times span or chord over airspeed."""
 
 from __future__ import annotations
 

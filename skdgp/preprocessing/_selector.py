@@ -1,4 +1,4 @@
-"""Which columns the coefficients are learned from."""
+"""RegressorSelector: the columns that coefficients are learned from."""
 
 from __future__ import annotations
 

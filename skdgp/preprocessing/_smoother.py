@@ -1,4 +1,4 @@
-"""Sensor noise out, rates of change in, without delay and without crossing from one flight into the next."""
+"""FlightSmoother: zero-phase smoothing and differentiation, flight by flight."""
 
 from __future__ import annotations
 

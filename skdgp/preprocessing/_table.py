@@ -1,4 +1,4 @@
-"""What the transformers of flight tables share: columns are known by name, strangers pass through untouched."""
+"""Base class of the transformers of flight tables: columns by name, others pass through."""
 
 from __future__ import annotations
 

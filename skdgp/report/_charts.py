@@ -1,4 +1,4 @@
-"""Charts to look into: the samples of a picture, packed into the page, for a script that zooms and reads them."""
+"""Interactive charts: samples packed into the page for its script."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a report is made of: plain data, filled by whoever fitted and predicted."""
+"""The content of a report: plain data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns of samples as bytes that compress well, and fewer of them where there are too many."""
+"""Samples packed as bytes, thinned where there are too many."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page around the report: its frame and its looks."""
+"""The frame and style of the report page."""
 
 from string import Template
 

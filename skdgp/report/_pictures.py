@@ -1,4 +1,4 @@
-"""The report's pictures: each panel one SVG, so that they flow in two columns or, on a phone, in one."""
+"""Pictures of the report, one SVG for each panel."""
 
 from __future__ import annotations
 

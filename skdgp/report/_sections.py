@@ -1,4 +1,4 @@
-"""The report's sections, each from the content to a piece of HTML."""
+"""Sections of the report, as HTML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A matplotlib picture as SVG that belongs to the page: its fonts, its colours, light or dark, few bytes."""
+"""Matplotlib pictures as SVG in the page's fonts and colours."""
 
 from __future__ import annotations
 

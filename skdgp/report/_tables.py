@@ -1,4 +1,4 @@
-"""Numbers and words as HTML: everything that comes from outside is escaped here."""
+"""Tables and text as HTML; text from outside is escaped here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the report's charts hold: the samples behind its pictures against time."""
+"""Samples behind the charts of the report."""
 
 from __future__ import annotations
 

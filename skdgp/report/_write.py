@@ -1,4 +1,4 @@
-"""From content to a file."""
+"""Writing of the report file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stability and control derivatives: the slopes of a model at a flight, as flight engineers read them."""
+"""Stability and control derivatives of a model at a flight condition."""
 
 from __future__ import annotations
 

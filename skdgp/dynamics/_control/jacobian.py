@@ -1,4 +1,4 @@
-"""How the motion of an aircraft changes with its state, its controls and its coefficients, to first order."""
+"""First-order derivatives of the aircraft's motion by states, controls and coefficients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The linear aircraft about a steady flight: A, B, C, D with names, their spread, and the modes in them."""
+"""Linear models about a steady flight: A, B, C, D with names, their spread, and modes."""
 
 from __future__ import annotations
 

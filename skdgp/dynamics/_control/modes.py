@@ -1,4 +1,4 @@
-"""Modes of a linear aircraft: short period and phugoid, Dutch roll, roll and spiral, told apart by what moves."""
+"""Modes of a linear model: short period, phugoid, Dutch roll, roll and spiral."""
 
 from __future__ import annotations
 

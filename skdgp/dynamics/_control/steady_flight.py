@@ -1,4 +1,4 @@
-"""The equations of a steady flight: what is unknown in them, how they are solved, and why they cannot be."""
+"""Equations of steady flight, their unknowns and their solution."""
 
 from __future__ import annotations
 

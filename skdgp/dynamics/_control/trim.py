@@ -1,4 +1,4 @@
-"""Trim: the attitude and the controls with which an aircraft flies steadily, straight or turning, level or not."""
+"""Trim: attitude and controls of steady flight, straight or turning, level or climbing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The seam: coefficients as a function of named regressors, whoever learned or wrote it."""
+"""Aerodynamics: coefficients as a function of named regressors, from a pipeline or a formula."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inverse dynamics: the aerodynamic coefficients that a flight must have had to move as it did."""
+"""Inverse dynamics: the aerodynamic coefficients from the measured motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What acts on a flying aircraft at an instant, and how it moves: from state and controls to the state's derivative."""
+"""Forces and moments at an instant, and the state's derivative, from state and controls."""
 
 from __future__ import annotations
 

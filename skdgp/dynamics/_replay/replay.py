@@ -1,4 +1,4 @@
-"""Replay: fly the predicted coefficients again and see where the aircraft would have gone."""
+"""Replay: predicted coefficients integrated to states along a recorded flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How uncertain coefficients make a replay: linear covariance along the flown path.
+"""The covariance of a replay: linear, along the flown path.
 
 Errors: position and velocity NED, small body rotation t (R_true = R (1 + [t x])), rates w. With f the specific
 force, R the rotation body to NED and e_f, e_m the errors of specific force and moment,

@@ -1,4 +1,4 @@
-"""Restart windows: a flight cut into stretches of one horizon, so that all can be integrated as one batch."""
+"""Restart windows: a flight cut into segments of one horizon, integrated as one batch."""
 
 from __future__ import annotations
 

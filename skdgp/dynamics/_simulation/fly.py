@@ -1,4 +1,4 @@
-"""The loop over time: states, step by step, of all trajectories at once, and where one of them ends."""
+"""The time loop of a simulation: all trajectories step by step, and where each ends."""
 
 from __future__ import annotations
 

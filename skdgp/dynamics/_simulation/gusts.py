@@ -1,4 +1,4 @@
-"""Dryden gusts: the air's own motion along a flight, as white noise through the filters of MIL-F-8785C."""
+"""Dryden gusts: white noise through the filters of MIL-F-8785C."""
 
 from __future__ import annotations
 

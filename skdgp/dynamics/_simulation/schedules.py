@@ -1,4 +1,4 @@
-"""What varies along a simulation, controls and wind: constants, tables and functions, at every stage of its steps."""
+"""Controls and wind along a simulation: constants, tables and functions."""
 
 from __future__ import annotations
 

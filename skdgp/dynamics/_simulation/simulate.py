@@ -1,4 +1,4 @@
-"""Simulation: an aircraft flown by a model, one trajectory or an ensemble of what the model believes."""
+"""Simulation of a model, as one trajectory or as an ensemble drawn from its posterior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An aircraft flown step by step: what a controller, or whoever learns one, talks to."""
+"""A simulator that goes step by step, for controllers and reinforcement learning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""The uncertainty of a trajectory, to first order: what errors of the model do along the flight of its mean.
+r"""First-order uncertainty of a trajectory: errors of the model propagated along the flight of its mean.
 
 The model's errors at the points that are passed, e(t), are jointly Gaussian with the posterior covariance, and an
 error of the state obeys x' = A x + G e with the slopes of the motion. Between knots e is linear, e = sum_j hat_j e_j,

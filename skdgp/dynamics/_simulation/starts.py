@@ -1,4 +1,4 @@
-"""Where simulations start: from what a user has, a row of a flight or a few numbers, to states of the rigid body."""
+"""Initial states of simulations, from rows of a flight or from a few numbers."""
 
 from __future__ import annotations
 

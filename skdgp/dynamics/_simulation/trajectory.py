@@ -1,4 +1,4 @@
-"""Trajectories as flight tables: what is seen along them, and how an ensemble spreads."""
+"""Trajectories as flight tables, and the bands of an ensemble."""
 
 from __future__ import annotations
 

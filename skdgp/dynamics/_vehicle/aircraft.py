@@ -1,4 +1,4 @@
-"""The aircraft: what must be known of it before any flight, checked once and then trusted."""
+"""The aircraft: mass, inertia, geometry and propulsion, validated once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loads on the aircraft: aerodynamic ones from coefficients, the others from a flight table."""
+"""Loads on the aircraft: aerodynamic ones from coefficients, others from a flight table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pushes a simulated aircraft: from its controls to the force and moment of the engine."""
+"""Force and moment of the engine in a simulation, from the controls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The line along which an engine pushes: from thrust to force and moment (the paper's equation 7)."""
+"""The thrust line: from thrust to force and moment (the paper's equation 7)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thrust as it was measured: a table over throttle and airspeed."""
+"""Measured thrust as a table over throttle and airspeed."""
 
 from __future__ import annotations
 

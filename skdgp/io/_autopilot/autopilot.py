@@ -1,4 +1,4 @@
-"""A log of an autopilot as flights: read, believe a clock, map, find the flights."""
+"""Logs of autopilots as flight tables: read, one clock, rules, flights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From topics to the columns of a flight table on one clock, by the table of rules."""
+"""Columns of a flight table on one clock, from topics by the table of rules."""
 
 from __future__ import annotations
 

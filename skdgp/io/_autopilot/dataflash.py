@@ -1,4 +1,4 @@
-"""ArduPilot's DataFlash log: messages behind two fixed bytes and a type, whose formats are messages themselves.
+"""Reader of ArduPilot DataFlash logs: messages behind two fixed bytes and a type, whose formats are messages.
 
 The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. No length in the file
 is trusted: where no message begins, reading goes on at the next two fixed bytes.

@@ -1,4 +1,4 @@
-"""Channels of any rate onto one clock: faster ones are low-passed first, slower ones interpolated, gaps stay."""
+"""Resampling to one clock: faster channels are low-passed, slower ones interpolated, gaps stay NaN."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which fields of which messages the columns of a flight table come from, in order of preference.
+"""Rules: which fields of which messages a column comes from, in order of preference.
 
 A rule with the same columns further down is taken where the topic above is absent, never valid, or slow (under 5 Hz).
 PX4: https://docs.px4.io/main/en/msg_docs; ArduPilot: https://ardupilot.org/plane/docs/logmessages.html.

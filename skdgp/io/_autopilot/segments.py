@@ -1,4 +1,4 @@
-"""Which stretches of a log are flight."""
+"""Detection of the segments of a log that are flight."""
 
 from __future__ import annotations
 

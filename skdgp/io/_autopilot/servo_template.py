@@ -1,4 +1,4 @@
-"""Templates of servo files: everything but the angles, from the outputs and parameters of a log."""
+"""Templates of servo files, from the outputs and parameters of a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From what was sent to a servo to the angle of its surface: calibration files in TOML."""
+"""Servo calibration: from pulse widths to surface angles, by files in TOML."""
 
 from __future__ import annotations
 

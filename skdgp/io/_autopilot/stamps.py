@@ -1,4 +1,4 @@
-"""Which time stamps are believed: one clock for all topics, restarts found, impossible and repeated stamps left out.
+"""Time stamps: one clock for all topics; restarts found, impossible and repeated stamps left out.
 
 Single stamps may be wrong; the median of the messages that stand together in the file hardly ever is.
 """

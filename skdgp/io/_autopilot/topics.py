@@ -1,4 +1,4 @@
-"""What every reader of a log gives: topics, each with its own clock, and what the log says of itself."""
+"""The log that a reader returns: topics with their clocks, parameters, information."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PX4's ULog: a header, definitions of messages, then messages, little-endian, each behind its length and type.
+"""Reader of PX4 ULog: header, definitions, messages, little-endian, each behind its length and type.
 
 The format is that of https://docs.px4.io/main/en/dev_log/ulog_file_format. No length in the file is trusted: what does
 not fit is left out, and reading goes on at the next place where three messages in a row make sense.

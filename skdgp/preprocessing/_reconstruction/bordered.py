@@ -1,4 +1,4 @@
-"""Least squares over a chain of states with a few constants shared by all: banded Cholesky with a border."""
+"""Least squares over a chain of states with shared constants: banded Cholesky with a border."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a flight table to what the reconstruction reads: one log for each flight, and a first guess of its path."""
+"""Logs that the reconstruction reads, one for each flight, with a first guess of the path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The most likely path of a flight through its sensors, and how noisy they are, by Gauss-Newton steps."""
+"""The most likely path of a flight given its sensors, and their noise, by Gauss-Newton steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exact kinematics of a flight: what inertial sensors, air data, attitude and GPS velocity say of one another."""
+"""Kinematic equations that relate inertial sensors, air data, attitude and GPS velocity."""
 
 from __future__ import annotations
 

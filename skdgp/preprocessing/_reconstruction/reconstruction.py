@@ -1,4 +1,4 @@
-"""The path that a flight must have taken through the air, from all its sensors at once."""
+"""FlightPathReconstruction, the transformer."""
 
 from __future__ import annotations
 

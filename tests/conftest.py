@@ -26,8 +26,15 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of
 collect_ignore = ["benchmarks"]  # scripts, which find each other only when they are run
 
 
+@pytest.fixture
+def one_thread():
+    """Hold BLAS, and with it the package, to one thread: evaluations come one after another, and can be counted."""
+    with threadpool_limits(1):
+        yield
+
+
 @pytest.fixture(scope="session", autouse=True)
-def _one_thread():
+def _threads():
     """Hold BLAS to one thread, or as many as the environment says: small problems are faster so."""
     with threadpool_limits(int(os.environ.get("OPENBLAS_NUM_THREADS", "1"))):
         yield

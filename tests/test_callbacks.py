@@ -121,6 +121,7 @@ def test_clones_keep_callbacks_and_parameters_know_nothing_of_them():
     assert len(recorder.news) == heard
 
 
+@pytest.mark.usefixtures("one_thread")
 def test_a_callback_may_stop_the_search():
     recorder = Recorder(stop_at=10)
     model = quick(max_iter=1000).set_callbacks(recorder)

@@ -72,6 +72,7 @@ def facts(folder):
     return found
 
 
+@pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize(
     "parameters",
     [

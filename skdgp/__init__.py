@@ -2,6 +2,8 @@
 
 from importlib import import_module
 
+from skdgp._compute import moved as _moved  # noqa: F401 - model files of earlier versions load
+
 __all__ = ["DependentGPRegressor", "checkpointing", "listening", "make_identification_pipeline"]
 __version__ = "0.1.0"
 

@@ -4,8 +4,6 @@ Body axes x forward, y right, z down; moments about the centre of gravity; SI un
 The seam to the learning half is a table: flights in, the six coefficients out, and back.
 """
 
-import sys as _sys
-
 from skdgp._flight.atmosphere import Atmosphere, standard_atmosphere, standard_density
 from skdgp._flight.frames import (
     air_data,
@@ -79,6 +77,3 @@ __all__ = [
     "trajectory_bands",
     "trim",
 ]
-
-for _name in ("aircraft", "propeller", "thrust_line"):  # where model files of earlier versions look for these classes
-    _sys.modules[f"{__name__}._{_name}"] = _sys.modules[f"{__name__}._vehicle.{_name}"]

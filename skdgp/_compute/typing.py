@@ -1,0 +1,24 @@
+"""Types of arrays, which also say what an array holds; shapes stand in the docstrings."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.random import RandomState
+from numpy.typing import ArrayLike, NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+"""Real numbers of any shape."""
+Vector: TypeAlias = NDArray[np.float64]
+"""Real numbers, (n,)."""
+Matrix: TypeAlias = NDArray[np.float64]
+"""Real numbers, (n, m)."""
+Mask: TypeAlias = NDArray[np.bool_]
+"""Truth values."""
+Indices: TypeAlias = NDArray[np.intp]
+"""Positions."""
+Seed: TypeAlias = "int | RandomState | None"
+"""As scikit-learn's ``random_state``."""
+
+__all__ = ["Array", "ArrayLike", "Indices", "Mask", "Matrix", "Seed", "Vector"]

@@ -206,10 +206,10 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
     P = Y.shape[1]
     noise_bounds = np.multiply.outer(output_scale(Y) ** 2, NOISE_BOUNDS)
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
-    noise = np.clip(0.2 * np.nanvar(kernel.unexplained(X, Y), axis=0), *noise_bounds.T)
+    noise = np.clip(0.2 * np.nanvar(kernel.residual(X, Y), axis=0), *noise_bounds.T)
     stop = Event()
     singles, n_evaluations, n_iter = None, 0, 0
-    if optimizer is not None and P > 1 and not open_kernel.is_given():
+    if optimizer is not None and P > 1 and not open_kernel.has_values():
         found = fit_singles(open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop)
         singles, noise, n_evaluations = found
     everything, X, Y = (X, Y), X[rows], Y[rows]

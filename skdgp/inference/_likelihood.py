@@ -54,7 +54,7 @@ class Data(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """A stretch of the values of one output."""
+    """A run of the values of one output."""
 
     output: int
     own: slice  # within the output

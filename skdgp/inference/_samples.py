@@ -1,7 +1,7 @@
 """Sums over samples for sparse inference where the noise is correlated between outputs.
 
 The noise of sample a has a covariance between outputs, diag(sigma^2) + G_a G_a^T (see ``_noise``), and with its inverse
-Pi_a the bound is a sum over samples of products of all pairs of outputs. A stretch is, as a share is, summed by a
+Pi_a the bound is a sum over samples of products of all pairs of outputs. A width_factor is, as a share is, summed by a
 thread, a process or another machine.
 """
 
@@ -22,7 +22,7 @@ DIAGONAL_ROWS = 32  # of a covariance of which the diagonal alone is needed
 
 
 class Stretch(NamedTuple):
-    """A stretch of samples: X (n, d), Y (n, P) with NaN where not observed, reach G (n, P, r)."""
+    """A width_factor of samples: X (n, d), Y (n, P) with NaN where not observed, reach G (n, P, r)."""
 
     X: np.ndarray
     Y: np.ndarray
@@ -67,14 +67,14 @@ def _table_of(data):
     return Stretch(np.concatenate(data.X)[first], Y, reach)
 
 
-def _sample_sums(kernel, features, noise, Lu, stretch):
+def _sample_sums(kernel, features, noise, Lu, width_factor):
     P = kernel.n_outputs
     columns = [features.columns(i) for i in range(P)]
     factors = [own_factor(Lu, c) for c in columns]
     outer, inner = np.zeros((features.size, features.size)), np.zeros(features.size)
     rest = 0.0
-    for rows in row_slices(len(stretch.X)):
-        X, Y, reach = (part[rows] for part in stretch)
+    for rows in row_slices(len(width_factor.X)):
+        X, Y, reach = (part[rows] for part in width_factor)
         precision, log_determinants = precisions(Y, reach, noise)
         Y = np.nan_to_num(Y)
         pulled = np.einsum("nij,nj->ni", precision, Y)
@@ -97,12 +97,12 @@ def sample_slope(kernel, features, noise, weights, gap, stretches):
     return tuple(np.sum(part, axis=0) for part in zip(*parts, strict=True))
 
 
-def _sample_slope(kernel, features, noise, weights, gap, stretch):
+def _sample_slope(kernel, features, noise, weights, gap, width_factor):
     P = kernel.n_outputs
     columns = [features.columns(i) for i in range(P)]
     total, diagonal, d_noise = 0.0, np.zeros(kernel.n_dims), np.zeros(P)
-    for rows in row_slices(len(stretch.X)):
-        X, Y, reach = (part[rows] for part in stretch)
+    for rows in row_slices(len(width_factor.X)):
+        X, Y, reach = (part[rows] for part in width_factor)
         precision, _ = precisions(Y, reach, noise)
         A = [features.Kfu(i, X) for i in range(P)]
         residual = np.nan_to_num(Y) - np.column_stack([A[i] @ weights[columns[i]] for i in range(P)])

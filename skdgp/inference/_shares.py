@@ -1,6 +1,6 @@
 """Sums over samples for sparse inference, in shares that threads or workers sum.
 
-A share is a stretch of one output's values. The functions of one share stand at module level and get what they need as
+A share is a run of one output's values. The functions of one share stand at module level and get what they need as
 arguments, so that a share can be summed by a thread, a process or another machine.
 """
 
@@ -19,7 +19,7 @@ SHARES = 8  # of each output
 
 
 class Share(NamedTuple):
-    """A stretch of the observed values of one output: X (n, d), y (n,)."""
+    """A run of the observed values of one output: X (n, d), y (n,)."""
 
     output: int
     X: np.ndarray

@@ -39,11 +39,13 @@ class _Output:
         bounds = bounds_of(kernel, self.noise_bounds)
         return kernel, self.search(likelihood_of(kernel, data, 1), theta, bounds, max_iter=max_iter, name=name)
 
-    def attempt(self, kernel, stretch, max_iter):
+    def attempt(self, kernel, width_factor, max_iter):
         """Return where a few of the values lead from one width."""
-        start = kernel.single().initialize(self.x, self.y, np.random.RandomState(self.seed), stretch=stretch)
+        start = kernel.single_output().initialize(
+            self.x, self.y, np.random.RandomState(self.seed), width_factor=width_factor
+        )
         theta = np.append(start.theta, np.log(self.noise))
-        name = f"{self.search.keywords['stage']} from {stretch}"
+        name = f"{self.search.keywords['stage']} from {width_factor}"
         return self.climb(start, theta, max(1, len(self.x) // TRY_VALUES), min(TRY_ITERATIONS, max_iter), name)
 
 
@@ -56,7 +58,7 @@ def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_s
     search = partial(maximize, optimizer=optimizer, stop=stop)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
     outputs = [_Output(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
-    tasks = [(output, stretch) for output in outputs for stretch in STRETCHES]
+    tasks = [(output, width_factor) for output in outputs for width_factor in STRETCHES]
     tries = thread_map(lambda task: task[0].attempt(kernel, task[1], max_iter), tasks, stop)
     n = len(STRETCHES)
     best = [max(tries[k : k + n], key=lambda end: end[1].value) for k in range(0, len(tries), n)]

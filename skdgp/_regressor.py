@@ -21,7 +21,7 @@ from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import check_n_jobs, fit_map
 from skdgp._compute.tables import column_names
-from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, output_correlation, reach_of
+from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, input_noise_loading, output_correlation
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
 EXACT_LIMIT = 6000
@@ -360,8 +360,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_same_targets(names, self.output_names_)
         check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
         check_magnitudes(Y, self.output_names_, "targets", 0.0, Y_RANGE[1])
-        reach = None if self._root is None else reach_of(self.posterior_, X, self._root)
-        data = Data.from_table(X, (Y - self._center) / self._scale, reach)
+        loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
+        data = Data.from_table(X, (Y - self._center) / self._scale, loading)
         if self.inference_ == "exact":
             check_memory(self.posterior_.data.n_values + data.n_values, "Exact inference on", FEWER_LATER)
         if data.n_values:
@@ -483,7 +483,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             mean, variance = mean
             if include_noise:
                 variance = variance + self.noise_variance_ / self._scale**2
-            variance = variance + np.sum(self._reach(X, include_input_noise) ** 2, axis=2)
+            variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
             return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
         mean = self._shaped(mean * self._scale + self._center)
         if not return_cov:
@@ -492,9 +492,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         cov = self.posterior_.covariance(X)
         if include_noise:
             cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
-        reach = self._reach(X, include_input_noise)
+        loading = self._loading(X, include_input_noise)
         blocks = cov.reshape(len(self._scale), len(X), len(self._scale), len(X))
-        np.einsum("iaja->aij", blocks)[:] += reach @ reach.swapaxes(1, 2)
+        np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
         scale = np.repeat(self._scale, len(X))
         return mean, cov * np.multiply.outer(scale, scale)
 
@@ -652,7 +652,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
-    def _reach(self, X, times):
+    def _loading(self, X, times):
         """Return J R of noisy regressors, (n, P, r); of exact ones r is zero."""
         times = np.asarray(times, dtype=float)
         if times.shape not in ((), (len(X),)) or not (times >= 0).all():

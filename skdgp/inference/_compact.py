@@ -11,8 +11,8 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
-from skdgp.inference._samples import data_of, shares_of
 from skdgp.inference._sparse import SparsePosterior, maximize_features
+from skdgp.inference._sums import data_of, shares_of
 
 CHECKED = 1000  # training inputs, at most, and as many around them, where the change is measured
 AROUND = 0.5  # standard deviations of the regressors that these are moved by

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+from functools import partial
 from threading import Event
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import cluster_centres, column_scale, output_scale
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import sharing
+from skdgp._compute.threads import thread_map
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._likelihood import Data
+from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import maximize
-from skdgp.inference._repeats import autocorrelation_time
-from skdgp.inference._samples import shares_of
-from skdgp.inference._singles import bounds_of, fit_singles, likelihood_of, spread
 from skdgp.inference._sparse import SparsePosterior, maximize_features
+from skdgp.inference._sums import shares_of
 
 SUBSET = 2400  # values that sparse inference learns hyperparameters from jointly
 FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
-SETTLING = 10  # steps, at most, to the noise that all values show
+NOISE_STEPS = 10  # steps, at most, to the noise that all values show
 NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
 INPUT_BOUNDS = (1e-7, 0.3)  # of the variance of a regressor
 LEAST_OWN = 0.01  # of an output's noise is its own
@@ -45,13 +46,13 @@ class Fit(NamedTuple):
     rising: bool = False
     converged: bool = True
 
-    def found(self, interrupted: bool) -> Found:
+    def found(self, interrupted: bool) -> Hyperparameters:
         """Return the hyperparameters of an exact fit, to be taken for other values."""
-        story = self.n_iter, self.n_evaluations, interrupted, self.rising, self.converged
-        return Found(self.posterior.kernel, self.noise, self.root, *story)
+        history = self.n_iter, self.n_evaluations, interrupted, self.rising, self.converged
+        return Hyperparameters(self.posterior.kernel, self.noise, self.root, *history)
 
 
-class Found(NamedTuple):
+class Hyperparameters(NamedTuple):
     """Hyperparameters, and how they were found."""
 
     kernel: object
@@ -64,13 +65,13 @@ class Found(NamedTuple):
     converged: bool = True
 
     def fit(self, posterior, value=None, more=None) -> Fit:
-        """Return the posterior with the story of how it was found; ``more`` is an Optimum that followed."""
+        """Return the posterior with the history of how it was found; ``more`` is an Optimum that followed."""
         value = posterior.log_marginal_likelihood if value is None else value
         n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
         interrupted = self.interrupted or bool(more and more.interrupted)
         value += posterior.kernel.log_prior()
-        story = self.n_iter, n_evaluations, interrupted, self.rising, self.converged
-        return Fit(posterior, self.noise, self.root, value, *story)
+        history = self.n_iter, n_evaluations, interrupted, self.rising, self.converged
+        return Fit(posterior, self.noise, self.root, value, *history)
 
 
 def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, spread=0.0, found=None) -> Fit:
@@ -92,7 +93,7 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=No
         R of the covariance R R^T of the regressors' noise; or a variance for each regressor is learned.
     spread : float
         Standard deviation of what is added to the starting theta: for restarts.
-    found : Found or None
+    found : Hyperparameters or None
         Hyperparameters to take as they are.
 
     Returns
@@ -104,7 +105,7 @@ def fit_exact(kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=No
         options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
         found, data = _learn(kernel.prepared(X), X, Y, slice(None), *options)
     else:
-        data = _carried(Data.from_table(X, Y), found, X, Y)
+        data = _with_input_noise(Data.from_table(X, Y), found, X, Y)
     return found.fit(ExactPosterior(found.kernel, found.noise, data))
 
 
@@ -146,10 +147,10 @@ def fit_sparse(
         if optimizer is None:
             return _reached(found, posterior, X, Y, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
-        posterior = _settled(posterior, 1.0, least)
+        posterior = _with_converged_noise(posterior, 1.0, least)
         value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
         # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
-        posterior = _settled(posterior, repeats, least)
+        posterior = _with_converged_noise(posterior, repeats, least)
         noise = posterior.noise
         found = found._replace(noise=noise / repeats)
     if found.interrupted:
@@ -167,10 +168,10 @@ def _reached(found, posterior, X, Y, repeats, value=None, more=None) -> Fit:
     """
     if found.root is None:
         return found.fit(posterior, value, more)
-    reach = reach_of(posterior, X, found.root)
-    carried = np.mean(np.einsum("npr,npr->np", reach, reach), axis=0)
+    loading = input_noise_loading(posterior, X, found.root)
+    carried = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
     noise = np.maximum(found.noise - carried, LEAST_OWN * found.noise)
-    shares = shares_of(Data.from_table(X, Y, reach * np.sqrt(repeats * np.ones(len(noise)))[:, None]))
+    shares = shares_of(Data.from_table(X, Y, loading * np.sqrt(repeats * np.ones(len(noise)))[:, None]))
     with sharing(shares):
         posterior = SparsePosterior(posterior.kernel, posterior.features, noise * repeats, shares)
     return found._replace(noise=noise).fit(posterior, value, more)
@@ -184,9 +185,9 @@ def _learn_features(features, kernel, noise, X, Y, step):
         return maximize_features(start, column_scale(X), max_iter=FEATURE_ITERATIONS, stage="bound")
 
 
-def _settled(posterior, repeats, least):
+def _with_converged_noise(posterior, repeats, least):
     """Return the posterior at the noise that all values together show, each counted as one in so many."""
-    for _ in range(SETTLING):
+    for _ in range(NOISE_STEPS):
         noise = np.maximum(posterior.noise_seen(), least)
         change = np.abs(np.log(noise * repeats / posterior.noise)).max()
         posterior = posterior.with_noise(noise * repeats)
@@ -201,7 +202,7 @@ def _repeats(posterior, X, Y):
     return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
 
 
-def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread) -> tuple[Found, Data]:
+def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, spread) -> tuple[Hyperparameters, Data]:
     """Return hyperparameters: of each output alone, then of all jointly from the rows; and the values of these."""
     P = Y.shape[1]
     noise_bounds = np.multiply.outer(output_scale(Y) ** 2, NOISE_BOUNDS)
@@ -215,8 +216,8 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
     everything, X, Y = (X, Y), X[rows], Y[rows]
     data = Data.from_table(X, Y)
     if optimizer is None:
-        found = Found(kernel, noise, None if isinstance(input_noise, str) else input_noise)
-        return found, _carried(data, found, X, Y)
+        found = Hyperparameters(kernel, noise, None if isinstance(input_noise, str) else input_noise)
+        return found, _with_input_noise(data, found, X, Y)
 
     def climb(name, kernel, noise, bounds, max_iter, data, spread=0.0):
         theta = np.concatenate([kernel.theta, np.log(noise)])
@@ -247,25 +248,25 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
         root, data, noise, more = _start_of_inputs(coarse, noise, data, X, Y, column_scale(everything[0]))
         bounds = np.concatenate([noise_bounds, more])
     elif input_noise is not None:
-        data = _carried(data, Found(coarse, noise, root), X, Y)
+        data = _with_input_noise(data, Hyperparameters(coarse, noise, root), X, Y)
     kernel, noise, best = climb("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
     if isinstance(input_noise, str):
         root = root * np.sqrt(noise[P:])
-    found = Found(kernel, noise[:P], root, n_iter + best.n_iter, n_evaluations + best.n_evaluations)
+    found = Hyperparameters(kernel, noise[:P], root, n_iter + best.n_iter, n_evaluations + best.n_evaluations)
     found = found._replace(interrupted=stop.is_set(), rising=best.rising, converged=best.converged)
-    return found, _carried(data, found, X, Y)
+    return found, _with_input_noise(data, found, X, Y)
 
 
-def reach_of(posterior, X, root) -> np.ndarray:
+def input_noise_loading(posterior, X, root) -> np.ndarray:
     """Return where noisy regressors carry the outputs, G = J R, (n, P, r): slopes of the mean times R."""
     return posterior.gradient(X) @ root
 
 
-def _carried(data, found, X, Y) -> Data:
+def _with_input_noise(data, found, X, Y) -> Data:
     """Return the values with the noise that regressors carry, by the slopes of what was found."""
     if found.root is None:
         return data
-    return Data.from_table(X, Y, reach_of(ExactPosterior(found.kernel, found.noise, data), X, found.root))
+    return Data.from_table(X, Y, input_noise_loading(ExactPosterior(found.kernel, found.noise, data), X, found.root))
 
 
 def _start_of_inputs(kernel, noise, data, X, Y, scale):
@@ -274,8 +275,8 @@ def _start_of_inputs(kernel, noise, data, X, Y, scale):
     At the start half of the noise comes from the regressors, each off by the same part of its spread.
     """
     root = np.diag(scale)
-    data = _carried(data, Found(kernel, noise, root), X, Y)
-    carried = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.scatter.reach]
+    data = _with_input_noise(data, Hyperparameters(kernel, noise, root), X, Y)
+    carried = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading]
     part = 0.5 * float(np.nanmedian(noise / np.maximum(carried, 1e-12)))
     least, most = INPUT_BOUNDS
     start = np.full(len(scale), np.clip(part, 10 * least, most / 10))
@@ -301,3 +302,147 @@ def _centres(X, n_inducing, random_state):
         return distinct
     some = X[random_state.permutation(len(X))[: 50 * n_inducing]]
     return cluster_centres(some, column_scale(X), n_inducing, random_state)
+
+
+# -- each output alone: where the joint search starts ------------------------------------------------------
+
+
+SINGLE_VALUES, SINGLE_ITERATIONS = 800, 100  # of each output
+WIDTH_FACTORS, TRIAL_VALUES, TRIAL_ITERATIONS = (
+    (1.0, 0.3, 0.1),
+    250,
+    40,
+)  # widths tried before, on how many values, how long
+
+
+class Singles(NamedTuple):
+    """Kernel and noise of each output alone, and the evaluations that they took."""
+
+    kernels: list
+    noise: np.ndarray
+    n_evaluations: int
+
+
+class _Output:
+    """The values of one output, and the ways up its likelihood."""
+
+    def __init__(self, i, X, Y, noise, noise_bounds, seed, search):
+        rows = spread(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
+        self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
+        self.noise, self.noise_bounds = noise[i], noise_bounds[i : i + 1]
+        self.search = partial(search, stage=f"output {i + 1}")
+
+    def climb(self, kernel, theta, step, max_iter, name=None):
+        """Return the kernel without values and the Optimum from theta on, of every step-th value."""
+        data = Data.from_table(self.x[::step], self.y[::step])
+        bounds = bounds_of(kernel, self.noise_bounds)
+        return kernel, self.search(likelihood_of(kernel, data, 1), theta, bounds, max_iter=max_iter, name=name)
+
+    def attempt(self, kernel, width_factor, max_iter):
+        """Return where a few of the values lead from one width."""
+        start = kernel.single_output().initialize(
+            self.x, self.y, np.random.RandomState(self.seed), width_factor=width_factor
+        )
+        theta = np.append(start.theta, np.log(self.noise))
+        name = f"{self.search.keywords['stage']} from {width_factor}"
+        return self.climb(start, theta, max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter), name)
+
+
+def fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop: Event) -> Singles:
+    """Return a fit of each output alone, in at most twice ``max_iter`` iterations each.
+
+    A single output has a P-th of the values: its fit costs a P^3-th of the joint one. From widths that are far too
+    long, "all noise" is the nearest hill: which hill it is, some of the values tell, from several widths.
+    """
+    search = partial(maximize, optimizer=optimizer, stop=stop)
+    seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
+    outputs = [_Output(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
+    tasks = [(output, width_factor) for output in outputs for width_factor in WIDTH_FACTORS]
+    tries = thread_map(lambda task: task[0].attempt(kernel, task[1], max_iter), tasks, stop)
+    n = len(WIDTH_FACTORS)
+    best = [max(tries[k : k + n], key=lambda end: end[1].value) for k in range(0, len(tries), n)]
+
+    def refine(task):
+        output, (single, optimum) = task
+        return output.climb(single, optimum.theta, 1, min(SINGLE_ITERATIONS, 2 * max_iter))
+
+    ends = thread_map(refine, zip(outputs, best, strict=True), stop)
+    return Singles(
+        [single.clone_with_theta(end.theta[:-1]) for single, end in ends],
+        np.array([np.exp(end.theta[-1]) for _, end in ends]),
+        sum(end.n_evaluations for _, end in (*tries, *ends)),
+    )
+
+
+def likelihood_of(kernel, data, n_outputs):
+    """Return the log likelihood, and what the kernel's prior adds to it, as a function of [theta, log noise]."""
+    workspace = np.empty((data.n_values, data.n_values))
+
+    def evaluate(theta):
+        kernel_there, noise = kernel.clone_with_theta(theta[:-n_outputs]), np.exp(theta[-n_outputs:])
+        value, gradient = log_likelihood(kernel_there, noise, data, eval_gradient=True, workspace=workspace)
+        prior, slope = kernel_there.log_prior(eval_gradient=True)
+        gradient[: len(slope)] += slope
+        return value + prior, gradient
+
+    return evaluate
+
+
+def bounds_of(kernel, noise_bounds):
+    """Return the bounds of [theta, log noise]."""
+    return np.concatenate([kernel.bounds, np.log(noise_bounds)])
+
+
+def spread(rows, n, random_state):
+    """Return n of the rows, spread over them: in a log neighbours say the same. One by chance of each n-th part."""
+    if n >= len(rows):
+        return rows
+    edges = np.linspace(0, len(rows), n + 1)
+    return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
+
+
+# -- how far neighbouring samples repeat each other ---------------------------------------------------------
+
+
+WINDOW = 5.0  # autocorrelation times over which the correlations are summed
+
+
+def autocorrelation_time(residuals) -> float:
+    r"""Return how many neighbouring values count as one, at least 1.
+
+    The variance of a mean of n values with autocorrelation rho is that of n / tau independent ones, with the
+    integrated autocorrelation time
+
+    .. math:: \tau = 1 + 2 \sum_{k=1}^{K} \rho_k,
+
+    summed up to the first K of at least 5 tau (Sokal 1997, section 3): beyond it the sum gathers noise.
+
+    Parameters
+    ----------
+    residuals : ndarray (n,)
+        In the order in which they were recorded. Shuffled ones repeat nothing: 1, but for chance.
+
+    Returns
+    -------
+    float
+        tau, in samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.inference import autocorrelation_time
+    >>> white = np.random.default_rng(0).normal(size=5000)
+    >>> round(autocorrelation_time(white))
+    1
+    >>> round(autocorrelation_time(np.repeat(white, 8)))
+    8
+    """
+    centred = residuals - np.mean(residuals)
+    n = len(centred)
+    power = np.abs(rfft(centred, next_fast_len(2 * n))) ** 2
+    covariance = irfft(power)[:n]
+    if not covariance[0] > 0:
+        return 1.0
+    tau = 2 * np.cumsum(covariance / covariance[0]) - 1
+    enough = np.arange(n) >= WINDOW * tau
+    return float(max(1.0, tau[np.argmax(enough)] if enough.any() else tau[-1]))

@@ -18,7 +18,7 @@ from skdgp._compute.linalg import (
     triangular_solve,
 )
 from skdgp._compute.threads import thread_map, threads_for
-from skdgp.inference._noise import Scatter, add_noise, noise_gradient
+from skdgp.inference._noise import SampleNoise, add_noise, noise_gradient
 
 TILE = 768  # values of an output a side: the kernel cuts further, for the cache
 HALF = 384  # a side on the diagonal, where every tile computes its mirror image too
@@ -29,23 +29,23 @@ class Data(NamedTuple):
 
     X: list[np.ndarray]
     y: list[np.ndarray]
-    scatter: Scatter | None = None
+    sample_noise: SampleNoise | None = None
 
     @classmethod
-    def from_table(cls, X, Y, reach=None):
+    def from_table(cls, X, Y, loading=None):
         """Return the observed values of X (n, d), Y (n, P) with NaN where an output was not observed.
 
-        ``reach`` (n, P, r), where regressors are noisy: see ``Scatter``.
+        ``loading`` (n, P, r), where regressors are noisy: see ``SampleNoise``.
         """
         seen = np.isfinite(Y)
-        scatter = None if reach is None else Scatter.from_table(seen, reach)
-        return cls([X[s] for s in seen.T], [y[s] for y, s in zip(Y.T, seen.T, strict=True)], scatter)
+        sample_noise = None if loading is None else SampleNoise.from_table(seen, loading)
+        return cls([X[s] for s in seen.T], [y[s] for y, s in zip(Y.T, seen.T, strict=True)], sample_noise)
 
     def joined(self, other: Data) -> Data:
         """Return these values, then the other's, output by output."""
         X = [np.concatenate(pair) for pair in zip(self.X, other.X, strict=True)]
         y = [np.concatenate(pair) for pair in zip(self.y, other.y, strict=True)]
-        return Data(X, y, self.scatter and self.scatter.joined(other.scatter))
+        return Data(X, y, self.sample_noise and self.sample_noise.joined(other.sample_noise))
 
     @property
     def n_values(self) -> int:

@@ -13,32 +13,35 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Scatter(NamedTuple):
+class SampleNoise(NamedTuple):
     """Of each output: which sample each value is of, (n_i,), and where noisy regressors carry it, G (n_i, r)."""
 
     sample: list[np.ndarray]
-    reach: list[np.ndarray]
+    loading: list[np.ndarray]
 
     @classmethod
-    def from_table(cls, seen, reach) -> Scatter:
-        """Return what belongs to the observed values, ``seen`` (n, P), of ``reach`` (n, P, r)."""
-        return cls([np.flatnonzero(s) for s in seen.T], [reach[s, i] for i, s in enumerate(seen.T)])
+    def from_table(cls, seen, loading) -> SampleNoise:
+        """Return what belongs to the observed values, ``seen`` (n, P), of ``loading`` (n, P, r)."""
+        return cls([np.flatnonzero(s) for s in seen.T], [loading[s, i] for i, s in enumerate(seen.T)])
 
-    def joined(self, other: Scatter) -> Scatter:
+    def joined(self, other: SampleNoise) -> SampleNoise:
         """Return these values, then the other's, which are of other samples."""
         first = 1 + max((s.max() for s in self.sample if len(s)), default=-1)
         sample = [np.concatenate([a, b + first]) for a, b in zip(self.sample, other.sample, strict=True)]
-        return Scatter(sample, [np.concatenate(pair) for pair in zip(self.reach, other.reach, strict=True)])
+        return SampleNoise(sample, [np.concatenate(pair) for pair in zip(self.loading, other.loading, strict=True)])
 
     def pairs(self):
-        """Yield the places, rows and columns among the stacked values, of two values of one sample, and their reach.
+        """Yield the places, rows and columns among the stacked values, of two values of one sample, and their loading.
 
         Rows are not below columns, and every pair of outputs comes once: (i, j, rows, columns, G_i, G_j).
         """
         start = np.cumsum([0, *map(len, self.sample)])
         for i, j in combinations_with_replacement(range(len(self.sample)), 2):
             _, a, b = np.intersect1d(self.sample[i], self.sample[j], assume_unique=True, return_indices=True)
-            yield i, j, start[i] + a, start[j] + b, self.reach[i][a], self.reach[j][b]
+            yield i, j, start[i] + a, start[j] + b, self.loading[i][a], self.loading[j][b]
+
+
+Scatter = SampleNoise  # its name in model files of version 0.1
 
 
 def add_noise(K, noise, data) -> None:
@@ -53,9 +56,9 @@ def add_noise(K, noise, data) -> None:
     """
     P = len(data.y)
     np.einsum("ii->i", K)[:] += np.repeat(noise[:P], [len(y) for y in data.y])
-    if data.scatter is not None:
+    if data.sample_noise is not None:
         scale = noise[P:] if len(noise) > P else 1.0
-        for _, _, rows, columns, first, second in data.scatter.pairs():
+        for _, _, rows, columns, first, second in data.sample_noise.pairs():
             K[rows, columns] += np.einsum("nr,nr->n", first * scale, second)
 
 
@@ -63,10 +66,10 @@ def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
     """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) is the outputs' own."""
     own = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
     drawn = own * random_state.standard_normal((n_draws, len(own)))
-    if data.scatter is not None:
-        n_samples = 1 + max(s.max() for s in data.scatter.sample if len(s))
-        off = random_state.standard_normal((n_draws, n_samples, data.scatter.reach[0].shape[1]))
-        carried = [np.einsum("snr,nr->sn", off[:, s], G) for s, G in zip(*data.scatter, strict=True)]
+    if data.sample_noise is not None:
+        n_samples = 1 + max(s.max() for s in data.sample_noise.sample if len(s))
+        off = random_state.standard_normal((n_draws, n_samples, data.sample_noise.loading[0].shape[1]))
+        carried = [np.einsum("snr,nr->sn", off[:, s], G) for s, G in zip(*data.sample_noise, strict=True)]
         drawn += np.hstack(carried)
     return drawn
 
@@ -79,6 +82,6 @@ def noise_gradient(W, noise, data) -> np.ndarray:
     if len(noise) == P:
         return own
     carried = np.zeros(len(noise) - P)
-    for i, j, rows, columns, first, second in data.scatter.pairs():
+    for i, j, rows, columns, first, second in data.sample_noise.pairs():
         carried += (0.5 if i == j else 1.0) * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
     return np.concatenate([own, noise[P:] * carried])

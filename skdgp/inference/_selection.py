@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import Record, kept_in
-from skdgp.inference._fit import Found, fit_exact, some_rows
+from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows
 
 
 class Choice(NamedTuple):
@@ -20,7 +20,7 @@ class Choice(NamedTuple):
 
     index: int
     scores: list[float]
-    found: Found | None = None
+    found: Hyperparameters | None = None
 
 
 def choose_kernel(

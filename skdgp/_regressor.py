@@ -261,7 +261,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Z, self._center, self._scale = standardized(Y, self.trend is not None, self.normalize_y)
         best = task.heard(self._search, X, Z)
         warn_of_search(best, self.max_iter)
-        vars(self).pop("compaction_", None)  # of what was known before
+        self.__dict__.pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.noise * self._scale**2
@@ -790,7 +790,7 @@ def check_compaction(n_inducing, tolerance, max_iter) -> None:
         raise ValueError(f"Got max_iter={max_iter!r}, but expected a number of iterations, or 0 for none.")
     if tolerance is None:
         return
-    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < tolerance < np.inf:
+    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < float(tolerance) < np.inf:
         raise ValueError(
             f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard deviation, such as 0.1, or "
             "None."

@@ -199,7 +199,7 @@ class ExactPosterior:
         """Return d mean / d x at Xs, (n, P, d), and on request the variance of the slopes."""
         P, d = self.kernel.n_outputs, np.shape(Xs)[1]
         mean = np.empty((len(Xs), P, d))
-        variance = np.empty((len(Xs), P, d)) if return_variance else None
+        variance = np.empty((len(Xs), P, d) if return_variance else 0)
         for rows in self._chunks(len(Xs), d * self.data.n_values):
             for i in range(P):
                 x = Xs[rows]

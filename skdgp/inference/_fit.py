@@ -211,8 +211,8 @@ def _learn(kernel, X, Y, rows, optimizer, max_iter, random_state, input_noise, s
     stop = Event()
     singles, n_evaluations, n_iter = None, 0, 0
     if optimizer is not None and P > 1 and not open_kernel.has_values():
-        found = fit_singles(open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop)
-        singles, noise, n_evaluations = found
+        alone = fit_singles(open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop)
+        singles, noise, n_evaluations = alone
     everything, X, Y = (X, Y), X[rows], Y[rows]
     data = Data.from_table(X, Y)
     if optimizer is None:

@@ -45,7 +45,9 @@ class Data(NamedTuple):
         """Return these values, then the other's, output by output."""
         X = [np.concatenate(pair) for pair in zip(self.X, other.X, strict=True)]
         y = [np.concatenate(pair) for pair in zip(self.y, other.y, strict=True)]
-        return Data(X, y, self.sample_noise and self.sample_noise.joined(other.sample_noise))
+        if self.sample_noise is None or other.sample_noise is None:
+            return Data(X, y)
+        return Data(X, y, self.sample_noise.joined(other.sample_noise))
 
     @property
     def n_values(self) -> int:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
@@ -12,7 +12,8 @@ from skdgp._compute.checkpoint import Record, kept_in
 from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows
 
 
-class Choice(NamedTuple):
+@dataclass(frozen=True)
+class Choice:
     """Which kernel was chosen, and the criterion in nats of those that were tried, the first ones.
 
     ``found`` are its hyperparameters where Ctrl-C ended the search: the best that there are.
@@ -56,7 +57,8 @@ def choose_kernel(
     rows = some_rows(Y, check_random_state(random_state))
     X, Y = X[rows], Y[rows]
     options = {"optimizer": optimizer, "max_iter": max_iter, "random_state": random_state, "input_noise": input_noise}
-    scores, best = [], None
+    scores: list[float] = []
+    best = None
     for k, kernel in enumerate(kernels):
         fit = kept_in(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
         if fit.interrupted:

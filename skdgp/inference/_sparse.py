@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from functools import cached_property, partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +61,10 @@ class SparsePosterior:
     log_marginal_likelihood : float
         Its lower bound.
     """
+
+    shares: Any
+    sums: Sums
+    statistics: Any  # list of Statistics, None where the noise is correlated
 
     def __init__(self, kernel, features, noise, shares: list):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)

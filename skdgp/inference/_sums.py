@@ -162,14 +162,15 @@ class Statistics(NamedTuple):
 
 def summed(parts) -> Statistics:
     """Return the sums over the samples of all parts."""
-    return Statistics(*map(sum, zip(*parts, strict=True)))
+    return Statistics(*(sum(part) for part in zip(*parts, strict=True)))
 
 
 def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics] | None]:
     """Return the sums over all values, and their parts by output where each has noise of its own, else None."""
     if shares and not _independent(shares):
         parts = share_map(_share_sums, (kernel, features, noise, Lu), shares)
-        outer, inner, square, variance, log_determinant = map(sum, zip(*parts, strict=True))
+        outer, inner, *rest = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
+        square, variance, log_determinant = rest
         return Sums(outer, inner, log_determinant + square + variance - np.trace(outer)), None
     parts = share_map(_share_sums, (kernel, features, np.ones(kernel.n_outputs), Lu), shares)
     statistics = []
@@ -178,7 +179,7 @@ def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics]
         found = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0)]
         for share, part in zip(shares, parts, strict=True):
             if share.outputs == (i,):
-                found.append(Statistics(*part[:4], len(share.X)))
+                found.append(Statistics(part[0], part[1], part[2], part[3], len(share.X)))
         statistics.append(summed(found))
     return Sums.of(features, noise, statistics), statistics
 
@@ -188,10 +189,10 @@ def _share_sums(kernel, features, noise, Lu, share):
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
     factors = [own_factor(Lu, c) for c in columns]
+    places: dict = {(i, j): np.ix_(columns[i], columns[j]) for i in outputs for j in outputs}
+    size = features.size
     if len(outputs) == 1:  # over its own features: slices, which nothing is copied for
         size, columns, places = len(columns[0]), [slice(None)], {(0, 0): slice(None)}
-    else:
-        size, places = features.size, {(i, j): np.ix_(columns[i], columns[j]) for i in outputs for j in outputs}
     outer, inner, square, variance, log_determinant = np.zeros((size, size)), np.zeros(size), 0.0, 0.0, 0.0
     for X, Y, precision, log_determinants in _blocks(share, noise):
         Y = np.nan_to_num(Y)

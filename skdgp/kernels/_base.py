@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import joblib
 import numpy as np
@@ -13,7 +13,7 @@ from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
 from skdgp._compute.linalg import cluster_centres, column_scale
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels._features import Features, PointFeatures, SumFeatures
 from skdgp.kernels._paths import KernelPaths, PathBundle
 
@@ -21,7 +21,8 @@ DIAGONAL_ROWS = 32  # of a tile of which the diagonal alone is needed
 STEP = 1e-3  # of regressors of about unit size, for derivatives by differences
 
 
-class FreeParameter(NamedTuple):
+@dataclass(frozen=True)
+class FreeParameter:
     """The free entries of one parameter array.
 
     ``index`` has the array's shape: entries with the same number are one hyperparameter, -1 is not free.
@@ -29,7 +30,7 @@ class FreeParameter(NamedTuple):
     """
 
     name: str
-    index: np.ndarray
+    index: Indices
     log: bool
     bounds: object
 
@@ -55,13 +56,20 @@ class MultiOutputKernel(Kernel):
     single (n, d) array means the same samples for every output. Matrices are output-major: all samples of
     the first output, then all of the second.
 
-    A new kernel has a constructor in scikit-learn's manner, the attributes ``n_outputs`` and ``n_features``, and four
+    A new kernel has a constructor in scikit-learn's manner, the properties ``n_outputs`` and ``n_features``, and four
     methods: ``block``, ``block_gradient``, ``block_diag`` and ``free_parameters``. With them it is fitted, exactly and
     sparsely, and predicts. The other methods are capabilities: each has a default, or says what is missing.
     """
 
-    n_outputs: int
-    n_features: int
+    @property
+    @abstractmethod
+    def n_outputs(self) -> int:
+        """Number of outputs P."""
+
+    @property
+    @abstractmethod
+    def n_features(self) -> int:
+        """Number of regressors d."""
 
     # -- what a kernel states --------------------------------------------------------------------------
 
@@ -310,7 +318,7 @@ class MultiOutputKernel(Kernel):
         mine, theirs = self.get_params(), other.get_params()
         return set(mine) == set(theirs) and all(_equal(mine[k], theirs[k]) for k in mine)
 
-    __hash__ = None
+    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self):
         shown = {k: v for k, v in self.get_params(deep=False).items() if v is not None and np.ndim(v) == 0}

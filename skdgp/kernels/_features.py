@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
@@ -27,7 +27,7 @@ class Features(ABC):
     ``theta`` holds variational parameters: they change the quality of the approximation, never the model.
     """
 
-    kernel: object
+    kernel: Any  # a MultiOutputKernel, which stands above
     size: int
 
     @abstractmethod
@@ -207,7 +207,7 @@ class LatentFeatures(Features):
             state = {"kernel": state["kernel"], "latents": latents, "Z": state["Z"], "outputs": outputs}
         elif "latents" not in state:  # ConvolvedFeatures of version 0.1
             state = {"kernel": state["kernel"], "latents": range(len(state["Z"])), **_only(state, "Z", "width")}
-        self.__init__(**state)
+        vars(self).update(vars(LatentFeatures(**state)))
 
     def _with_blocks(self):
         """Return the kernel with one more output for each block, at unit variance."""

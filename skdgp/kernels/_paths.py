@@ -322,11 +322,11 @@ class Waves(PathBundle):
             shared.append((latent.omega, phase, (gain * np.cos(turn)) @ unit))
             if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
                 shared.append((latent.omega, phase - 0.5 * np.pi, (gain * np.sin(turn)) @ unit))
-        omega, phase, _ = zip(*shared, *own, strict=True)
+        waves = [*shared, *own]
         alone = np.concatenate([np.empty((S, F, 0)), *(weight for *_, weight in own)], axis=2)
         return cls(
-            np.concatenate(omega, axis=1).swapaxes(1, 2).copy(),
-            np.concatenate(phase, axis=1)[:, None],
+            np.concatenate([omega for omega, *_ in waves], axis=1).swapaxes(1, 2).copy(),
+            np.concatenate([phase for _, phase, _ in waves], axis=1)[:, None],
             np.concatenate([np.empty((S, 0, P)), *(weight for *_, weight in shared)], axis=1),
             alone.swapaxes(1, 2)[:, None].copy(),
             np.reshape(fed, (-1, P)),

@@ -6,7 +6,6 @@ from abc import abstractmethod
 
 import joblib
 import numpy as np
-from scipy.sparse import issparse
 from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale
@@ -59,7 +58,7 @@ class FittedBasis:
     def __eq__(self, other):
         return isinstance(other, FittedBasis) and joblib.hash(self) == joblib.hash(other)
 
-    __hash__ = None
+    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self):
         return repr(self.transformer)
@@ -86,7 +85,7 @@ class FittedBasis:
 
 def as_columns(phi, n: int, transformer) -> np.ndarray:
     """Return what a transformer gave as a finite (n, K) array."""
-    phi = np.asarray(phi.toarray() if issparse(phi) else phi, dtype=float)
+    phi = np.asarray(phi.toarray() if hasattr(phi, "toarray") else phi, dtype=float)
     if phi.ndim != 2 or len(phi) != n or phi.shape[1] == 0 or not np.isfinite(phi).all():
         raise ValueError(
             f"Got columns of shape {phi.shape} from {transformer!r} for {n} samples, but expected finite ones, "

@@ -25,7 +25,7 @@ class Choice:
 
 
 def choose_kernel(
-    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: Record | None = None
+    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: Record | None = None, clock=None
 ) -> Choice:
     r"""Choose among kernels, from few hyperparameters to many, by the Bayesian information criterion.
 
@@ -44,7 +44,7 @@ def choose_kernel(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed. Where more than 2400 values were, rows spread over them are used.
-    optimizer, max_iter, random_state, input_noise
+    optimizer, max_iter, random_state, input_noise, clock
         As for ``fit_exact``.
     record : Record or None
         Where the fits are kept, if they are.
@@ -55,8 +55,14 @@ def choose_kernel(
         At Ctrl-C the best of the kernels that were done; of the first, if none was.
     """
     rows = some_rows(Y, check_random_state(random_state))
-    X, Y = X[rows], Y[rows]
-    options = {"optimizer": optimizer, "max_iter": max_iter, "random_state": random_state, "input_noise": input_noise}
+    X, Y, clock = X[rows], Y[rows], None if clock is None else clock[rows]
+    options = {
+        "optimizer": optimizer,
+        "max_iter": max_iter,
+        "random_state": random_state,
+        "input_noise": input_noise,
+        "clock": clock,
+    }
     scores: list[float] = []
     best = None
     for k, kernel in enumerate(kernels):

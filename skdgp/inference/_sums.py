@@ -1,8 +1,9 @@
 """Sums over samples for sparse inference: what conditioning and the gradient of the bound need.
 
 A share is a run of samples of some outputs: of one output, where each has noise of its own; of all, where noisy
-regressors correlate their noise. The functions that sum a share stand at module level and get what they need as
-arguments, so that a thread, a process or another machine can run them.
+regressors correlate their noise. Noise that drifts correlates the samples of a share, which is then part of one flight.
+The functions that sum a share stand at module level and get what they need as arguments, so that a thread, a process or
+another machine can run them.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scipy.linalg import cholesky_banded
+
 from skdgp._compute.linalg import triangular_solve
 from skdgp._compute.parallel import share_map
 from skdgp.inference._likelihood import Data
+from skdgp.inference._noise import drift_precision
 
 ROWS = 512  # samples at a time: their covariances stay in the cache
 SHARES = 8  # of each output that has noise of its own
 SAMPLE_SHARES = 16  # of samples whose outputs' noise is correlated
+DRIFT_ROWS = 1024  # samples whose drift is told apart from that of the next ones as if it began anew
 DIAGONAL_ROWS = 32  # of a covariance of which the diagonal alone is needed
 
 
@@ -25,12 +30,15 @@ class SampleShare(NamedTuple):
     """A run of samples of some outputs.
 
     ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, ``loading`` G (n, p, r) of the noise diag(sigma^2) + G G^T.
+    Where noise drifts, ``clock`` (n, 2), time and flight, and ``drift``, its variances and memories (2, p).
     """
 
     outputs: tuple[int, ...]
     X: np.ndarray
     Y: np.ndarray
     loading: np.ndarray
+    clock: np.ndarray | None = None
+    drift: np.ndarray | None = None
 
 
 class Share(NamedTuple):
@@ -64,6 +72,8 @@ def _one_output(i, X, y):
 
 def shares_of(data: Data) -> list[SampleShare]:
     """Cut the observed values alike whatever the number of threads: sums keep their bits."""
+    if data.drift is not None:
+        return _drifting_shares(data)
     if data.sample_noise is None:
         return [
             _one_output(i, *part)
@@ -71,30 +81,71 @@ def shares_of(data: Data) -> list[SampleShare]:
             if len(both[1])
             for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in both), strict=True)
         ]
+    table = _table_of(data)[0]
+    parts = zip(*(np.array_split(a, min(SAMPLE_SHARES, -(-len(a) // ROWS))) for a in table), strict=True)
+    return [SampleShare(tuple(range(len(data.y))), *part) for part in parts]
+
+
+def _table_of(data):
+    """Return X, Y and loading of the samples, and where each stands among the stacked values."""
     samples, first = np.unique(np.concatenate(data.sample_noise.sample), return_index=True)
     n, P = len(samples), len(data.y)
     Y, loading = np.full((n, P), np.nan), np.zeros((n, P, data.sample_noise.loading[0].shape[1]))
     for i, (y, sample, G) in enumerate(zip(data.y, *data.sample_noise, strict=True)):
         rows = np.searchsorted(samples, sample)
         Y[rows, i], loading[rows, i] = y, G
-    table = np.concatenate(data.X)[first], Y, loading
-    parts = zip(*(np.array_split(a, min(SAMPLE_SHARES, -(-n // ROWS))) for a in table), strict=True)
-    return [SampleShare(tuple(range(P)), *part) for part in parts]
+    return (np.concatenate(data.X)[first], Y, loading), first
+
+
+def _drifting_shares(data):
+    """Return shares that are parts of a flight, in the order of time."""
+    drift = np.stack([data.drift.variance, data.drift.memory])
+    if data.sample_noise is None:
+        tables = [
+            (_one_output(i, X, y), data.drift.clock[i]) for i, (X, y) in enumerate(zip(data.X, data.y, strict=True))
+        ]
+    else:
+        table, first = _table_of(data)
+        tables = [(SampleShare(tuple(range(len(data.y))), *table), np.concatenate(data.drift.clock)[first])]
+    shares = []
+    for table, clock in tables:
+        order = np.lexsort(clock.T)  # by flight, then by time
+        ends = np.flatnonzero(np.diff(clock[order, 1])) + 1
+        for flight in np.split(order, ends):
+            for rows in np.array_split(flight, max(1, -(-len(flight) // DRIFT_ROWS))):
+                if len(rows):
+                    own = drift[:, list(table.outputs)]
+                    shares.append(SampleShare(table.outputs, *(a[rows] for a in table[1:4]), clock[rows], own))
+    return shares
 
 
 def data_of(shares, n_outputs) -> Data:
     """Return the observed values that were cut."""
+    if shares[0].drift is not None:
+        return _drifting_data(shares, n_outputs)
     if _independent(shares):
         nothing = _one_output(-1, shares[0].X[:0], np.empty(0))
         own = [[nothing, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)]
         X = [np.concatenate([share.X for share in parts]) for parts in own]
         return Data(X, [np.concatenate([share.Y[:, 0] for share in parts]) for parts in own])
-    return Data.from_table(*(np.concatenate(part) for part in list(zip(*shares, strict=True))[1:]))
+    return Data.from_table(*(np.concatenate(part) for part in list(zip(*shares, strict=True))[1:4]))
+
+
+def _drifting_data(shares, n_outputs):
+    """Return the observed values of shares whose noise drifts: a row for each sample of a share."""
+    X, clock = np.concatenate([s.X for s in shares]), np.concatenate([s.clock for s in shares])
+    Y, drift = np.full((len(X), n_outputs), np.nan), np.ones((2, n_outputs))
+    loading = np.zeros((len(X), n_outputs, shares[0].loading.shape[2]))
+    start = 0
+    for s in shares:
+        rows, outputs, start = slice(start, start + len(s.X)), list(s.outputs), start + len(s.X)
+        Y[rows, outputs], loading[rows, outputs], drift[:, outputs] = s.Y, s.loading, s.drift
+    return Data.from_table(X, Y, loading if loading.shape[2] else None, clock, tuple(drift))
 
 
 def _independent(shares) -> bool:
-    """Return whether every output has noise of its own."""
-    return all(share.loading.shape[2] == 0 for share in shares)
+    """Return whether every value has noise of its own."""
+    return all(share.loading.shape[2] == 0 and share.drift is None for share in shares)
 
 
 # -- sums for conditioning --------------------------------------------------------------------------------------
@@ -168,10 +219,13 @@ def summed(parts) -> Statistics:
 def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics] | None]:
     """Return the sums over all values, and their parts by output where each has noise of its own, else None."""
     if shares and not _independent(shares):
-        parts = share_map(_share_sums, (kernel, features, noise, Lu), shares)
-        outer, inner, *rest = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-        square, variance, log_determinant = rest
-        return Sums(outer, inner, log_determinant + square + variance - np.trace(outer)), None
+        outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
+        for share, part in zip(shares, share_map(_share_sums, (kernel, features, noise, Lu), shares), strict=True):
+            columns = features.columns(share.outputs[0]) if len(share.outputs) == 1 else np.arange(features.size)
+            outer[np.ix_(columns, columns)] += part[0]
+            inner[columns] += part[1]
+            rest += part[4] + part[2] + part[3] - np.trace(part[0])
+        return Sums(outer, inner, rest), None
     parts = share_map(_share_sums, (kernel, features, np.ones(kernel.n_outputs), Lu), shares)
     statistics = []
     for i in range(kernel.n_outputs):
@@ -186,6 +240,8 @@ def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics]
 
 def _share_sums(kernel, features, noise, Lu, share):
     """Return V Pi V^T, V Pi y, y Pi y, tr(Pi var(y)) and log |2 pi noise|; of one output over its own features."""
+    if share.drift is not None:
+        return _drifting_sums(kernel, features, noise, Lu, share)
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
     factors = [own_factor(Lu, c) for c in columns]
@@ -214,6 +270,71 @@ def _share_sums(kernel, features, noise, Lu, share):
         square += np.sum(Y * weighted)
         log_determinant += log_determinants.sum()
     return outer, inner, square, variance, log_determinant
+
+
+def _drifting_sums(kernel, features, noise, Lu, share):
+    """Return what ``_share_sums`` does, where noise drifts.
+
+    With R the noise without drift and D the covariance of the drift, the inverse noise is R^-1 - R^-1 B^-1 R^-1 with
+    B = R^-1 + D^-1, which is block tridiagonal: with its factor B = L L^T, V Pi V^T is V R^-1 V^T - W^T W, where
+    W = L^-1 R^-1 V^T is made sample by sample. The trace takes R^-1 for Pi, which keeps the bound one.
+    """
+    outputs = range(len(share.outputs))
+    columns = [features.columns(i) for i in share.outputs]
+    V = [
+        triangular_solve(own_factor(Lu, c), features.Kfu(i, share.X).T).T
+        for i, c in zip(share.outputs, columns, strict=True)
+    ]
+    if len(outputs) == 1:
+        columns = [np.arange(len(columns[0]))]
+    size = len(columns[0]) if len(outputs) == 1 else features.size
+    own = noise[list(share.outputs)]
+    precision, log_determinants = precisions(share.Y, share.loading, own)
+    Y, seen = np.nan_to_num(share.Y), np.isfinite(share.Y)
+    A = np.zeros((*share.Y.shape, size + 1))  # V^T of each output on its own features, and at last y
+    A[:, :, -1] = Y
+    for i in outputs:
+        A[:, i, columns[i]] = V[i]
+    weighted = precision @ A
+    inverse, before, log_determinant = _drift_factor(share, precision)
+    W = inverse @ weighted
+    for t in range(1, len(W)):
+        W[t] -= before[t] @ W[t - 1]
+    W, A, weighted = (a.reshape(-1, size + 1) for a in (W, A, weighted))
+    product = A.T @ weighted - W.T @ W
+    trace, variance = np.trace(product[:-1, :-1]), 0.0
+    for i, output in enumerate(share.outputs):
+        left = kernel.block_diag(output, share.X) - np.einsum("nc,nc->n", V[i], V[i])
+        variance += np.sum(left[seen[:, i]]) / own[i]
+    return (
+        product[:-1, :-1],
+        product[:-1, -1],
+        product[-1, -1],
+        variance + trace,
+        log_determinants.sum() + log_determinant,
+    )
+
+
+def _drift_factor(share, precision):
+    """Return L_tt^-1 and L_tt^-1 L_t,t-1 of R^-1 + D^-1 = L L^T, (n, p, p) each, and log |R^-1 + D^-1| + log |D|."""
+    n, p, _ = precision.shape
+    diagonal, beside, log_covariance = drift_precision(share.clock, *share.drift)
+    band = np.zeros((p + 1, n, p))
+    for k in range(p):
+        for i in range(p - k):
+            band[k, :, i] = precision[:, i + k, i]
+    band[0] += diagonal
+    band[p, :-1] = beside
+    factor = cholesky_banded(band.reshape(p + 1, n * p), lower=True).reshape(p + 1, n, p)
+    L, below = np.zeros((n, p, p)), np.zeros((n, p, p))
+    for i in range(p):
+        for j in range(p):
+            if i >= j:
+                L[:, i, j] = factor[i - j, :, j]
+            if j >= i:
+                below[1:, i, j] = factor[p + i - j, :-1, j]
+    inverse = np.linalg.inv(L)
+    return inverse, inverse @ below, 2 * np.log(factor[0]).sum() + log_covariance.sum()
 
 
 # -- the gradient of the bound -----------------------------------------------------------------------------------

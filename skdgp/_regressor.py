@@ -68,7 +68,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Latent processes shared by all outputs. "auto": one more, up to 3, as long as the evidence for it
         exceeds what its hyperparameters would fit by chance (the Bayesian information criterion).
     private_latents : bool
-        Whether each output also has a latent process of its own, which none of the others sees.
+        Whether each output also has a latent process of its own, which none of the others sees. With ``n_latent=0``
+        and without private latents the model is its trend alone, with an honest band.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     length_scale_prior : None, "auto", pair or array (d, 2)
@@ -108,7 +109,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     kernel_ : MultiOutputKernel
         The fitted covariance, in units of normalised outputs.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, in squared units of the outputs.
+        Variance of the measurement noise, in squared units of the outputs, drift included.
+    drift_variance_, drift_memory_ : ndarray (P,)
+        Variance tau^2 of the noise that drifts, and its memory T in the unit of ``time``; zero without ``time``.
     input_covariance_ : ndarray (d, d)
         Covariance of the regressors' noise, where there is any.
     log_marginal_likelihood_value_ : float
@@ -207,7 +210,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     # -- fitting ---------------------------------------------------------------------------------------
 
     @_fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X, y):
+    def fit(self, X, y, time=None, flight=None):
         """Learn the hyperparameters and the posterior.
 
         Parameters
@@ -216,6 +219,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Regressors, finite.
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
+        time : array (n,) or None
+            When each sample was measured, in any unit. Neighbours in time then err alike as far as the data show it:
+            each output's noise has a part that drifts, with the covariance tau^2 exp(-|t - t'| / T) within a flight.
+            Without it samples that repeat each other's error count as independent evidence, and bands are too narrow.
+            Scikit-learn passes it through pipelines as ``pipeline.fit(X, y, dependentgpregressor__time=time)``, or by
+            metadata routing. None: noise is white.
+        flight : array (n,) or None
+            Which flight, or record, each sample is of; None: all are of one.
 
         Returns
         -------
@@ -243,8 +254,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         warn_of_indices(index, y)
         Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
+        clock = check_clock(time, flight, len(X))
         used = np.isfinite(Y).any(axis=1)
-        X, Y = X[used], Y[used]
+        X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
         check_enough(Y, self.output_names_)
         check_magnitudes(X, self._regressor_names(), "regressors", *X_RANGE)
         check_magnitudes(Y, self.output_names_, "targets", *Y_RANGE)
@@ -259,12 +271,15 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         else:
             warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = standardized(Y, self.trend is not None, self.normalize_y)
-        best = task.heard(self._search, X, Z)
+        best = task.heard(self._search, X, Z, clock)
         warn_of_search(best, self.max_iter)
         self.__dict__.pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.noise * self._scale**2
+        variance, memory = np.zeros((2, len(self._scale))) if best.drift is None else best.drift
+        self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
+        self._n_flights = 0 if clock is None else int(clock[:, 1].max()) + 1
         self._root = best.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
@@ -272,13 +287,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         task.end()
         return self
 
-    def _search(self, X, Z):
+    def _search(self, X, Z, clock):
         """Return the best fit over the starting points."""
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
         root = input_root(self.input_noise, X, self._regressor_names())
-        options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root}
+        options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root, "clock": clock}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
-        record = record_of_fit(X, Z, seeds, self.get_params(deep=False))
+        facts = X if clock is None else np.column_stack([X, clock])
+        record = record_of_fit(facts, Z, seeds, self.get_params(deep=False))
         seeds = seeds if record is None else record.seeds
         kernel, found = self._choose(X, Z, options | {"random_state": int(seeds[0]), "record": record})
         names = [f"start-{k}" for k in range(len(seeds) if found is None else 1)]
@@ -306,15 +322,19 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             "covariance_type": self.covariance_type,
             "length_scale_prior": self.length_scale_prior,
         }
+        trend = None if self.trend in ("constant", None) else self._trend()
+        if self.kernel is None and n_latent == 0 and not self.private_latents and trend is not None:
+            return trend
         kernel = ConvolvedGaussian(n_latent, **options) if self.kernel is None else clone(self.kernel)
-        if self.trend not in ("constant", None):
-            kernel = (LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)) + kernel
-        return kernel
+        return kernel if trend is None else trend + kernel
+
+    def _trend(self):
+        return LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)
 
     # -- after the fit ---------------------------------------------------------------------------------
 
     @_fit_context(prefer_skip_nested_validation=False)
-    def partial_fit(self, X, y):
+    def partial_fit(self, X, y, time=None, flight=None):
         """Learn from further samples, at the hyperparameters found by ``fit``.
 
         Kernel, noise, and the centre and scale that normalise the outputs stay as they are; the posterior becomes that
@@ -328,6 +348,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Regressors, finite.
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
+        time, flight : array (n,) or None
+            As for ``fit``. The samples are of other flights than those before; without time each errs by itself.
 
         Returns
         -------
@@ -352,7 +374,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         True
         """
         if not hasattr(self, "posterior_"):
-            return self.fit(X, y)
+            return self.fit(X, y, time, flight)
         index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, reset=False)
         warn_of_indices(index, y)
@@ -361,13 +383,25 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
         check_magnitudes(Y, self.output_names_, "targets", 0.0, Y_RANGE[1])
         loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
-        data = Data.from_table(X, (Y - self._center) / self._scale, loading)
+        clock, drift = self._later_clock(time, flight, len(X))
+        data = Data.from_table(X, (Y - self._center) / self._scale, loading, clock, drift)
         if self.inference_ == "exact":
             check_memory(self.posterior_.data.n_values + data.n_values, "Exact inference on", FEWER_LATER)
         if data.n_values:
             self.posterior_ = self.posterior_.updated(data)
             self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood
         return self
+
+    def _later_clock(self, time, flight, n):
+        """Return time and flight of further samples, and the drift of the fit; no clock where noise is white."""
+        if not getattr(self, "_n_flights", 0):
+            return None, (None, None)
+        clock = check_clock(time, flight, n)
+        if clock is None:  # each a flight of its own
+            clock = np.column_stack([np.zeros(n), np.arange(n)])
+        clock[:, 1] += self._n_flights
+        self._n_flights = int(clock[:, 1].max()) + 1
+        return clock, (self.drift_variance_ / self._scale**2, self.drift_memory_)
 
     def compact(self, n_inducing=1500, *, tolerance=None, max_iter=10, random_state=0):
         """Return a small and fast model of nearly the same predictions, that holds no samples.
@@ -725,6 +759,22 @@ def standardized(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarra
     scale = np.sqrt(np.nanmean((Y - center) ** 2, axis=0)) if scaled else np.ones(Y.shape[1])
     scale = np.where(constant & scaled, np.where(size > 0, size, 1.0), scale)
     return (Y - center) / scale, center, scale
+
+
+def check_clock(time, flight, n_samples: int) -> np.ndarray | None:
+    """Return time and a number for each flight, (n, 2), or None where no time is given."""
+    if time is None:
+        if flight is not None:
+            raise ValueError("Got flight without time, but expected both: how long errors last is told by time.")
+        return None
+    time = check_array(time, dtype=np.float64, ensure_2d=False, input_name="time")
+    codes = np.zeros(n_samples) if flight is None else pd.factorize(np.asarray(flight))[0].astype(float)
+    for name, values in (("time", time), ("flight", codes)):
+        if values.shape != (n_samples,):
+            raise ValueError(f"Got {name} of shape {values.shape}, but expected ({n_samples},): one for each row of X.")
+    if (codes < 0).any():
+        raise ValueError(f"Got {int((codes < 0).sum())} rows without a flight: name the flight of every row.")
+    return np.column_stack([time, codes])
 
 
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:

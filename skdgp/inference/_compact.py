@@ -105,7 +105,11 @@ def compact(posterior, n_inducing: int, tolerance: float | None, max_iter: int, 
 
     new, found = summary(n_inducing) if tolerance is None else _smallest(summary, n_inducing, tolerance)
     if max_iter > 0 and new is not posterior and len(new.features.theta):
-        features, _ = maximize_features(new, column_scale(X), max_iter=max_iter, stage="compact")
+        placed = new
+        if data.drift is not None:  # where variables stand best, white noise of the same size tells as well
+            white, noise = data._replace(drift=None), new.noise + data.drift.variance
+            placed = SparsePosterior(new.kernel, new.features, noise, shares_of(white))
+        features, _ = maximize_features(placed, column_scale(X), max_iter=max_iter, stage="compact")
         improved = SparsePosterior(new.kernel, features, new.noise, new.shares)
         after = check.of(improved)
         if tolerance is None or after.change <= max(tolerance, found.change):

@@ -221,6 +221,8 @@ def _drift_at_full_rate(found, posterior, X, Y, clock, least):
 
 def _learn_features(features, kernel, noise, X, Y, step):
     """Return the best features and the Optimum they are of: of neighbours that repeat each other one is enough."""
+    if len(features.theta) == 0:
+        return features, None
     shares = shares_of(Data.from_table(X[::step], Y[::step]))
     with sharing(shares):
         start = SparsePosterior(kernel, features, noise / step, shares)

@@ -167,8 +167,6 @@ class SparsePosterior:
         other = SparsePosterior(kernel, self.features.rebuild(kernel, self.features.theta), noise, self.shares)
         if not eval_gradient:
             return other.log_marginal_likelihood
-        if self.shares[0].drift is not None:
-            raise NotImplementedError("The bound with noise that drifts has no gradient here: ask for its value alone.")
         return other.log_marginal_likelihood, other.bound_gradient()[: kernel.n_dims + len(noise)]
 
     def bound_gradient(self):

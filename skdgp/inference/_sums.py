@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-
 from scipy.linalg import cholesky_banded
 
 from skdgp._compute.linalg import triangular_solve
@@ -342,6 +341,8 @@ def _drift_factor(share, precision):
 
 def bound_gradient(posterior) -> np.ndarray:
     """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
+    if any(share.drift is not None for share in posterior.shares):
+        raise NotImplementedError("The bound with noise that drifts has no gradient here: ask for its value alone.")
     a, kernel, features = posterior.weights, posterior.kernel, posterior.features
     Lu, one = posterior.Lu, np.eye(features.size)
     gap = _coloured(Lu, one - posterior.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1

@@ -21,7 +21,16 @@ from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import check_n_jobs, fit_map
 from skdgp._compute.tables import column_names
-from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, input_noise_loading, output_correlation
+from skdgp.inference import (
+    Data,
+    choose_kernel,
+    compact,
+    fit_exact,
+    fit_sparse,
+    held_out_errors,
+    input_noise_loading,
+    output_correlation,
+)
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
 EXACT_LIMIT = 6000
@@ -68,8 +77,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Latent processes shared by all outputs. "auto": one more, up to 3, as long as the evidence for it
         exceeds what its hyperparameters would fit by chance (the Bayesian information criterion).
     private_latents : bool
-        Whether each output also has a latent process of its own, which none of the others sees. With ``n_latent=0``
-        and without private latents the model is its trend alone, with an honest band.
+        Whether each output also has a latent process of its own, which none of the others sees.
+    structure : {"joint", "trend", "auto"}
+        "joint": a trend and the dependent processes. "trend": the trend alone, its weights integrated out. "auto": the
+        trend alone where it predicts blocks of rows better that are held out in turn, by the mean over the outputs of
+        squared errors; rows in the order of the log. ``structure_`` says what was chosen, ``structure_errors_`` why.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     length_scale_prior : None, "auto", pair or array (d, 2)
@@ -126,6 +138,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Latent processes that are shared; None where a kernel was given.
     n_latent_scores_ : dict
         Of ``n_latent="auto"``: the criterion for each number that was tried, in nats; the largest is taken.
+    structure_ : {"joint", "trend"}
+        What the model is made of.
+    structure_errors_ : dict
+        Of ``structure="auto"``: for "trend" and "joint" the mean squared error of each output in blocks held out, over
+        its variance, (P,).
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``; evaluations of the likelihood in all.
     converged_ : bool
@@ -155,6 +172,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
         "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
+        "structure": [StrOptions({"joint", "trend", "auto"})],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
@@ -175,6 +193,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         private_latents=True,
         covariance_type="diag",
         length_scale_prior=None,
+        structure="joint",
         trend="linear",
         inference="auto",
         n_inducing=100,
@@ -191,6 +210,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.private_latents = private_latents
         self.covariance_type = covariance_type
         self.length_scale_prior = length_scale_prior
+        self.structure = structure
         self.trend = trend
         self.inference = inference
         self.n_inducing = n_inducing
@@ -307,7 +327,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def _choose(self, X, Z, options):
         """Return the prior, its number of shared latents from the data where that was asked; what Ctrl-C left of it."""
         self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
-        found = None
+        found, self.structure_ = None, self._choose_structure(X, Z, options)
+        if self.structure_ == "trend":
+            self.n_latent_ = 0
+            return self._trend(), None
         if self.n_latent_ == "auto":
             fewest = int(not self.private_latents)
             numbers = range(fewest, (MOST_LATENT if Z.shape[1] > 1 else fewest) + 1)
@@ -316,6 +339,28 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
         return self._prior(self.n_latent_), found
 
+    def _choose_structure(self, X, Z, options):
+        """Return "trend" where that was asked for, or predicts blocks better that were held out, else "joint"."""
+        self.structure_errors_ = {}
+        no_choice = self.kernel is not None or self.trend in ("constant", None)
+        if self.structure == "trend" and no_choice:
+            raise ValueError(
+                f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected no kernel, "
+                "and a trend such as 'linear', of which the whole model is made."
+            )
+        if self.structure == "joint" or no_choice:
+            return "joint"
+        if self.structure == "auto":
+            n_latent = 2 if self.n_latent == "auto" else self.n_latent
+            for name, kernel in (("trend", self._trend()), ("joint", self._prior(n_latent))):
+                errors = held_out_errors(name, kernel, X, Z, **options)
+                if errors is None:
+                    return "joint"
+                self.structure_errors_[name] = errors
+            if np.nanmean(self.structure_errors_["joint"]) <= np.nanmean(self.structure_errors_["trend"]):
+                return "joint"
+        return "trend"
+
     def _prior(self, n_latent):
         options = {
             "private_latents": self.private_latents,
@@ -323,8 +368,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             "length_scale_prior": self.length_scale_prior,
         }
         trend = None if self.trend in ("constant", None) else self._trend()
-        if self.kernel is None and n_latent == 0 and not self.private_latents and trend is not None:
-            return trend
         kernel = ConvolvedGaussian(n_latent, **options) if self.kernel is None else clone(self.kernel)
         return kernel if trend is None else trend + kernel
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, ExactPosterior, SparsePosterior, compact, log_likelihood, shares_of
+from skdgp.inference import Data, ExactPosterior, SparsePosterior, _fit, compact, log_likelihood, shares_of
 
 VARIANCE, MEMORY = np.array([0.5, 0.2, 1.0]), np.array([0.1, 0.5, 2.0])
 NEW = np.random.default_rng(9).normal(size=(6, 2))
@@ -130,6 +130,10 @@ class TestRegressor:
         y = 2 * x + self.drift(rng) + rng.normal(0, np.sqrt(self.sigma2), self.n)
         return time, x[:, None], y
 
+    @pytest.fixture(autouse=True)
+    def _few_values_to_learn_from(self, monkeypatch):
+        monkeypatch.setattr(_fit, "SUBSET", 500)
+
     def truth(self, time, x):
         """The standard deviation of the slope by generalised least squares with the true covariance."""
         apart = np.abs(np.subtract.outer(time, time))
@@ -138,7 +142,7 @@ class TestRegressor:
         return np.sqrt(np.linalg.inv(A.T @ np.linalg.solve(N, A))[1, 1])
 
     def model(self, **options):
-        return DependentGPRegressor(n_latent=0, private_latents=False, random_state=0, **options)
+        return DependentGPRegressor(structure="trend", random_state=0, **options)
 
     def test_the_band_of_a_slope_is_right(self, line):
         time, x, y = line

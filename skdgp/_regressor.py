@@ -21,7 +21,16 @@ from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import check_n_jobs, fit_map
 from skdgp._compute.tables import column_names
-from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, output_correlation, reach_of
+from skdgp.inference import (
+    Data,
+    choose_kernel,
+    compact,
+    fit_exact,
+    fit_sparse,
+    held_out_errors,
+    input_noise_loading,
+    output_correlation,
+)
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
 EXACT_LIMIT = 6000
@@ -69,6 +78,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         exceeds what its hyperparameters would fit by chance (the Bayesian information criterion).
     private_latents : bool
         Whether each output also has a latent process of its own, which none of the others sees.
+    structure : {"joint", "trend", "auto"}
+        "joint": a trend and the dependent processes. "trend": the trend alone, its weights integrated out. "auto": the
+        trend alone where it predicts blocks of rows better that are held out in turn, by the mean over the outputs of
+        squared errors; rows in the order of the log. ``structure_`` says what was chosen, ``structure_errors_`` why.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     length_scale_prior : None, "auto", pair or array (d, 2)
@@ -108,7 +121,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     kernel_ : MultiOutputKernel
         The fitted covariance, in units of normalised outputs.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, in squared units of the outputs.
+        Variance of the measurement noise, in squared units of the outputs, drift included.
+    drift_variance_, drift_memory_ : ndarray (P,)
+        Variance tau^2 of the noise that drifts, and its memory T in the unit of ``time``; zero without ``time``.
     input_covariance_ : ndarray (d, d)
         Covariance of the regressors' noise, where there is any.
     log_marginal_likelihood_value_ : float
@@ -123,6 +138,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Latent processes that are shared; None where a kernel was given.
     n_latent_scores_ : dict
         Of ``n_latent="auto"``: the criterion for each number that was tried, in nats; the largest is taken.
+    structure_ : {"joint", "trend"}
+        What the model is made of.
+    structure_errors_ : dict
+        Of ``structure="auto"``: for "trend" and "joint" the mean squared error of each output in blocks held out, over
+        its variance, (P,).
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``; evaluations of the likelihood in all.
     converged_ : bool
@@ -152,6 +172,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
         "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
+        "structure": [StrOptions({"joint", "trend", "auto"})],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
@@ -172,6 +193,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         private_latents=True,
         covariance_type="diag",
         length_scale_prior=None,
+        structure="joint",
         trend="linear",
         inference="auto",
         n_inducing=100,
@@ -188,6 +210,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.private_latents = private_latents
         self.covariance_type = covariance_type
         self.length_scale_prior = length_scale_prior
+        self.structure = structure
         self.trend = trend
         self.inference = inference
         self.n_inducing = n_inducing
@@ -207,7 +230,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     # -- fitting ---------------------------------------------------------------------------------------
 
     @_fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X, y):
+    def fit(self, X, y, time=None, flight=None):
         """Learn the hyperparameters and the posterior.
 
         Parameters
@@ -216,6 +239,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Regressors, finite.
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
+        time : array (n,) or None
+            When each sample was measured, in any unit. Neighbours in time then err alike as far as the data show it:
+            each output's noise has a part that drifts, with the covariance tau^2 exp(-|t - t'| / T) within a flight.
+            Without it samples that repeat each other's error count as independent evidence, and bands are too narrow.
+            Scikit-learn passes it through pipelines as ``pipeline.fit(X, y, dependentgpregressor__time=time)``, or by
+            metadata routing. None: noise is white.
+        flight : array (n,) or None
+            Which flight, or record, each sample is of; None: all are of one.
 
         Returns
         -------
@@ -243,8 +274,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         warn_of_indices(index, y)
         Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
+        clock = check_clock(time, flight, len(X))
         used = np.isfinite(Y).any(axis=1)
-        X, Y = X[used], Y[used]
+        X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
         check_enough(Y, self.output_names_)
         check_magnitudes(X, self._regressor_names(), "regressors", *X_RANGE)
         check_magnitudes(Y, self.output_names_, "targets", *Y_RANGE)
@@ -259,12 +291,15 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         else:
             warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = standardized(Y, self.trend is not None, self.normalize_y)
-        best = task.heard(self._search, X, Z)
+        best = task.heard(self._search, X, Z, clock)
         warn_of_search(best, self.max_iter)
-        vars(self).pop("compaction_", None)  # of what was known before
+        self.__dict__.pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.noise * self._scale**2
+        variance, memory = np.zeros((2, len(self._scale))) if best.drift is None else best.drift
+        self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
+        self._n_flights = 0 if clock is None else int(clock[:, 1].max()) + 1
         self._root = best.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
@@ -272,13 +307,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         task.end()
         return self
 
-    def _search(self, X, Z):
+    def _search(self, X, Z, clock):
         """Return the best fit over the starting points."""
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
         root = input_root(self.input_noise, X, self._regressor_names())
-        options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root}
+        options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root, "clock": clock}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
-        record = record_of_fit(X, Z, seeds, self.get_params(deep=False))
+        facts = X if clock is None else np.column_stack([X, clock])
+        record = record_of_fit(facts, Z, seeds, self.get_params(deep=False))
         seeds = seeds if record is None else record.seeds
         kernel, found = self._choose(X, Z, options | {"random_state": int(seeds[0]), "record": record})
         names = [f"start-{k}" for k in range(len(seeds) if found is None else 1)]
@@ -291,7 +327,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def _choose(self, X, Z, options):
         """Return the prior, its number of shared latents from the data where that was asked; what Ctrl-C left of it."""
         self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
-        found = None
+        found, self.structure_ = None, self._choose_structure(X, Z, options)
+        if self.structure_ == "trend":
+            self.n_latent_ = 0
+            return self._trend(), None
         if self.n_latent_ == "auto":
             fewest = int(not self.private_latents)
             numbers = range(fewest, (MOST_LATENT if Z.shape[1] > 1 else fewest) + 1)
@@ -300,21 +339,45 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
         return self._prior(self.n_latent_), found
 
+    def _choose_structure(self, X, Z, options):
+        """Return "trend" where that was asked for, or predicts blocks better that were held out, else "joint"."""
+        self.structure_errors_ = {}
+        no_choice = self.kernel is not None or self.trend in ("constant", None)
+        if self.structure == "trend" and no_choice:
+            raise ValueError(
+                f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected no kernel, "
+                "and a trend such as 'linear', of which the whole model is made."
+            )
+        if self.structure == "joint" or no_choice:
+            return "joint"
+        if self.structure == "auto":
+            n_latent = 2 if self.n_latent == "auto" else self.n_latent
+            for name, kernel in (("trend", self._trend()), ("joint", self._prior(n_latent))):
+                errors = held_out_errors(name, kernel, X, Z, **options)
+                if errors is None:
+                    return "joint"
+                self.structure_errors_[name] = errors
+            if np.nanmean(self.structure_errors_["joint"]) <= np.nanmean(self.structure_errors_["trend"]):
+                return "joint"
+        return "trend"
+
     def _prior(self, n_latent):
         options = {
             "private_latents": self.private_latents,
             "covariance_type": self.covariance_type,
             "length_scale_prior": self.length_scale_prior,
         }
+        trend = None if self.trend in ("constant", None) else self._trend()
         kernel = ConvolvedGaussian(n_latent, **options) if self.kernel is None else clone(self.kernel)
-        if self.trend not in ("constant", None):
-            kernel = (LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)) + kernel
-        return kernel
+        return kernel if trend is None else trend + kernel
+
+    def _trend(self):
+        return LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)
 
     # -- after the fit ---------------------------------------------------------------------------------
 
     @_fit_context(prefer_skip_nested_validation=False)
-    def partial_fit(self, X, y):
+    def partial_fit(self, X, y, time=None, flight=None):
         """Learn from further samples, at the hyperparameters found by ``fit``.
 
         Kernel, noise, and the centre and scale that normalise the outputs stay as they are; the posterior becomes that
@@ -328,6 +391,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Regressors, finite.
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
+        time, flight : array (n,) or None
+            As for ``fit``. The samples are of other flights than those before; without time each errs by itself.
 
         Returns
         -------
@@ -352,7 +417,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         True
         """
         if not hasattr(self, "posterior_"):
-            return self.fit(X, y)
+            return self.fit(X, y, time, flight)
         index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, reset=False)
         warn_of_indices(index, y)
@@ -360,14 +425,26 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_same_targets(names, self.output_names_)
         check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
         check_magnitudes(Y, self.output_names_, "targets", 0.0, Y_RANGE[1])
-        reach = None if self._root is None else reach_of(self.posterior_, X, self._root)
-        data = Data.from_table(X, (Y - self._center) / self._scale, reach)
+        loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
+        clock, drift = self._later_clock(time, flight, len(X))
+        data = Data.from_table(X, (Y - self._center) / self._scale, loading, clock, drift)
         if self.inference_ == "exact":
             check_memory(self.posterior_.data.n_values + data.n_values, "Exact inference on", FEWER_LATER)
         if data.n_values:
             self.posterior_ = self.posterior_.updated(data)
             self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood
         return self
+
+    def _later_clock(self, time, flight, n):
+        """Return time and flight of further samples, and the drift of the fit; no clock where noise is white."""
+        if not getattr(self, "_n_flights", 0):
+            return None, (None, None)
+        clock = check_clock(time, flight, n)
+        if clock is None:  # each a flight of its own
+            clock = np.column_stack([np.zeros(n), np.arange(n)])
+        clock[:, 1] += self._n_flights
+        self._n_flights = int(clock[:, 1].max()) + 1
+        return clock, (self.drift_variance_ / self._scale**2, self.drift_memory_)
 
     def compact(self, n_inducing=1500, *, tolerance=None, max_iter=10, random_state=0):
         """Return a small and fast model of nearly the same predictions, that holds no samples.
@@ -483,7 +560,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             mean, variance = mean
             if include_noise:
                 variance = variance + self.noise_variance_ / self._scale**2
-            variance = variance + np.sum(self._reach(X, include_input_noise) ** 2, axis=2)
+            variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
             return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
         mean = self._shaped(mean * self._scale + self._center)
         if not return_cov:
@@ -492,9 +569,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         cov = self.posterior_.covariance(X)
         if include_noise:
             cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
-        reach = self._reach(X, include_input_noise)
+        loading = self._loading(X, include_input_noise)
         blocks = cov.reshape(len(self._scale), len(X), len(self._scale), len(X))
-        np.einsum("iaja->aij", blocks)[:] += reach @ reach.swapaxes(1, 2)
+        np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
         scale = np.repeat(self._scale, len(X))
         return mean, cov * np.multiply.outer(scale, scale)
 
@@ -652,7 +729,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
-    def _reach(self, X, times):
+    def _loading(self, X, times):
         """Return J R of noisy regressors, (n, P, r); of exact ones r is zero."""
         times = np.asarray(times, dtype=float)
         if times.shape not in ((), (len(X),)) or not (times >= 0).all():
@@ -727,6 +804,22 @@ def standardized(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarra
     return (Y - center) / scale, center, scale
 
 
+def check_clock(time, flight, n_samples: int) -> np.ndarray | None:
+    """Return time and a number for each flight, (n, 2), or None where no time is given."""
+    if time is None:
+        if flight is not None:
+            raise ValueError("Got flight without time, but expected both: how long errors last is told by time.")
+        return None
+    time = check_array(time, dtype=np.float64, ensure_2d=False, input_name="time")
+    codes = np.zeros(n_samples) if flight is None else pd.factorize(np.asarray(flight))[0].astype(float)
+    for name, values in (("time", time), ("flight", codes)):
+        if values.shape != (n_samples,):
+            raise ValueError(f"Got {name} of shape {values.shape}, but expected ({n_samples},): one for each row of X.")
+    if (codes < 0).any():
+        raise ValueError(f"Got {int((codes < 0).sum())} rows without a flight: name the flight of every row.")
+    return np.column_stack([time, codes])
+
+
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
     """Refuse columns whose powers overflow or vanish in double precision; Z (n, k) with NaN where not observed."""
     size = np.nanmax(np.abs(Z), axis=0, initial=0.0)
@@ -790,7 +883,7 @@ def check_compaction(n_inducing, tolerance, max_iter) -> None:
         raise ValueError(f"Got max_iter={max_iter!r}, but expected a number of iterations, or 0 for none.")
     if tolerance is None:
         return
-    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < tolerance < np.inf:
+    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < float(tolerance) < np.inf:
         raise ValueError(
             f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard deviation, such as 0.1, or "
             "None."

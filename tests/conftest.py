@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
 from threadpoolctl import threadpool_limits
 
-from skdgp.inference import _singles
+from skdgp.inference import _fit
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -46,9 +46,9 @@ def short_fits(monkeypatch):
 
     For tests of what is done with a model, whatever it has learned.
     """
-    monkeypatch.setattr(_singles, "STRETCHES", _singles.STRETCHES[:1])
-    monkeypatch.setattr(_singles, "TRY_ITERATIONS", 2)
-    monkeypatch.setattr(_singles, "ITERATIONS", 2)
+    monkeypatch.setattr(_fit, "WIDTH_FACTORS", _fit.WIDTH_FACTORS[:1])
+    monkeypatch.setattr(_fit, "TRIAL_ITERATIONS", 2)
+    monkeypatch.setattr(_fit, "SINGLE_ITERATIONS", 2)
 
 
 @pytest.fixture(scope="session")

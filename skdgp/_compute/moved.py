@@ -7,6 +7,12 @@ from importlib import import_module
 from importlib.machinery import ModuleSpec
 
 MOVED = {
+    "skdgp.inference._factor": "skdgp.inference._exact",
+    "skdgp.inference._readout": "skdgp.inference._sparse",
+    "skdgp.inference._samples": "skdgp.inference._sums",
+    "skdgp.inference._shares": "skdgp.inference._sums",
+    "skdgp.kernels._basis": "skdgp.kernels._trend",
+    "skdgp.kernels._parts": "skdgp.kernels._features",
     "skdgp.dynamics._aircraft": "skdgp.dynamics._vehicle.aircraft",
     "skdgp.dynamics._propeller": "skdgp.dynamics._vehicle.propeller",
     "skdgp.dynamics._thrust_line": "skdgp.dynamics._vehicle.thrust_line",

@@ -3,13 +3,14 @@
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, fit_exact, fit_sparse, reach_of
+from skdgp.inference._fit import Fit, autocorrelation_time, fit_exact, fit_sparse, input_noise_loading
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
-from skdgp.inference._repeats import autocorrelation_time
-from skdgp.inference._samples import shares_of
-from skdgp.inference._selection import Choice, choose_kernel
+from skdgp.inference._selection import Choice, choose_kernel, held_out_errors
 from skdgp.inference._sparse import SparsePosterior
+from skdgp.inference._sums import shares_of
+
+reach_of = input_noise_loading  # its earlier name
 
 __all__ = [
     "Choice",
@@ -24,6 +25,8 @@ __all__ = [
     "compact",
     "fit_exact",
     "fit_sparse",
+    "held_out_errors",
+    "input_noise_loading",
     "log_likelihood",
     "maximize",
     "output_correlation",

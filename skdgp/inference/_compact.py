@@ -11,8 +11,8 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
-from skdgp.inference._samples import data_of, shares_of
 from skdgp.inference._sparse import SparsePosterior, maximize_features
+from skdgp.inference._sums import data_of, shares_of
 
 CHECKED = 1000  # training inputs, at most, and as many around them, where the change is measured
 AROUND = 0.5  # standard deviations of the regressors that these are moved by
@@ -105,7 +105,11 @@ def compact(posterior, n_inducing: int, tolerance: float | None, max_iter: int, 
 
     new, found = summary(n_inducing) if tolerance is None else _smallest(summary, n_inducing, tolerance)
     if max_iter > 0 and new is not posterior and len(new.features.theta):
-        features, _ = maximize_features(new, column_scale(X), max_iter=max_iter, stage="compact")
+        placed = new
+        if data.drift is not None:  # where variables stand best, white noise of the same size tells as well
+            white, noise = data._replace(drift=None), new.noise + data.drift.variance
+            placed = SparsePosterior(new.kernel, new.features, noise, shares_of(white))
+        features, _ = maximize_features(placed, column_scale(X), max_iter=max_iter, stage="compact")
         improved = SparsePosterior(new.kernel, features, new.noise, new.shares)
         after = check.of(improved)
         if tolerance is None or after.change <= max(tolerance, found.change):

@@ -39,7 +39,7 @@ def output_correlation(kernel):
 def _extreme(kernel, i, j, d):
     """Return K_ij where it is largest in size, and where that is."""
     origin = np.zeros((1, d))
-    starts = np.unique(np.concatenate([origin, kernel.peaks(i, j, d)]), axis=0)
+    starts = np.unique(np.concatenate([origin, kernel.peaks(i, j)]), axis=0)
     found = [(kernel.block(i, j, s[None], origin)[0, 0], s) for s in starts]
     value, where = max(found, key=lambda pair: abs(pair[0]))
     if value == 0.0:

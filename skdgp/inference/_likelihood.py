@@ -18,34 +18,45 @@ from skdgp._compute.linalg import (
     triangular_solve,
 )
 from skdgp._compute.threads import thread_map, threads_for
-from skdgp.inference._noise import Scatter, add_noise, noise_gradient
+from skdgp.inference._noise import Drift, SampleNoise, add_noise, noise_gradient
 
 TILE = 768  # values of an output a side: the kernel cuts further, for the cache
 HALF = 384  # a side on the diagonal, where every tile computes its mirror image too
 
 
 class Data(NamedTuple):
-    """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and where noisy regressors carry them."""
+    """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and what is known of their noise."""
 
     X: list[np.ndarray]
     y: list[np.ndarray]
-    scatter: Scatter | None = None
+    sample_noise: SampleNoise | None = None
+    drift: Drift | None = None
 
     @classmethod
-    def from_table(cls, X, Y, reach=None):
+    def from_table(cls, X, Y, loading=None, clock=None, drift=(None, None)):
         """Return the observed values of X (n, d), Y (n, P) with NaN where an output was not observed.
 
-        ``reach`` (n, P, r), where regressors are noisy: see ``Scatter``.
+        ``loading`` (n, P, r), where regressors are noisy: see ``SampleNoise``. ``clock`` (n, 2), time and flight, where
+        noise drifts, and ``drift``, its variances and memories (P,), unless they are to be learned: see ``Drift``.
         """
         seen = np.isfinite(Y)
-        scatter = None if reach is None else Scatter.from_table(seen, reach)
-        return cls([X[s] for s in seen.T], [y[s] for y, s in zip(Y.T, seen.T, strict=True)], scatter)
+        return cls(
+            [X[s] for s in seen.T],
+            [y[s] for y, s in zip(Y.T, seen.T, strict=True)],
+            None if loading is None else SampleNoise.from_table(seen, loading),
+            None if clock is None else Drift([clock[s] for s in seen.T], *drift),
+        )
 
     def joined(self, other: Data) -> Data:
         """Return these values, then the other's, output by output."""
         X = [np.concatenate(pair) for pair in zip(self.X, other.X, strict=True)]
         y = [np.concatenate(pair) for pair in zip(self.y, other.y, strict=True)]
-        return Data(X, y, self.scatter and self.scatter.joined(other.scatter))
+        sample_noise, drift = self.sample_noise, self.drift
+        if sample_noise is not None and other.sample_noise is not None:
+            sample_noise = sample_noise.joined(other.sample_noise)
+        if drift is not None and other.drift is not None:
+            drift = drift._replace(clock=[np.concatenate(c) for c in zip(drift.clock, other.drift.clock, strict=True)])
+        return Data(X, y, sample_noise, drift)
 
     @property
     def n_values(self) -> int:
@@ -54,7 +65,7 @@ class Data(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """A stretch of the values of one output."""
+    """A run of the values of one output."""
 
     output: int
     own: slice  # within the output

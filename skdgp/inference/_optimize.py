@@ -108,7 +108,14 @@ def maximize(
             converged = True  # it came to an end of its own
         else:
             options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "ftol": tolerance, "gtol": 1e-4, "maxcor": 20}
-            end = minimize(objective, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+            end = minimize(
+                objective,
+                theta,
+                jac=True,  # type: ignore[call-overload]  # a class with __call__
+                method="L-BFGS-B",
+                bounds=bounds,
+                options=options,
+            )
             n_iter, converged = end.nit, bool(end.success)
     except KeyboardInterrupt:
         interrupted = True

@@ -9,6 +9,8 @@ enter through sums alone, so time is linear in them and memory does not grow.
 from __future__ import annotations
 
 from functools import cached_property, partial
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -17,19 +19,27 @@ from skdgp._compute.linalg import (
     cholesky_solve,
     jittered_cholesky,
     log_determinant,
+    semidefinite_root,
     symmetric,
     triangular_solve,
     unexplained_variance,
 )
 from skdgp._compute.threads import thread_map, threads_for
-from skdgp.inference._bound import bound_gradient
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
 from skdgp.inference._paths import Paths, sparse_paths
-from skdgp.inference._readout import Readout, learned_from
-from skdgp.inference._samples import data_of, shares_of, sums_of
-from skdgp.inference._shares import ROWS, row_slices, summed
-from skdgp.inference._sums import Sums
+from skdgp.inference._sums import (
+    ROWS,
+    Sums,
+    bound_gradient,
+    data_of,
+    own_factor,
+    row_slices,
+    shares_of,
+    shares_read,
+    summed,
+    sums_of,
+)
 
 
 class SparsePosterior:
@@ -42,15 +52,19 @@ class SparsePosterior:
     noise : ndarray (P,)
         Noise variance of each output.
     shares : list of Share
-        The observed values, see ``shares_of``; or of Stretch, where the outputs are noisy together.
+        The observed values, see ``shares_of``; or of SampleShare, where the outputs are noisy together.
 
     Attributes
     ----------
-    shares : list of Share or None
+    shares : list of SampleShare or None
         None where they were forgotten: ``sums`` is what is left of them.
     log_marginal_likelihood : float
         Its lower bound.
     """
+
+    shares: Any
+    sums: Sums
+    statistics: Any  # list of Statistics, None where the noise is correlated
 
     def __init__(self, kernel, features, noise, shares: list):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
@@ -65,6 +79,7 @@ class SparsePosterior:
 
     def __setstate__(self, state):
         self.__dict__.update(state)
+        self.shares = shares_read(self.shares)
         if self.shares is None:
             self.sums = self.sums.unpacked(self.features, self.kernel.n_outputs)
         self._begin()
@@ -204,7 +219,9 @@ class SparsePosterior:
         mean = np.stack([(D[i] @ self.weights[self.features.columns(i)]).T for i in outputs], axis=1)
         if roots is None:
             return mean, None
-        learned = [learned_from(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T for i in outputs]
+        learned = [
+            explained_variance(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T for i in outputs
+        ]
         prior = np.stack([self.kernel.derivative_diag(i, x) for i in outputs], axis=1)
         return mean, unexplained_variance(prior, np.stack(learned, axis=1))
 
@@ -224,3 +241,54 @@ def maximize_features(start: SparsePosterior, scale, *, max_iter, stage) -> tupl
 
     best = maximize(bound, features.theta / unit, features.bounds / unit[:, None], max_iter=max_iter, stage=stage)
     return features.rebuild(kernel, unit * best.theta), best
+
+
+class Readout:
+    """Mean and variance of every output, from the features it feels.
+
+    With whitened features V = Lu^-1 Kuf, the data took V^T (I - B^-1) V from the prior variance. With I - B^-1 = R R^T
+    for the features of output i that is |Kfu Lu^-T R|^2, a product and a sum of squares.
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+    features : Features
+    weights : ndarray (K,)
+        Posterior mean of the features, coloured.
+    """
+
+    def __init__(self, kernel, features, weights):
+        self.kernel, self.rows = kernel, features.rows()
+        self.columns = [features.columns(i) for i in range(kernel.n_outputs)]
+        edges = np.cumsum([0, *map(len, self.columns)])
+        self.own = [slice(a, b) for a, b in pairwise(edges)]
+        self.weights = np.zeros((edges[-1], kernel.n_outputs))
+        for i, (own, columns) in enumerate(zip(self.own, self.columns, strict=True)):
+            self.weights[own, i] = weights[columns]
+
+    def roots(self, Lu, B_inverse) -> list[np.ndarray]:
+        """Return Lu^-T R of the features of each output, (c, c)."""
+        roots = []
+        for columns in self.columns:
+            learned = -B_inverse[np.ix_(columns, columns)]
+            np.einsum("ii->i", learned)[:] += 1.0
+            roots.append(triangular_solve(own_factor(Lu, columns), semidefinite_root(learned), transposed=True))
+        return roots
+
+    def mean(self, X) -> np.ndarray:
+        """Return the mean at X (n, d), (n, P)."""
+        return self.rows(X) @ self.weights
+
+    def mean_and_variance(self, X, roots) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and variance at X (n, d), (n, P) each."""
+        A = self.rows(X)
+        variance = np.empty((len(X), len(self.own)))
+        for i, (own, root) in enumerate(zip(self.own, roots, strict=True)):
+            variance[:, i] = unexplained_variance(self.kernel.block_diag(i, X), explained_variance(A[:, own], root))
+        return A @ self.weights, variance
+
+
+def explained_variance(A, root):
+    """Return what the data took from the variance of functions whose covariance with the features is A (n, c)."""
+    half = A @ root
+    return np.einsum("nc,nc->n", half, half)

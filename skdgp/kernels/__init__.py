@@ -1,7 +1,7 @@
 """The prior: multi-output covariance functions as scikit-learn kernels."""
 
-from skdgp.kernels._base import MultiOutputKernel, Sum
+from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
-from skdgp.kernels._trend import BasisTrend, LinearTrend
+from skdgp.kernels._trend import BasisTrend, LinearTrend, Trend
 
-__all__ = ["BasisTrend", "ConvolvedGaussian", "LinearTrend", "MultiOutputKernel", "Sum"]
+__all__ = ["BasisTrend", "ConvolvedGaussian", "FreeParameter", "LinearTrend", "MultiOutputKernel", "Sum", "Trend"]

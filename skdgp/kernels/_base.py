@@ -1,10 +1,10 @@
-"""MultiOutputKernel, the contract of a kernel, and the transform between hyperparameters and theta."""
+"""The contract of a kernel (MultiOutputKernel), and sums of kernels."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import joblib
 import numpy as np
@@ -12,11 +12,17 @@ from sklearn.base import BaseEstimator
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
-from skdgp.kernels._features import Features, SumFeatures
+from skdgp._compute.linalg import cluster_centres, column_scale
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp.kernels._features import Features, PointFeatures, SumFeatures
 from skdgp.kernels._paths import KernelPaths, PathBundle
 
+DIAGONAL_ROWS = 32  # of a tile of which the diagonal alone is needed
+STEP = 1e-3  # of regressors of about unit size, for derivatives by differences
 
-class Free(NamedTuple):
+
+@dataclass(frozen=True)
+class FreeParameter:
     """The free entries of one parameter array.
 
     ``index`` has the array's shape: entries with the same number are one hyperparameter, -1 is not free.
@@ -24,7 +30,7 @@ class Free(NamedTuple):
     """
 
     name: str
-    index: np.ndarray
+    index: Indices
     log: bool
     bounds: object
 
@@ -48,102 +54,138 @@ class MultiOutputKernel(Kernel):
 
     Inputs are one (n_i, d) array per output, so outputs observed at different samples need no padding; a
     single (n, d) array means the same samples for every output. Matrices are output-major: all samples of
-    the first output, then all of the second. A subclass states four blocks, each for one pair of outputs;
-    everything else follows from them.
+    the first output, then all of the second.
+
+    A new kernel has a constructor in scikit-learn's manner, the properties ``n_outputs`` and ``n_features``, and four
+    methods: ``block``, ``block_gradient``, ``block_diag`` and ``free_parameters``. With them it is fitted, exactly and
+    sparsely, and predicts. The other methods are capabilities: each has a default, or says what is missing.
     """
 
-    n_outputs: int
-    n_features: int
+    @property
+    @abstractmethod
+    def n_outputs(self) -> int:
+        """Number of outputs P."""
+
+    @property
+    @abstractmethod
+    def n_features(self) -> int:
+        """Number of regressors d."""
+
+    # -- what a kernel states --------------------------------------------------------------------------
 
     @abstractmethod
-    def block(self, i: int, j: int, Xi, Xj) -> np.ndarray:
+    def block(self, i: int, j: int, Xi, Xj) -> Matrix:
         """Return cov(y_i(Xi), y_j(Xj)), (n_i, n_j)."""
 
     @abstractmethod
-    def block_gradient(self, i: int, j: int, Xi, Xj, W) -> np.ndarray:
+    def block_gradient(self, i: int, j: int, Xi, Xj, W) -> Vector:
         """Return sum(W * dK_ij / dtheta), (n_theta,): the contraction, never the (n_i, n_j, n_theta) array."""
 
     @abstractmethod
-    def block_derivative(self, i: int, j: int, Xi, Xj) -> np.ndarray:
-        """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j)."""
-
-    @abstractmethod
-    def block_diag(self, i: int, Xi) -> np.ndarray:
+    def block_diag(self, i: int, Xi) -> Vector:
         """Return var(y_i(Xi)), (n_i,)."""
 
     @abstractmethod
-    def derivative_diag(self, i: int, Xi) -> np.ndarray:
-        """Return the prior variance of dy_i/dx at Xi, (n_i, d)."""
+    def free_parameters(self) -> list[FreeParameter]:
+        """Return the parameters that theta is made of, in theta's order."""
 
-    @abstractmethod
-    def diag_gradient(self, i: int, Xi, w) -> np.ndarray:
-        """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
-
-    @abstractmethod
-    def features(self, Z) -> Features:
-        """Return inducing features for sparse inference, placed at Z (k, d)."""
-
-    @abstractmethod
-    def feature_ranking(self, X, scale, random_state) -> Callable[[int], Features]:
-        """Return a function n -> the features that n variables are best spent on, to know the outputs at X (n, d).
-
-        ``scale`` (P,) says how exactly each output is to be kept. Every term of a sum spends n.
-        """
-
-    @abstractmethod
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> PathBundle:
-        """Return samples of the outputs that are functions, of ``n_frequencies`` waves for each latent process."""
-
-    @abstractmethod
-    def peaks(self, i: int, j: int, d: int) -> np.ndarray:
-        """Return separations where the terms of a stationary cov(y_i, y_j) are largest, (k, d)."""
-
-    @abstractmethod
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0) -> MultiOutputKernel:
-        """Return the kernel with the values and bounds that were not given taken from data.
-
-        X is (n, d), Y is (n, P) with NaN where an output was not observed. Better starting values come from
-        ``singles``, fits of each output alone, made from ``single``, and from a fit of ``coarse``. ``stretch``
-        multiplies the widths that are tried first. What was given stays as it is.
-        """
-
-    @abstractmethod
-    def coarse(self) -> MultiOutputKernel:
-        """Return a kernel without values, with fewer hyperparameters, to fit first; itself if there is none."""
-
-    @abstractmethod
-    def is_given(self) -> bool:
-        """Return whether every value was given, so that none is taken from data."""
-
-    @abstractmethod
-    def single(self) -> MultiOutputKernel:
-        """Return the kernel, without values, that one output alone would have."""
-
-    @abstractmethod
-    def stationary_part(self) -> MultiOutputKernel | None:
-        """Return what of the covariance depends on the separation alone, None if nothing does."""
-
-    def prepared(self, X) -> MultiOutputKernel:
-        """Return the kernel, still without values, with what it takes from the inputs (n, d) of all samples alone."""
-        return self
-
-    def log_prior(self, eval_gradient=False):
-        """Return the log density of the prior on theta, zero where there is none; on request its gradient too."""
-        return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
+    # -- capabilities that have a default --------------------------------------------------------------
 
     def couples(self, i: int, j: int) -> bool:
         """Return whether cov(y_i, y_j) can differ from zero: where it cannot, no block is asked for."""
         return True
 
-    def unexplained(self, X, Y) -> np.ndarray:
+    def diag_gradient(self, i: int, Xi, w) -> Vector:
+        """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
+        rows = [slice(a, a + DIAGONAL_ROWS) for a in range(0, len(Xi), DIAGONAL_ROWS)]
+        parts = [self.block_gradient(i, i, Xi[some], Xi[some], np.diag(w[some])) for some in rows]
+        return np.sum(parts, axis=0) if parts else np.zeros(self.n_dims)
+
+    def block_derivative(self, i: int, j: int, Xi, Xj) -> Array:
+        """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
+
+        Unless a kernel knows better, by central differences of fourth order, for regressors of about unit size.
+        """
+        Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
+        if self.is_stationary() and len(Xj):  # steps from points far from zero would be rounded
+            Xi, Xj = Xi - Xj[0], Xj - Xj[0]
+        return np.stack([_difference(lambda x: self.block(i, j, Xi + x, Xj), unit) for unit in np.eye(Xi.shape[1])])
+
+    def derivative_diag(self, i: int, Xi) -> Matrix:
+        """Return the prior variance of dy_i/dx at Xi, (n_i, d); by default by differences, as ``block_derivative``."""
+        Xi = np.asarray(Xi, dtype=float)
+
+        def slope(unit, z):  # d/dx of k(x, z) at x = Xi, z = Xi + z, row by row
+            return _difference(lambda x: np.array([self.block(i, i, r[None] + x, r[None] + z)[0, 0] for r in Xi]), unit)
+
+        return np.stack([_difference(lambda z, u=unit: slope(u, z), unit) for unit in np.eye(Xi.shape[1])], axis=1)
+
+    def has_values(self) -> bool:
+        """Return whether every value was given, so that none is taken from data."""
+        return all(getattr(self, parameter.name) is not None for parameter in self.free_parameters())
+
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0) -> MultiOutputKernel:
+        """Return the kernel with the values and bounds that were not given taken from data.
+
+        X is (n, d), Y is (n, P) with NaN where an output was not observed. Better starting values come from
+        ``singles``, fits of each output alone, made from ``single_output``, and from a fit of ``coarse``.
+        ``width_factor`` multiplies the widths that are tried first. What was given stays as it is.
+        """
+        if not self.has_values():
+            raise ValueError(f"{type(self).__name__} takes no values from data: give all of its parameters.")
+        return self
+
+    def prepared(self, X) -> MultiOutputKernel:
+        """Return the kernel, still without values, with what it takes from the inputs (n, d) of all samples alone."""
+        return self
+
+    def coarse(self) -> MultiOutputKernel:
+        """Return a kernel without values, with fewer hyperparameters, to fit first; itself if there is none."""
+        return self
+
+    def single_output(self) -> MultiOutputKernel:
+        """Return the kernel, without values, that one output alone would have: for kernels without values."""
+        raise NotImplementedError(f"{type(self).__name__} does not say what kernel one output alone would have.")
+
+    def log_prior(self, eval_gradient=False):
+        """Return the log density of the prior on theta, zero where there is none; on request its gradient too."""
+        return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
+
+    def residual(self, X, Y) -> Matrix:
         """Return what of Y, (n, P), this kernel leaves to the others of a sum when they choose starting values."""
         return Y
 
-    # -- what follows from the blocks ------------------------------------------------------------------
+    def stationary_part(self) -> MultiOutputKernel | None:
+        """Return what of the covariance depends on the separation alone, None if nothing does."""
+        return self if self.is_stationary() else None
+
+    def peaks(self, i: int, j: int) -> Matrix:
+        """Return separations where a stationary cov(y_i, y_j) may be largest, beside zero, (k, d)."""
+        return np.zeros((0, self.n_features))
+
+    def features(self, Z) -> Features:
+        """Return inducing features for sparse inference, placed at Z (k, d); by default the outputs' values there."""
+        return PointFeatures(self, Z)
+
+    def feature_ranking(self, X, scale, random_state) -> Callable[[int], Features]:
+        """Return a function n -> the features that n variables are best spent on, to know the outputs at X (n, d).
+
+        ``scale`` (P,) says how exactly each output is to be kept. Every term of a sum spends n.
+        """
+        return lambda n: self.features(cluster_centres(X, column_scale(X), max(1, n // self.n_outputs), random_state))
+
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> PathBundle:
+        """Return samples of the outputs that are functions, of ``n_frequencies`` waves for each latent process."""
+        raise NotImplementedError(
+            f"{type(self).__name__} has no samples that are functions (prior_paths): sample_y draws values at given "
+            "points from any kernel."
+        )
 
     def paths(self, X, coefficients) -> PathBundle:
         """Return the functions sum_j cov(y, y_j(X_j)) c_j, with X_j (n_j, d) and c_j (S, n_j) of each output."""
         return KernelPaths(self, X, coefficients)
+
+    # -- what follows from the blocks ------------------------------------------------------------------
 
     def split(self, X) -> list[np.ndarray]:
         """Return X as one array per output."""
@@ -211,16 +253,12 @@ class MultiOutputKernel(Kernel):
 
     # -- hyperparameters -------------------------------------------------------------------------------
 
-    @abstractmethod
-    def _free(self) -> list[Free]:
-        """Return the free parameters, in theta's order."""
-
     @property
     def hyperparameters(self):
         """Each hyperparameter with its number of elements and bounds."""
         return [
             Hyperparameter(f.name, "numeric", "fixed" if f.fixed else _pairs(f), 1 if f.fixed else f.n_elements)
-            for f in self._free()
+            for f in self.free_parameters()
             if f.fixed or f.n_elements
         ]
 
@@ -228,7 +266,7 @@ class MultiOutputKernel(Kernel):
     def theta(self):
         """Free hyperparameters, (n_theta,): logarithms of the positive ones, signed ones as they are."""
         parts = []
-        for f in self._free():
+        for f in self.free_parameters():
             if f.n_elements:
                 part = np.empty(f.n_elements)
                 chosen = f.index >= 0
@@ -239,11 +277,11 @@ class MultiOutputKernel(Kernel):
     @theta.setter
     def theta(self, theta):
         theta = np.asarray(theta, dtype=float)
-        expected = sum(f.n_elements for f in self._free())
+        expected = sum(f.n_elements for f in self.free_parameters())
         if theta.shape != (expected,):
             raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
         start = 0
-        for f in self._free():
+        for f in self.free_parameters():
             if f.n_elements:
                 part = theta[start : start + f.n_elements]
                 start += f.n_elements
@@ -255,13 +293,13 @@ class MultiOutputKernel(Kernel):
     @property
     def bounds(self):
         """Bounds on theta, (n_theta, 2), in theta's own coordinates."""
-        parts = [np.log(_pairs(f)) if f.log else _pairs(f) for f in self._free() if f.n_elements]
+        parts = [np.log(_pairs(f)) if f.log else _pairs(f) for f in self.free_parameters() if f.n_elements]
         return np.concatenate(parts) if parts else np.empty((0, 2))
 
     @property
     def n_dims(self):
         """Length of theta."""
-        return sum(f.n_elements for f in self._free())
+        return sum(f.n_elements for f in self.free_parameters())
 
     def _value(self, name) -> np.ndarray:
         """Return a parameter as the array that theta and the equations index."""
@@ -280,7 +318,7 @@ class MultiOutputKernel(Kernel):
         mine, theirs = self.get_params(), other.get_params()
         return set(mine) == set(theirs) and all(_equal(mine[k], theirs[k]) for k in mine)
 
-    __hash__ = None
+    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self):
         shown = {k: v for k, v in self.get_params(deep=False).items() if v is not None and np.ndim(v) == 0}
@@ -290,10 +328,10 @@ class MultiOutputKernel(Kernel):
         """Return whether the covariance depends on x - x' alone."""
         return False
 
-    def pull_back(self, gradients: dict[str, np.ndarray]) -> np.ndarray:
+    def theta_gradient(self, gradients: dict[str, np.ndarray]) -> np.ndarray:
         """Return d/dtheta from derivatives with respect to the entries (of their logarithm where log)."""
         parts = []
-        for f in self._free():
+        for f in self.free_parameters():
             if f.n_elements:
                 chosen = f.index >= 0
                 parts.append(np.bincount(f.index[chosen], weights=gradients[f.name][chosen], minlength=f.n_elements))
@@ -341,13 +379,13 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def derivative_diag(self, i, Xi):
         return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0):
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0):
         def of(name):
             hints = singles and [getattr(s, name) for s in singles], coarse and getattr(coarse, name)
-            return dict(zip(("singles", "coarse"), hints, strict=True), stretch=stretch)
+            return dict(zip(("singles", "coarse"), hints, strict=True), width_factor=width_factor)
 
         first = self.k1.initialize(X, Y, random_state, **of("k1"))
-        return Sum(first, self.k2.initialize(X, first.unexplained(X, Y), random_state, **of("k2")))
+        return Sum(first, self.k2.initialize(X, first.residual(X, Y), random_state, **of("k2")))
 
     def prepared(self, X):
         return Sum(self.k1.prepared(X), self.k2.prepared(X))
@@ -359,8 +397,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def coarse(self):
         return Sum(self.k1.coarse(), self.k2.coarse())
 
-    def is_given(self):
-        return self.k1.is_given() and self.k2.is_given()
+    def has_values(self):
+        return self.k1.has_values() and self.k2.has_values()
 
     def paths(self, X, coefficients):
         return self.k1.paths(X, coefficients) + self.k2.paths(X, coefficients)
@@ -382,23 +420,29 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def prior_paths(self, *args):
         return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
 
-    def peaks(self, i, j, d):
-        return np.concatenate([self.k1.peaks(i, j, d), self.k2.peaks(i, j, d)])
+    def peaks(self, i, j):
+        return np.concatenate([self.k1.peaks(i, j), self.k2.peaks(i, j)])
 
-    def single(self):
-        return Sum(self.k1.single(), self.k2.single())
+    def single_output(self):
+        return Sum(self.k1.single_output(), self.k2.single_output())
 
-    def unexplained(self, X, Y):
-        return self.k2.unexplained(X, self.k1.unexplained(X, Y))
+    def residual(self, X, Y):
+        return self.k2.residual(X, self.k1.residual(X, Y))
 
     def diag(self, X):
         return self.k1.diag(X) + self.k2.diag(X)
 
-    def _free(self):
-        return [*self.k1._free(), *self.k2._free()]
+    def free_parameters(self):
+        return [*self.k1.free_parameters(), *self.k2.free_parameters()]
 
     def __repr__(self):
         return f"{self.k1!r} + {self.k2!r}"
+
+
+def _difference(function, unit):
+    """Return the derivative along a unit vector at zero, by central differences of fourth order."""
+    near, far = (function(k * STEP * unit) - function(-k * STEP * unit) for k in (1, 2))
+    return (8 * near - far) / (12 * STEP)
 
 
 def _equal(a, b) -> bool:
@@ -406,7 +450,7 @@ def _equal(a, b) -> bool:
     return joblib.hash(a) == joblib.hash(b) if isinstance(a, BaseEstimator) else np.array_equal(a, b)
 
 
-def _pairs(f: Free) -> np.ndarray:
+def _pairs(f: FreeParameter) -> np.ndarray:
     """Return the bounds of a free parameter, (n_elements, 2), from one pair, or one pair for each entry."""
     bounds = np.asarray(f.bounds, dtype=float)
     if bounds.shape[-1:] != (2,) or not (bounds[..., 0] < bounds[..., 1]).all() or (f.log and not (bounds > 0).all()):

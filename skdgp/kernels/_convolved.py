@@ -7,17 +7,16 @@ from functools import partial
 import numpy as np
 from sklearn.base import clone
 
-from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, number, or_default
-from skdgp.kernels._features import ConvolvedFeatures
-from skdgp.kernels._latents import TIED_AXIS, check_ties, common_scale, who_feeds
+from skdgp._compute.linalg import column_scale, constant_columns
+from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, number, or_default
+from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
-from skdgp.kernels._parts import rank_parts
-from skdgp.kernels._paths import ValuePaths
-from skdgp.kernels._prior import log_normal, prior_of
-from skdgp.kernels._start import starting_values
+from skdgp.kernels._paths import ValuePaths, convolved_paths
+from skdgp.kernels._start import log_normal, prior_of, starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
-from skdgp.kernels._waves import convolved_paths
 
+TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
+MOST_UNLIKE = 1e5  # standard deviations of regressors that share a length scale, largest over smallest
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 LOST = 0.1  # an amplitude below this fraction of the starting one means that the output was taken for noise
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
@@ -133,12 +132,12 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         w, lengths = np.asarray(self.amplitude, dtype=float), np.asarray(self.length_scale, dtype=float)
         P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
-        feeds = self._who_feeds(P)
+        feeds = self._feed_matrix(P)
         M = len(feeds)
         if not (lengths > 0).all() or not np.isfinite(w).all():
             raise ValueError("Got a length_scale that is not positive or an amplitude that is not finite.")
         lengths = as_shape("length_scale", lengths, (M, P, d))
-        check_ties(self.covariance_type, lengths, feeds)
+        check_equal_scales(self.covariance_type, lengths, feeds)
         return {
             "feeds": feeds,
             "amplitude": as_shape("amplitude", w, (M, P)) * feeds,
@@ -147,8 +146,8 @@ class ConvolvedGaussian(MultiOutputKernel):
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
 
-    def _who_feeds(self, P):
-        return who_feeds(self.feeds, self.n_latent, self.private_latents, P)
+    def _feed_matrix(self, P):
+        return feed_matrix(self.feeds, self.n_latent, self.private_latents, P)
 
     def _value(self, name):
         return self._arrays()[name]
@@ -163,16 +162,16 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Number of regressors d."""
         return self._value("length_scale").shape[2]
 
-    def is_given(self):
+    def has_values(self):
         return self.amplitude is not None and self.length_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0):
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0):
         params = self.prepared(X).get_params()
-        feeds = self._who_feeds(Y.shape[1])
+        feeds = self._feed_matrix(Y.shape[1])
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
             if params[name] is not None:
                 params[name] = as_shape(name, params[name], shape)
-        start = starting_values(feeds, X, Y, random_state, stretch)
+        start = starting_values(feeds, X, Y, random_state, width_factor)
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
         if coarse:
@@ -210,13 +209,13 @@ class ConvolvedGaussian(MultiOutputKernel):
         return clone(self).set_params(length_scale_prior=prior_of(self.length_scale_prior, X))
 
     def log_prior(self, eval_gradient=False):
-        (widths,) = (f for f in self._free() if f.name == "length_scale")
+        (widths,) = (f for f in self.free_parameters() if f.name == "length_scale")
         if self.length_scale_prior is None or widths.fixed:
             return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
         lengths = self._value("length_scale")
         value, slope = log_normal(widths.index, lengths, prior_of(self.length_scale_prior, lengths[0]))
         by_entry = {name: np.zeros_like(self._value(name)) for name in PARAMETERS} | {"length_scale": slope}
-        return (value, self.pull_back(by_entry)) if eval_gradient else value
+        return (value, self.theta_gradient(by_entry)) if eval_gradient else value
 
     def coarse(self):
         if self.covariance_type in ("diag", "full") and self.length_scale is None and self.length_scale_bounds is None:
@@ -231,7 +230,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         return self
 
-    def single(self):
+    def single_output(self):
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
         return ConvolvedGaussian(0, covariance_type=kind, length_scale_prior=self.length_scale_prior)
 
@@ -244,7 +243,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     def diag_gradient(self, i, Xi, w):
         zeros = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
         zeros["amplitude"][:, i] = 2 * np.sum(w) * self._value("amplitude")[:, i]
-        return self.pull_back(zeros)
+        return self.theta_gradient(zeros)
 
     def features(self, Z):
         w, A = self._value("amplitude"), self.A
@@ -252,7 +251,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         weight = np.maximum(w**2, 1e-12) * self._value("feeds")
         weight /= weight.sum(axis=1, keepdims=True)
         width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
-        return ConvolvedFeatures(self, np.tile(Z, (len(w), 1, 1)), width)
+        return LatentFeatures(self, range(len(w)), [Z] * len(w), width)
 
     def feature_ranking(self, X, scale, random_state):
         return rank_parts(self, X, scale, random_state)
@@ -260,14 +259,14 @@ class ConvolvedGaussian(MultiOutputKernel):
     def prior_paths(self, n_paths, n_frequencies, random_state):
         return convolved_paths(self, n_paths, n_frequencies, random_state)
 
-    def peaks(self, i, j, d):
+    def peaks(self, i, j):
         # Terms of either sign may cancel at their centres and peak beside them: a width or two along each axis.
         _, _, _, F, shift = self._pair(i, j)
         widths = 1.0 / (F if F.ndim == 2 else np.einsum("mkk->mk", F))
-        steps = np.concatenate([t * np.eye(d) for t in (-3, -2, -1, 1, 2, 3)])
+        steps = np.concatenate([t * np.eye(self.n_features) for t in (-3, -2, -1, 1, 2, 3)])
         return np.concatenate([shift, *(mu + steps * width for mu in shift for width in widths)])
 
-    def _free(self):
+    def free_parameters(self):
         feeds = self._value("feeds").astype(bool)
         M, P, d = self._value("shift").shape
         pairs = self._value("shear").shape[-1]
@@ -278,14 +277,14 @@ class ConvolvedGaussian(MultiOutputKernel):
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
         moves = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
         free = [
-            Free("amplitude", number(own, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
-            Free(
+            FreeParameter("amplitude", number(own, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
+            FreeParameter(
                 "length_scale",
                 number(width[..., None] * d + per_feature, feeds[..., None]),
                 True,
                 or_default(self.length_scale_bounds, (1e-3, 1e3)),
             ),
-            Free(
+            FreeParameter(
                 "shift",
                 number(own[..., None] * d + np.arange(d), moves[..., None]),
                 False,
@@ -294,7 +293,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         ]
         if self.covariance_type == "full":
             index = number(own[..., None] * pairs + np.arange(pairs), feeds[..., None])
-            free.append(Free("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0))))
+            free.append(FreeParameter("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0))))
         return free
 
     # -- published parameters --------------------------------------------------------------------------
@@ -399,7 +398,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_gradient(self, i, j, Xi, Xj, W):
         if not self.couples(i, j):
             return np.zeros(self.n_dims)
-        return self.pull_back(self.entry_gradients(i, j, Xi, Xj, W))
+        return self.theta_gradient(self.entry_gradients(i, j, Xi, Xj, W))
 
     def entry_gradients(self, i, j, Xi, Xj, W, inputs=False):
         """Return sum(W * dK_ij) by each entry of the parameter arrays (of the logarithm of length scales).
@@ -460,3 +459,58 @@ def _geometric_mean(value, axis):
 def _middle(X):
     """Return a point near the data: taken away, so that the expanded square loses no digits."""
     return np.mean(X, axis=0) if len(X) else 0.0
+
+
+def feed_matrix(feeds, n_latent, private_latents, P) -> np.ndarray:
+    """Return (M, P), one where a latent feeds an output."""
+    if feeds is None:
+        feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P)[: P * bool(private_latents)]])
+    else:
+        feeds = np.asarray(feeds, dtype=float)
+    if len(feeds) == 0:
+        raise ValueError(
+            "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
+            "n_latent, or set private_latents=True."
+        )
+    if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
+        raise ValueError(
+            f"Got latents that feed the outputs as {feeds.astype(int).tolist()}, but expected (M, {P}) with at "
+            "least one latent for every output, and no idle latent: raise n_latent, or set private_latents=True."
+        )
+    return feeds
+
+
+def check_equal_scales(covariance_type, lengths, feeds) -> None:
+    """Raise a ValueError where length scales (M, P, d) differ that the type holds equal."""
+    axis = TIED_AXIS.get(covariance_type)
+    if axis is None:
+        return
+    most = np.where(feeds[..., None] > 0, lengths, 0.0).max(axis=axis, keepdims=True)
+    if not np.allclose(np.where(feeds[..., None] > 0, lengths, most), most, rtol=1e-9, atol=0.0):
+        along = "regressors" if covariance_type == "spherical" else "outputs"
+        raise ValueError(
+            f"Got length scales that differ along the {along} with covariance_type={covariance_type!r}, but "
+            "expected equal ones: use covariance_type='diag', or give one length scale to all."
+        )
+
+
+def common_scale(scales, X) -> np.ndarray:
+    """Return one scale for all regressors: the geometric mean over those that vary in X; scales are (M, P, d, ...).
+
+    Raises
+    ------
+    ValueError
+        Where regressors differ too much in scale to share one.
+    """
+    varies = ~constant_columns(X)
+    if not varies.any():
+        return scales
+    spread = column_scale(X)[varies]
+    if spread.max() > MOST_UNLIKE * spread.min():
+        raise ValueError(
+            f"Got regressors with standard deviations from {spread.min():.2g} to {spread.max():.2g}, but "
+            "covariance_type='spherical' has one length scale for all of them. Scale the regressors (StandardScaler), "
+            "or use covariance_type='diag'."
+        )
+    mean = np.exp(np.log(scales[:, :, varies]).mean(axis=2, keepdims=True))
+    return np.broadcast_to(mean, scales.shape).copy()

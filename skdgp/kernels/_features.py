@@ -4,191 +4,323 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from sklearn.utils import check_random_state
 
-from skdgp.kernels._paths import FeaturePaths, PathBundle, TrendPaths
-from skdgp.kernels._rows import ExponentialRows, SumRows, TrendRows
-from skdgp.kernels._waves import joint_paths
+from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp.kernels._paths import FeaturePaths, PathBundle, TrendPaths, joint_paths
+from skdgp.kernels._strips import ExponentialRows
 
 JITTER = 1e-6
-"""White noise of the inducing variables, part of their definition: the bound stays a bound."""
+"""White noise of the inducing variables, over their variance: part of their definition, so the bound stays a bound."""
+CANDIDATES = 2400  # of each latent, that a ranking compares
+CLUSTERED = 5000  # samples that k-means looks at
+NEGLIGIBLE = 1e-6  # residual variance, relative to the scale given, that ends a ranking
 
 
 class Features(ABC):
-    """K variables u, jointly Gaussian with the outputs: Kuu (K, K), and Kfu of the ones that an output feels.
+    """K variables u, jointly Gaussian with the outputs: Kuu (K, K), and Kfu of those that covary with an output.
 
-    ``theta`` holds what is variational: it changes the quality of the approximation, never the model.
+    ``theta`` holds variational parameters: they change the quality of the approximation, never the model.
     """
 
+    kernel: Any  # a MultiOutputKernel, which stands above
     size: int
 
     @abstractmethod
-    def columns(self, i: int) -> np.ndarray:
-        """Return which of the variables covary with output i, (c_i,)."""
+    def columns(self, i: int) -> Indices:
+        """Return which of the variables covary with output i, (c_i,): whole blocks of Kuu."""
 
     @abstractmethod
-    def Kuu(self) -> np.ndarray:
+    def Kuu(self) -> Matrix:
         """Return cov(u, u), (K, K)."""
 
     @abstractmethod
-    def Kfu(self, i: int, X) -> np.ndarray:
-        """Return cov(y_i(X), u) of the columns of i, (n, c_i)."""
+    def Kfu(self, i: int, X) -> Matrix:
+        """Return cov(y_i(X), u) for the columns of i, (n, c_i)."""
 
     @abstractmethod
-    def rows(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Return a function X (n, d) -> Kfu of all outputs side by side, made for few samples at a time."""
-
-    @abstractmethod
-    def Kfu_derivative(self, i: int, X) -> np.ndarray:
+    def Kfu_derivative(self, i: int, X) -> Array:
         """Return dKfu / dX, (d, n, c_i)."""
 
     @abstractmethod
-    def gradient_fu(self, i: int, X, W) -> np.ndarray:
+    def gradient_fu(self, i: int, X, W) -> Vector:
         """Return sum(W * dKfu_i) by [kernel theta, features theta]."""
 
     @abstractmethod
-    def gradient_uu(self, W) -> np.ndarray:
+    def gradient_uu(self, W) -> Vector:
         """Return sum(W * dKuu) by [kernel theta, features theta]; W is symmetric."""
-
-    @abstractmethod
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PathBundle, np.ndarray]:
-        """Return samples of the outputs that are functions, and u (n_paths, K), drawn with them."""
-
-    @abstractmethod
-    def paths(self, coefficients) -> PathBundle:
-        """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
-
-    @property
-    @abstractmethod
-    def theta(self) -> np.ndarray:
-        """Variational parameters."""
-
-    @property
-    @abstractmethod
-    def bounds(self) -> np.ndarray:
-        """Bounds on theta, (n, 2)."""
-
-    @abstractmethod
-    def theta_scale(self, scale) -> np.ndarray:
-        """Return by how much each entry of theta varies, where the regressors vary by ``scale`` (d,)."""
 
     @abstractmethod
     def rebuild(self, kernel, theta) -> Features:
         """Return the features of another kernel of the same shape, with other variational parameters."""
 
+    @abstractmethod
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PathBundle, Matrix]:
+        """Return samples of the outputs that are functions, and u (n_paths, K), drawn with them."""
 
-class ConvolvedFeatures(Features):
-    """Latent white noise smoothed by a Gaussian: u_m(z) = int T_m(z - t) x_m(t) dt, of unit variance.
+    def rows(self) -> Callable[[Matrix], Matrix]:
+        """Return a function X (n, d) -> Kfu of all outputs side by side, for few samples at a time.
+
+        Its attribute ``sizes`` (P,) says how many of the columns are each output's.
+        """
+        return FeatureRows(self)
+
+    def paths(self, coefficients) -> PathBundle:
+        """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
+        return FeaturePaths(self, self.kernel.n_outputs, coefficients)
+
+    @property
+    def theta(self) -> Vector:
+        """Variational parameters."""
+        return np.empty(0)
+
+    @property
+    def bounds(self) -> Matrix:
+        """Bounds on theta, (n, 2)."""
+        return np.empty((0, 2))
+
+    def theta_scale(self, scale) -> Vector:
+        """Return by how much each entry of theta varies, where the regressors vary by ``scale`` (d,)."""
+        return np.empty(0)
+
+
+class PointFeatures(Features):
+    """The values of all outputs at inducing inputs Z (k, d): features of any kernel.
+
+    An output covaries with the values of those outputs that the kernel couples it to, directly or by others.
+    """
+
+    def __init__(self, kernel, Z):
+        self.kernel, self.Z = kernel, np.asarray(Z, dtype=float)
+        self.size = kernel.n_outputs * len(self.Z)
+
+    def _coupled(self, i):
+        """Return the outputs that output i is coupled to, directly or by others."""
+        found, waiting = {i}, [i]
+        while waiting:
+            j = waiting.pop()
+            more = {k for k in range(self.kernel.n_outputs) if self.kernel.couples(j, k)} - found
+            found |= more
+            waiting += more
+        return sorted(found)
+
+    def _of(self, j):
+        return slice(j * len(self.Z), (j + 1) * len(self.Z))
+
+    def columns(self, i):
+        return np.concatenate([np.arange(self.size)[self._of(j)] for j in self._coupled(i)])
+
+    def Kuu(self):
+        K = self.kernel(self.Z)
+        np.einsum("ii->i", K)[:] *= 1.0 + JITTER
+        return K
+
+    def Kfu(self, i, X):
+        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled(i)])
+
+    def Kfu_derivative(self, i, X):
+        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled(i)], axis=2)
+
+    def gradient_fu(self, i, X, W):
+        total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
+        for j, w in zip(self._coupled(i), np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
+            total += self.kernel.block_gradient(i, j, X, self.Z, w)
+            dZ += np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, X), w)
+        return np.concatenate([total, dZ.ravel()])
+
+    def gradient_uu(self, W):
+        W = W + JITTER * np.diag(np.diag(W))
+        total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
+        for i in range(self.kernel.n_outputs):
+            for j in self._coupled(i):
+                w = W[self._of(i), self._of(j)]
+                total += self.kernel.block_gradient(i, j, self.Z, self.Z, w)
+                dZ += 2 * np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w)
+        return np.concatenate([total, dZ.ravel()])
+
+    def prior_paths(self, n_paths, n_frequencies, random_state):
+        paths = self.kernel.prior_paths(n_paths, n_frequencies, random_state)
+        u = paths.values(self.Z[None]).swapaxes(1, 2).reshape(n_paths, -1)
+        u += np.sqrt(JITTER * self.kernel.diag(self.Z)) * random_state.standard_normal(u.shape)
+        return paths, u
+
+    @property
+    def theta(self):
+        return self.Z.ravel()
+
+    @property
+    def bounds(self):
+        return np.tile([-np.inf, np.inf], (self.Z.size, 1))
+
+    def theta_scale(self, scale):
+        return np.tile(scale, len(self.Z))
+
+    def rebuild(self, kernel, theta):
+        return PointFeatures(kernel, theta.reshape(self.Z.shape))
+
+
+class LatentFeatures(Features):
+    r"""Smoothed latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z) at unit variance, with a Gaussian g_f.
 
     Such a variable is one more output of the same family (Alvarez et al. 2010), so every covariance is that of a
-    ConvolvedGaussian with M further outputs, each fed by one latent.
+    ConvolvedGaussian with a further output for every block f of variables. g_f is one of
+
+    - a window of its own ``width``, which is variational: one block serves all outputs that the latent feeds;
+    - the filter of output i, ``outputs[f] = i``: the block is what the latent contributes to that output. A window
+      cannot serve outputs of different widths at once; an output's own part loses nothing to that output.
 
     Parameters
     ----------
     kernel : ConvolvedGaussian
-    Z : ndarray (M, k, d)
-        Inducing inputs of each latent.
-    width : ndarray (M, d)
-        Length scale of each u_m.
+    latents : sequence of int (F,)
+        Latent m of each block.
+    Z : sequence of ndarray (k_f, d)
+        Inducing inputs of each block.
+    width : ndarray (F, d) or None
+        Length scales of windows; None for filters of outputs.
+    outputs : sequence of int (F,) or None
+        Whose filters; None for windows.
     """
 
-    def __init__(self, kernel, Z, width):
-        self.kernel, self.Z, self.width = kernel, Z, width
-        self.joint = _widened(kernel, width)
-        self.fed = self.joint._value("feeds")[:, : kernel.n_outputs].astype(bool)
-        self.size = Z.shape[0] * Z.shape[1]
+    def __init__(self, kernel, latents, Z, width=None, outputs=None):
+        self.kernel, self.Z, self.width = kernel, list(Z), width
+        self.latents = [int(m) for m in latents]
+        self.outputs = None if outputs is None else [int(i) for i in outputs]
+        self.joint = self._with_blocks()
+        self._edges = np.cumsum([0, *map(len, self.Z)])
+        self.size = int(self._edges[-1])
+        feeds = kernel._value("feeds").astype(bool)
+        self._blocks = [[f for f, m in enumerate(self.latents) if fed[m]] for fed in feeds.T]
+        pairs = [(f, g) for f in range(len(self.latents)) for g in range(len(self.latents))]
+        self._related = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
 
-    def _of_latent(self, m):
-        k = self.Z.shape[1]
-        return slice(m * k, (m + 1) * k)
+    def __getstate__(self):
+        return {name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width", "outputs")}
 
-    def _latents(self, i):
-        return np.flatnonzero(self.fed[:, i])
+    def __setstate__(self, state):
+        if "parts" in state:  # PartFeatures of version 0.1
+            latents, outputs = zip(*state["parts"], strict=True)
+            state = {"kernel": state["kernel"], "latents": latents, "Z": state["Z"], "outputs": outputs}
+        elif "latents" not in state:  # ConvolvedFeatures of version 0.1
+            state = {"kernel": state["kernel"], "latents": range(len(state["Z"])), **_only(state, "Z", "width")}
+        vars(self).update(vars(LatentFeatures(**state)))
+
+    def _with_blocks(self):
+        """Return the kernel with one more output for each block, at unit variance."""
+        kernel, arrays = self.kernel, {}
+        for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
+            value = kernel._value(name)
+            if name in ("amplitude", "feeds"):
+                extra = np.eye(len(value))[:, self.latents]
+            elif self.outputs is not None:
+                extra = value[self.latents, self.outputs]
+            else:
+                extra = self.width if name == "length_scale" else np.zeros((len(self.latents), value.shape[2]))
+            arrays[name] = np.concatenate(
+                [value, np.broadcast_to(extra, (len(value), *extra.shape[-value.ndim + 1 :]))], axis=1
+            )
+        return type(kernel)(covariance_type="full" if kernel.covariance_type == "full" else "diag", **arrays)
+
+    def _of(self, f):
+        return slice(self._edges[f], self._edges[f + 1])
 
     def columns(self, i):
-        return np.concatenate([np.arange(self.size)[self._of_latent(m)] for m in self._latents(i)])
+        return np.concatenate([np.arange(0), *(np.arange(self.size)[self._of(f)] for f in self._blocks[i])])
 
     def Kuu(self):
-        P = self.kernel.n_outputs
-        K = np.zeros((self.size, self.size))
-        for m, z in enumerate(self.Z):
-            K[self._of_latent(m), self._of_latent(m)] = self.joint.block(P + m, P + m, z, z)
+        P, K = self.kernel.n_outputs, np.zeros((self.size, self.size))
+        for f, g in self._related:
+            K[self._of(f), self._of(g)] = self.joint.block(P + f, P + g, self.Z[f], self.Z[g])
         np.einsum("ii->i", K)[:] = 1.0 + JITTER
         return K
 
     def Kfu(self, i, X):
-        P = self.kernel.n_outputs
-        return np.hstack([self.joint.block(i, P + m, X, self.Z[m]) for m in self._latents(i)])
+        blocks = [self.joint.block(i, self.kernel.n_outputs + f, X, self.Z[f]) for f in self._blocks[i]]
+        return np.hstack([np.empty((len(X), 0)), *blocks])
+
+    def Kfu_derivative(self, i, X):
+        P, (n, d) = self.kernel.n_outputs, np.shape(X)
+        blocks = [self.joint.block_derivative(i, P + f, X, self.Z[f]) for f in self._blocks[i]]
+        return np.concatenate([np.empty((d, n, 0)), *blocks], axis=2)
 
     def rows(self):
         P = self.kernel.n_outputs
-        return ExponentialRows(self.joint, [[(P + m, self.Z[m]) for m in self._latents(i)] for i in range(P)])
-
-    def Kfu_derivative(self, i, X):
-        P = self.kernel.n_outputs
-        return np.concatenate([self.joint.block_derivative(i, P + m, X, self.Z[m]) for m in self._latents(i)], axis=2)
+        return ExponentialRows(self.joint, [[(P + f, self.Z[f]) for f in blocks] for blocks in self._blocks])
 
     def gradient_fu(self, i, X, W):
-        P, k = self.kernel.n_outputs, self.Z.shape[1]
-        dZ, entries = np.zeros_like(self.Z), None
-        for n, m in enumerate(self._latents(i)):
-            part, dZ[m] = self.joint.entry_gradients(i, P + m, X, self.Z[m], W[:, n * k : (n + 1) * k], inputs=True)
-            entries = part if entries is None else {name: entries[name] + part[name] for name in entries}
-        return self._collect(entries, dZ)
+        P, start = self.kernel.n_outputs, 0
+        total, dZ = self._zeros()
+        for f in self._blocks[i]:
+            w = W[:, start : start + len(self.Z[f])]
+            start += len(self.Z[f])
+            entries, dZ[self._of(f)] = self.joint.entry_gradients(i, P + f, X, self.Z[f], w, inputs=True)
+            _add(total, entries)
+        return self._collect(total, dZ)
 
     def gradient_uu(self, W):
-        P = self.kernel.n_outputs
-        dZ, entries = np.zeros_like(self.Z), None
-        for m, z in enumerate(self.Z):
-            own = np.array(W[self._of_latent(m), self._of_latent(m)])
-            np.einsum("ii->i", own)[:] = 0.0  # the diagonal is one, whatever the parameters
-            part, slope = self.joint.entry_gradients(P + m, P + m, z, z, own, inputs=True)
-            dZ[m] = 2 * slope
-            entries = part if entries is None else {name: entries[name] + part[name] for name in entries}
-        return self._collect(entries, dZ)
+        P, (total, dZ) = self.kernel.n_outputs, self._zeros()
+        for f, g in self._related:
+            w = np.array(W[self._of(f), self._of(g)])
+            if f == g:
+                np.einsum("ii->i", w)[:] = 0.0  # the diagonal is one, whatever the parameters
+            entries, slope = self.joint.entry_gradients(P + f, P + g, self.Z[f], self.Z[g], w, inputs=True)
+            dZ[self._of(g)] += 2 * slope
+            _add(total, entries)
+        return self._collect(total, dZ)
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
         return joint_paths(self.joint, self.Z, JITTER, n_paths, n_frequencies, random_state)
 
-    def paths(self, coefficients):
-        return FeaturePaths(self, self.kernel.n_outputs, coefficients)
+    def _zeros(self):
+        names = ("amplitude", "length_scale", "shift", "shear")
+        return {name: np.zeros_like(self.joint._value(name)) for name in names}, np.zeros((self.size, self._d))
 
-    def _collect(self, entries, dZ):
-        """Return the gradient by [kernel theta, log width, Z] from derivatives by the joint kernel's entries."""
+    @property
+    def _d(self):
+        return self.kernel.n_features
+
+    def _collect(self, total, dZ):
+        """Return the gradient by [kernel theta, log width, Z]: filters of outputs have no widths of their own."""
         P = self.kernel.n_outputs
-        d_width = np.einsum("mmk->mk", entries["length_scale"][:, P:])
-        d_kernel = self.kernel.pull_back({name: entry[:, :P] for name, entry in entries.items()})
-        return np.concatenate([d_kernel, d_width.ravel(), dZ.ravel()])
+        by_entry = {name: entry[:, :P].copy() for name, entry in total.items()}
+        d_width = []
+        for f, m in enumerate(self.latents):
+            if self.outputs is None:
+                d_width.append(total["length_scale"][m, P + f])
+                continue
+            for name in ("length_scale", "shift", "shear"):
+                by_entry[name][m, self.outputs[f]] += total[name][m, P + f]
+        return np.concatenate([self.kernel.theta_gradient(by_entry), *d_width, dZ.ravel()])
+
+    def _log_width(self):
+        return np.empty(0) if self.width is None else np.log(self.width).ravel()
 
     @property
     def theta(self):
-        return np.concatenate([np.log(self.width).ravel(), self.Z.ravel()])
+        return np.concatenate([self._log_width(), *(z.ravel() for z in self.Z)])
 
     @property
     def bounds(self):
-        around = np.log(self.width).ravel()[:, None] + np.array([-7.0, 7.0])
-        return np.concatenate([around, np.tile([-np.inf, np.inf], (self.Z.size, 1))])
+        around = self._log_width()[:, None] + np.array([-7.0, 7.0])
+        return np.concatenate([around, np.tile([-np.inf, np.inf], (self.size * self._d, 1))])
 
     def theta_scale(self, scale):
-        return np.concatenate([np.ones(self.width.size), np.tile(scale, self.Z.size // len(scale))])
+        return np.concatenate([np.ones(len(self._log_width())), np.tile(scale, self.size)])
 
     def rebuild(self, kernel, theta):
-        width = np.exp(theta[: self.width.size]).reshape(self.width.shape)
-        return ConvolvedFeatures(kernel, theta[self.width.size :].reshape(self.Z.shape), width)
+        n = len(self._log_width())
+        width = None if self.width is None else np.exp(theta[:n]).reshape(self.width.shape)
+        stacked = theta[n:].reshape(self.size, self._d)
+        return LatentFeatures(
+            kernel, self.latents, [stacked[self._of(f)] for f in range(len(self.Z))], width, self.outputs
+        )
 
 
-def _widened(kernel, width):
-    """Return the kernel with one more output for each latent: the latent itself, at unit variance and given width."""
-    M = len(width)
-    lengths = np.tile(width[:, None, :], (1, M, 1))
-    extra = {"amplitude": np.eye(M), "length_scale": lengths, "feeds": np.eye(M)}
-    arrays = {}
-    for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
-        value = kernel._value(name)
-        arrays[name] = np.concatenate([value, extra.get(name, np.zeros((M, M, *value.shape[2:])))], axis=1)
-    covariance_type = "full" if kernel.covariance_type == "full" else "diag"
-    return type(kernel)(covariance_type=covariance_type, **arrays)
+ConvolvedFeatures = PartFeatures = LatentFeatures  # names in model files of version 0.1
 
 
 class TrendFeatures(Features):
@@ -227,17 +359,6 @@ class TrendFeatures(Features):
     def paths(self, coefficients):
         return TrendPaths(self.kernel, coefficients.reshape(len(coefficients), -1, self.n_weights))
 
-    @property
-    def theta(self):
-        return np.empty(0)
-
-    @property
-    def bounds(self):
-        return np.empty((0, 2))
-
-    def theta_scale(self, scale):
-        return np.empty(0)
-
     def rebuild(self, kernel, theta):
         return TrendFeatures(kernel)
 
@@ -269,11 +390,11 @@ class SumFeatures(Features):
 
     def gradient_fu(self, i, X, W):
         n = len(self.first.columns(i))
-        return self._order(self.first.gradient_fu(i, X, W[:, :n]), self.second.gradient_fu(i, X, W[:, n:]))
+        return self._ordered(self.first.gradient_fu(i, X, W[:, :n]), self.second.gradient_fu(i, X, W[:, n:]))
 
     def gradient_uu(self, W):
         n = self.first.size
-        return self._order(self.first.gradient_uu(W[:n, :n]), self.second.gradient_uu(W[n:, n:]))
+        return self._ordered(self.first.gradient_uu(W[:n, :n]), self.second.gradient_uu(W[n:, n:]))
 
     def prior_paths(self, *args):
         (first, u), (second, v) = self.first.prior_paths(*args), self.second.prior_paths(*args)
@@ -283,8 +404,8 @@ class SumFeatures(Features):
         n = self.first.size
         return self.first.paths(coefficients[:, :n]) + self.second.paths(coefficients[:, n:])
 
-    def _order(self, a, b):
-        """Kernel thetas first, then the features'."""
+    def _ordered(self, a, b):
+        """Return [kernel theta, features theta] of both terms: thetas of kernels first."""
         na, nb = len(a) - len(self.first.theta), len(b) - len(self.second.theta)
         return np.concatenate([a[:na], b[:nb], a[na:], b[nb:]])
 
@@ -302,3 +423,112 @@ class SumFeatures(Features):
     def rebuild(self, kernel, theta):
         n = len(self.first.theta)
         return SumFeatures(self.first.rebuild(kernel.k1, theta[:n]), self.second.rebuild(kernel.k2, theta[n:]))
+
+
+class FeatureRows:
+    """Kfu of all outputs, side by side."""
+
+    def __init__(self, features):
+        self.features = features
+        self.sizes = np.array([len(features.columns(i)) for i in range(features.kernel.n_outputs)])
+
+    def __call__(self, X) -> Matrix:
+        """Return all columns at X (n, d), (n, C)."""
+        return np.hstack([self.features.Kfu(i, X) for i in range(len(self.sizes))])
+
+
+class TrendRows:
+    """The basis functions of a trend of every output, (1, phi(x) - c) times their scales."""
+
+    def __init__(self, kernel):
+        self.columns = kernel.columns
+        self.center = kernel._value("center")
+        self.scales = np.column_stack([kernel._value("intercept_scale"), kernel._value("slope_scale")]).ravel()
+        self.sizes = np.full(kernel.n_outputs, kernel.n_weights)
+
+    def __call__(self, X) -> np.ndarray:
+        """Return all columns at X (n, d), (n, C)."""
+        basis = np.column_stack([np.ones(len(X)), self.columns(X) - self.center])
+        return np.tile(basis, len(self.sizes)) * self.scales
+
+
+class SumRows:
+    """Of the features of a sum: for each output those of the first term, then those of the second."""
+
+    def __init__(self, first, second):
+        self.first, self.second = first, second
+        self.sizes = first.sizes + second.sizes
+        parts = [np.split(np.arange(rows.sizes.sum()), np.cumsum(rows.sizes)[:-1]) for rows in (first, second)]
+        offset = first.sizes.sum()
+        self.order = np.concatenate([np.concatenate([a, offset + b]) for a, b in zip(*parts, strict=True)])
+
+    def __call__(self, X) -> np.ndarray:
+        """Return all columns at X (n, d), (n, C)."""
+        return np.take(np.hstack([self.first(X), self.second(X)]), self.order, axis=1)
+
+
+def _only(state, *names):
+    return {name: state[name] for name in names}
+
+
+def _add(total, entries):
+    for name, entry in entries.items():
+        total[name] += entry
+
+
+# -- where inducing variables are best placed ----------------------------------------------------------
+
+
+class Ranking(NamedTuple):
+    """Candidates of one latent, best first: what each takes away, its output, its place."""
+
+    gain: np.ndarray
+    output: np.ndarray
+    Z: np.ndarray
+
+
+def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures]:
+    """Return a function n -> the features that n variables are best spent on.
+
+    Candidates are the parts of every output at every sample, weighted by amplitude over ``scale`` (P,), how exactly an
+    output is to be kept. A pivoted Cholesky factorisation of their covariance takes the one that is least
+    explained by those before it (Burt et al. 2020); what it took says how many each part deserves. They are then placed
+    at the centres of k-means, in the part's own length scales, which explains more than the pivots themselves do.
+    """
+    seed = check_random_state(random_state).randint(2**31 - 1)
+    random_state = np.random.RandomState(seed)
+    X = np.unique(X, axis=0)
+    rankings = [_rank(kernel, m, X, scale, random_state) for m in range(len(kernel._value("feeds")))]
+    for ranking in rankings:
+        ranking.gain[0] = np.inf  # no latent is left out: no output is without features
+    order = np.sort(np.concatenate([ranking.gain for ranking in rankings]))[::-1]
+    some = X[np.sort(random_state.permutation(len(X))[:CLUSTERED])]
+
+    def best(n):
+        least = order[min(max(n, len(rankings)), len(order)) - 1]
+        latents, outputs, Z = [], [], []
+        for m, ranking in enumerate(rankings):
+            chosen = ranking.output[ranking.gain >= least]
+            for i in np.unique(chosen):
+                latents.append(m)
+                outputs.append(i)
+                Z.append(_centres(some, kernel._value("length_scale")[m, i], np.sum(chosen == i), seed))
+        return LatentFeatures(kernel, latents, Z, outputs=outputs)
+
+    return best
+
+
+def _rank(kernel, m, X, scale, random_state):
+    outputs = np.flatnonzero(kernel._value("feeds")[m])
+    x = X[random_state.permutation(len(X))[: max(1, CANDIDATES // len(outputs))]]
+    K = LatentFeatures(kernel, [m] * len(outputs), [x] * len(outputs), outputs=outputs).Kuu()
+    weight = np.repeat(kernel._value("amplitude")[m, outputs] / scale[outputs], len(x))
+    pivots, gain = pivoted_cholesky(np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE)
+    return Ranking(gain, outputs[pivots // len(x)], x[pivots % len(x)])
+
+
+def _centres(X, length_scale, n, seed):
+    """Return n centres of the samples in the metric of the length scales, or all samples where n is as many."""
+    if n >= len(X):
+        return X
+    return cluster_centres(X, length_scale, n, seed, max_iter=30)

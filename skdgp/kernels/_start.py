@@ -1,4 +1,4 @@
-"""Starting values of the convolved Gaussian, taken from the data."""
+"""Starting values of the convolved Gaussian, taken from the data, and the log-normal prior on its length scales."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TIE = 1e-9  # of a variance
 SHARED_VARIANCE = 0.1  # of an output that also has a latent of its own
 
 
-def starting_values(feeds, X, Y, random_state, stretch=1.0):
+def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
 
     ``feeds`` (M, P) tells which latent feeds which output. The shared latents start along the principal directions
@@ -32,7 +32,7 @@ def starting_values(feeds, X, Y, random_state, stretch=1.0):
     # A latent that explains more varies more slowly: wide first, narrow last.
     spread = np.full(M, 1.2)
     spread[shared] = np.geomspace(2.0, 0.8, n_shared)
-    lengths = stretch * np.sqrt(d) * spread[:, None, None] * x_scale
+    lengths = width_factor * np.sqrt(d) * spread[:, None, None] * x_scale
     lengths = lengths * np.exp(0.1 * shared[:, None, None] * rng.normal(size=(M, 1, d)))
     return {
         "amplitude": amplitude,
@@ -59,3 +59,54 @@ def _directions(Y, n_latent, rng):
     # A small push off the axes: an amplitude of exactly zero has no gradient.
     rows = rows + 0.05 * rng.normal(size=rows.shape)
     return rows / np.sqrt((rows**2).sum(axis=0, keepdims=True)) if n_latent else rows
+
+
+def prior_of(prior, X) -> np.ndarray | None:
+    """Return medians and spreads (d, 2) for regressors X (n, d), or None.
+
+    "auto" is the prior of Hvarfner, Hellsten & Nardi (2024), LogNormal(sqrt(2) + log(d) / 2, sqrt(3)) for regressors
+    that are uniform on [0, 1], whose standard deviation is 1 / sqrt(12).
+    """
+    if prior is None:
+        return None
+    d = np.shape(X)[1]
+    if isinstance(prior, str) and prior == "auto":
+        return np.column_stack([np.exp(np.sqrt(2)) * np.sqrt(12 * d) * column_scale(X), np.full(d, np.sqrt(3))])
+    try:
+        values = np.asarray(prior, dtype=float)
+        if values.shape in ((2,), (d, 2)) and (values > 0).all() and np.isfinite(values).all():
+            return np.array(np.broadcast_to(values, (d, 2)))
+    except ValueError:
+        pass
+    raise ValueError(
+        f"Got length_scale_prior={prior!r}, but expected None, 'auto', or the median of the length scales and the "
+        f"standard deviation of their logarithms, both positive: one pair, or an array ({d}, 2) with one for each "
+        "regressor."
+    )
+
+
+def log_normal(index, lengths, prior):
+    """Return the log density of the logarithms of free length scales, and its derivative by entry.
+
+    Parameters
+    ----------
+    index : ndarray (M, P, d)
+        As in ``Free``: entries of one number are one hyperparameter. It counts once, and what falls on it is shared by
+        its entries.
+    lengths : ndarray (M, P, d)
+    prior : ndarray (d, 2)
+        Medians and spreads.
+    """
+    median, spread = np.moveaxis(np.broadcast_to(prior, (*index.shape, 2)), -1, 0)
+    chosen = index >= 0
+    number, spread = index[chosen], spread[chosen]
+    counts = np.bincount(number)
+
+    def mean(values):
+        return np.bincount(number, weights=values) / counts
+
+    z = mean(np.log(lengths / median)[chosen] / spread)
+    value = -0.5 * z @ z - mean(np.log(spread)).sum() - 0.5 * len(z) * np.log(2 * np.pi)
+    slope = np.zeros(index.shape)
+    slope[chosen] = -(z / counts)[number] / spread
+    return value, slope

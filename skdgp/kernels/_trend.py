@@ -4,14 +4,94 @@ from __future__ import annotations
 
 from abc import abstractmethod
 
+import joblib
 import numpy as np
 from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale
-from skdgp.kernels._base import Free, MultiOutputKernel, as_shape, or_default
-from skdgp.kernels._basis import FittedBasis, check_transformer
+from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._features import TrendFeatures
 from skdgp.kernels._paths import TrendPaths
+
+STEP = 1e-3  # of a regressor's spread, for differences of fourth order
+
+
+def check_transformer(transformer) -> None:
+    """Raise a TypeError for what cannot be fitted to regressors and transform them."""
+    methods = all(callable(getattr(transformer, name, None)) for name in ("fit", "transform", "get_params"))
+    if isinstance(transformer, type) or not methods:
+        raise TypeError(
+            f"Got {transformer!r} for a trend, but expected an instance of a scikit-learn transformer, such as "
+            "PolynomialFeatures(2) or make_pipeline(StandardScaler(), SplineTransformer())."
+        )
+
+
+class FittedBasis:
+    """A transformer fitted once: clones of a kernel share it, since hyperparameters do not change it.
+
+    Parameters
+    ----------
+    transformer : scikit-learn transformer
+        Fitted.
+    step : ndarray (d,)
+        In each regressor, for the slopes.
+    n_columns : int
+        Columns that it gives, K.
+    """
+
+    def __init__(self, transformer, step, n_columns):
+        self.transformer = transformer
+        self.step = step
+        self.n_columns = n_columns
+
+    @classmethod
+    def to(cls, transformer, X) -> FittedBasis:
+        """Return a clone of the transformer fitted to X (n, d)."""
+        check_transformer(transformer)
+        fitted = clone(transformer).fit(X)
+        columns = as_columns(fitted.transform(X), len(X), fitted)
+        return cls(fitted, STEP * column_scale(X), columns.shape[1])
+
+    def __sklearn_clone__(self):
+        return self
+
+    def __eq__(self, other):
+        return isinstance(other, FittedBasis) and joblib.hash(self) == joblib.hash(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self):
+        return repr(self.transformer)
+
+    @property
+    def n_features(self) -> int:
+        """Number of regressors d."""
+        return len(self.step)
+
+    def columns(self, X) -> np.ndarray:
+        """Return phi(X), (n, K)."""
+        if len(X) == 0:
+            return np.empty((0, self.n_columns))
+        return as_columns(self.transformer.transform(X), len(X), self.transformer)
+
+    def slopes(self, X) -> np.ndarray:
+        """Return d phi / dX, (d, n, K), by central differences: exact for polynomials up to degree four."""
+        X = np.asarray(X, dtype=float)
+        unit = np.diag(self.step)[:, None, :]
+        there = np.stack([X + times * unit for times in (-2, -1, 1, 2)])  # (4, d, n, d)
+        phi = self.columns(there.reshape(-1, X.shape[1])).reshape(*there.shape[:3], self.n_columns)
+        return np.tensordot([1.0, -8.0, 8.0, -1.0], phi, axes=1) / (12 * self.step[:, None, None])
+
+
+def as_columns(phi, n: int, transformer) -> np.ndarray:
+    """Return what a transformer gave as a finite (n, K) array."""
+    phi = np.asarray(phi.toarray() if hasattr(phi, "toarray") else phi, dtype=float)
+    if phi.ndim != 2 or len(phi) != n or phi.shape[1] == 0 or not np.isfinite(phi).all():
+        raise ValueError(
+            f"Got columns of shape {phi.shape} from {transformer!r} for {n} samples, but expected finite ones, "
+            f"({n}, K) with K > 0: choose a transformer whose every column is a function of the regressors."
+        )
+    return phi
 
 
 class Trend(MultiOutputKernel):
@@ -42,7 +122,7 @@ class Trend(MultiOutputKernel):
     def _value(self, name):
         if name == "center":
             return np.zeros(1) if self.center is None else np.asarray(self.center, dtype=float)
-        if not self.is_given():
+        if not self.has_values():
             raise ValueError(
                 f"{type(self).__name__} has no values yet: give intercept_scale and slope_scale, or let "
                 "DependentGPRegressor.fit take them from the data."
@@ -50,10 +130,10 @@ class Trend(MultiOutputKernel):
         slope = np.atleast_2d(np.asarray(self.slope_scale, dtype=float))
         return slope if name == "slope_scale" else as_shape(name, np.ravel(self.intercept_scale), (len(slope),))
 
-    def is_given(self):
+    def has_values(self):
         return self.intercept_scale is not None and self.slope_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, stretch=1.0):
+    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0):
         ready = self.prepared(X)
         phi = ready.columns(X)
         P, K = Y.shape[1], phi.shape[1]
@@ -112,10 +192,10 @@ class Trend(MultiOutputKernel):
     def _by_entry(self, i, by_intercept, by_slope):
         intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_weights - 1))
         intercept[i], slope[i] = by_intercept, by_slope
-        return self.pull_back({"intercept_scale": intercept, "slope_scale": slope})
+        return self.theta_gradient({"intercept_scale": intercept, "slope_scale": slope})
 
-    def peaks(self, i, j, d):
-        return np.zeros((0, d))
+    def peaks(self, i, j):
+        return np.zeros((0, self.n_features))
 
     def coarse(self):
         return self
@@ -123,7 +203,7 @@ class Trend(MultiOutputKernel):
     def stationary_part(self):
         return None
 
-    def unexplained(self, X, Y):
+    def residual(self, X, Y):
         phi = self.columns(X)
         basis = np.column_stack([np.ones(len(X)), (phi - phi.mean(axis=0)) / column_scale(phi)])
         residual = np.array(Y, dtype=float)
@@ -168,12 +248,12 @@ class Trend(MultiOutputKernel):
         by_slope = np.einsum("ak,ak->k", self._weighted(i, Xi), W @ self._weighted(i, Xj))
         return self._by_entry(i, 2 * W.sum() * self._scales(i)[0] ** 2, 2 * by_slope)
 
-    def _free(self):
+    def free_parameters(self):
         P, K = self.n_outputs, self.n_weights - 1
         intercept, slope = np.arange(P), np.arange(P * K).reshape(P, K)
         return [
-            Free("intercept_scale", intercept, True, or_default(self.intercept_scale_bounds, (1e-5, 1e5))),
-            Free("slope_scale", slope, True, or_default(self.slope_scale_bounds, (1e-5, 1e5))),
+            FreeParameter("intercept_scale", intercept, True, or_default(self.intercept_scale_bounds, (1e-5, 1e5))),
+            FreeParameter("slope_scale", slope, True, or_default(self.slope_scale_bounds, (1e-5, 1e5))),
         ]
 
 
@@ -232,7 +312,7 @@ class LinearTrend(Trend):
     def column_slopes(self, X):
         return np.eye(self.n_features)[:, None, :]
 
-    def single(self):
+    def single_output(self):
         return LinearTrend()
 
 
@@ -322,5 +402,5 @@ class BasisTrend(Trend):
             return self
         return clone(self).set_params(transformer=FittedBasis.to(self.transformer, X))
 
-    def single(self):
+    def single_output(self):
         return BasisTrend(self.transformer)

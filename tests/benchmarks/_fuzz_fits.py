@@ -29,7 +29,7 @@ from skdgp import DependentGPRegressor
 from skdgp._compute.linalg import JitterWarning
 from skdgp.inference import Data
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._samples import data_of
+from skdgp.inference._sums import data_of
 
 DOCUMENTED = (
     "The outputs .* are constant",

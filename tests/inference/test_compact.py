@@ -62,7 +62,7 @@ class TestParts:
     def test_go_where_they_are_needed(self, one_problem):
         """An output that may be wrong a thousandfold gets no more than its private latent must have: one."""
         features = one_problem.kernel.feature_ranking(one_problem.X, np.array([1.0, 1.0, 1e3]), 0)(20).second
-        assert sum(len(Z) for (_, i), Z in zip(features.parts, features.Z, strict=True) if i == 2) == 1
+        assert sum(len(Z) for i, Z in zip(features.outputs, features.Z, strict=True) if i == 2) == 1
 
     @pytest.mark.filterwarnings("error")
     def test_latents_that_do_nothing_and_samples_that_repeat(self, one_problem):

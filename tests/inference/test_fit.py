@@ -7,7 +7,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from skdgp._compute.progress import listening
-from skdgp.inference import Data, _fit, _singles, fit_exact, fit_sparse, log_likelihood
+from skdgp.inference import Data, _fit, fit_exact, fit_sparse, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 OPTIONS = {"optimizer": "fmin_l_bfgs_b", "max_iter": 100, "random_state": 0}
@@ -70,7 +70,7 @@ class TestFit:
 
     @pytest.mark.parametrize("threads", [1, 2])
     def test_seed_decides_and_threads_do_not(self, fit, drawn, threads, monkeypatch):
-        monkeypatch.setattr(_singles, "ITERATIONS", 3)
+        monkeypatch.setattr(_fit, "SINGLE_ITERATIONS", 3)
         X, Y, *_ = drawn
         X, Y = X[::3], Y[::3]
         once = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 2})).posterior

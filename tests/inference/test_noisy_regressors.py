@@ -15,9 +15,9 @@ Z = np.random.default_rng(6).normal(size=(7, 2))
 @pytest.fixture
 def noisy(one_problem):
     """The problem, with noise that two regressors carry into all outputs; S is the noise of the stacked values."""
-    reach = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
-    one_problem.reach = reach
-    one_problem.data = Data.from_table(one_problem.X, one_problem.Y, reach)
+    loading = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
+    one_problem.loading = loading
+    one_problem.data = Data.from_table(one_problem.X, one_problem.Y, loading)
     return one_problem
 
 
@@ -25,7 +25,7 @@ def noise_of(problem, scale=(1.0, 1.0)):
     """The noise covariance of the stacked values, entry by entry."""
     outputs, samples = np.nonzero(np.isfinite(problem.Y.T))
     same = samples[:, None] == samples
-    G = problem.reach[samples, outputs]
+    G = problem.loading[samples, outputs]
     return np.where(same, (G * scale) @ G.T, 0.0) + np.diag(problem.noise[outputs])
 
 
@@ -99,7 +99,7 @@ class TestSparse:
         apart = SparsePosterior(
             noisy.kernel, noisy.kernel.features(Z), noisy.noise, shares_of(Data.from_table(noisy.X, noisy.Y))
         )
-        noisy.data = Data.from_table(noisy.X, noisy.Y, 0 * noisy.reach)
+        noisy.data = Data.from_table(noisy.X, noisy.Y, 0 * noisy.loading)
         together = sparse(noisy)
         assert together.log_marginal_likelihood == pytest.approx(apart.log_marginal_likelihood, rel=1e-10)
         np.testing.assert_allclose(together.bound_gradient(), apart.bound_gradient(), rtol=1e-6, atol=1e-7)
@@ -108,9 +108,9 @@ class TestSparse:
 @pytest.mark.parametrize("make", [lambda p: ExactPosterior(p.kernel, p.noise, p.data), sparse])
 def test_later_samples_are_as_good_as_earlier_ones(noisy, make):
     whole = make(noisy)
-    X, Y, reach = noisy.X, noisy.Y, noisy.reach
-    noisy.data = Data.from_table(X[:9], Y[:9], reach[:9])
-    grown = pickle.loads(pickle.dumps(make(noisy))).updated(Data.from_table(X[9:], Y[9:], reach[9:]))
+    X, Y, loading = noisy.X, noisy.Y, noisy.loading
+    noisy.data = Data.from_table(X[:9], Y[:9], loading[:9])
+    grown = pickle.loads(pickle.dumps(make(noisy))).updated(Data.from_table(X[9:], Y[9:], loading[9:]))
     assert grown.log_marginal_likelihood == pytest.approx(whole.log_marginal_likelihood, rel=1e-8)
     for mine, theirs in zip(grown.predict(NEW, True), whole.predict(NEW, True), strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-9)

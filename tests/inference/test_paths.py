@@ -69,8 +69,8 @@ def test_slopes_have_the_posteriors_moments(one_problem, make):
 
 def test_noise_that_outputs_share(one_problem, make):
     """Noisy regressors carry the same error into all outputs of a sample."""
-    reach = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
-    data = Data.from_table(one_problem.X, one_problem.Y, reach)
+    loading = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
+    data = Data.from_table(one_problem.X, one_problem.Y, loading)
     assert_moments(make(one_problem, data), points(one_problem))
 
 

@@ -134,3 +134,43 @@ class TestInterrupt:
         with listening(lambda *news: told.append(news)):
             fitted(Y, n_latent=0)
         return len(told)
+
+
+class TestStructure:
+    """A process beside the trend must earn its place in blocks of rows that were held out."""
+
+    @staticmethod
+    def record(curve, n=120, seed=0):
+        """A regressor that wanders, and an output whose errors last as long as its excursions do."""
+        rng = np.random.default_rng(seed)
+        x = np.convolve(rng.normal(size=n + 10), np.ones(10) / 3, "valid")[:n]
+        drift = np.convolve(rng.normal(size=n + 10), np.ones(10) / 3, "valid")[:n]
+        return x[:, None], x + curve * x**2 + 0.4 * drift
+
+    def test_the_trend_alone_where_the_rest_is_drift(self):
+        x, y = self.record(curve=0.0)
+        model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=20, random_state=0).fit(x, y)
+        errors = {name: values.mean() for name, values in model.structure_errors_.items()}
+        assert errors["trend"] < errors["joint"]
+        assert model.structure_ == "trend"
+        alone = DependentGPRegressor(structure="trend", max_iter=20, random_state=0).fit(x, y)
+        np.testing.assert_allclose(model.predict(x), alone.predict(x), rtol=1e-10)
+        slope, std = model.predict_gradient(x[:1], return_std=True)
+        assert abs(slope[0, 0] - 1) < 4 * std[0, 0] + 0.2
+
+    def test_the_process_where_there_is_a_curve(self):
+        x, y = self.record(curve=1.0)
+        model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=20, random_state=0).fit(x, y)
+        assert model.structure_ == "joint"
+        assert model.structure_errors_["joint"].mean() < 0.7 * model.structure_errors_["trend"].mean()
+
+    def test_few_rows_are_not_cut_into_blocks(self):
+        x, y = self.record(curve=0.0, n=30)
+        model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=5, random_state=0).fit(x, y)
+        assert (model.structure_, model.structure_errors_) == ("joint", {})
+
+    @pytest.mark.parametrize("options", [{"kernel": ConvolvedGaussian(1)}, {"trend": "constant"}, {"trend": None}])
+    def test_a_trend_alone_needs_a_trend(self, options):
+        x, y = self.record(curve=0.0, n=30)
+        with pytest.raises(ValueError, match="structure='trend'"):
+            DependentGPRegressor(structure="trend", **options).fit(x, y)

@@ -5,8 +5,8 @@ import pickle
 import numpy as np
 import pytest
 
-from skdgp.inference import Data, ExactPosterior, SparsePosterior, _factor, shares_of
-from skdgp.inference._factor import Factor
+from skdgp.inference import Data, ExactPosterior, SparsePosterior, _exact, shares_of
+from skdgp.inference._exact import Factor
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
 Z = np.random.default_rng(6).normal(size=(7, 2))
@@ -107,7 +107,7 @@ class TestFactor:
     @pytest.mark.parametrize("steps", [[1], [3, 1, 1], [1, 40], [2] * 12])
     @pytest.mark.parametrize("tail", [1, 8, 10**6])
     def test_is_that_of_the_whole(self, steps, tail, monkeypatch):
-        monkeypatch.setattr(_factor, "TAIL", tail)
+        monkeypatch.setattr(_exact, "TAIL", tail)
         rng = np.random.default_rng(0)
         size = 20 + sum(steps)
         A = rng.normal(size=(size, size))

@@ -11,7 +11,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, StandardScaler
 
 import skdgp.kernels
-from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, _strips
+from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, Trend, _strips
 
 
 def convolved(n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds):
@@ -113,8 +113,18 @@ def equal(a, b, **tolerance):
     np.testing.assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
 
 
+def prior_paths(kernel, n_paths, n_frequencies, seed):
+    try:
+        return kernel.prior_paths(n_paths, n_frequencies, np.random.RandomState(seed))
+    except NotImplementedError as missing:
+        pytest.skip(str(missing))
+
+
 def test_every_public_kernel_is_in_the_list():
-    public = {obj for obj in vars(skdgp.kernels).values() if inspect.isclass(obj)} - {MultiOutputKernel}
+    public = {
+        obj for obj in vars(skdgp.kernels).values() if inspect.isclass(obj) and issubclass(obj, MultiOutputKernel)
+    }
+    public -= {MultiOutputKernel, Trend}  # of which kernels are made
     assert public == {type(kernel) for kernel in KERNELS.values()}
 
 
@@ -217,9 +227,36 @@ class TestContract:
             found = central_difference(lambda z, i=i, Xi=Xi: kernel.block_derivative(i, i, Xi, Xi + z), origin)
             equal(kernel.derivative_diag(i, Xi), np.einsum("kaak->ak", found), rtol=1e-8, atol=1e-9)
 
+    def test_features_are_jointly_gaussian_with_the_outputs(self, kernel):
+        X, features = inputs(kernel, (6, 6, 6))[0], kernel.features(inputs(kernel)[0])
+        Kuu, P = features.Kuu(), kernel.n_outputs
+        Kfu = np.zeros((P, len(X), features.size))
+        for i in range(P):
+            Kfu[i][:, features.columns(i)] = features.Kfu(i, X)
+        Kfu = Kfu.reshape(-1, features.size)
+        joint = np.block([[kernel(X), Kfu], [Kfu.T, Kuu]])
+        assert np.linalg.eigvalsh(joint).min() > -1e-10 * np.abs(joint).max()
+        equal(features.rows()(X), np.hstack([features.Kfu(i, X) for i in range(P)]), rtol=1e-9, atol=1e-10)
+
+    def test_gradients_of_features_are_derivatives(self, kernel):
+        X, features, n = inputs(kernel)[0], kernel.features(inputs(kernel)[0][:2]), kernel.n_dims
+        start, rng = np.concatenate([kernel.theta, features.theta]), np.random.default_rng(16)
+
+        def at(theta):
+            return features.rebuild(kernel.clone_with_theta(theta[:n]), theta[n:])
+
+        W = rng.normal(size=(features.size, features.size))
+        W += W.T
+        found = central_difference(lambda theta: np.sum(W * at(theta).Kuu()), start)
+        equal(features.gradient_uu(W), found, rtol=1e-7, atol=1e-8)
+        for i in range(kernel.n_outputs):
+            w = rng.normal(size=(len(X), len(features.columns(i))))
+            found = central_difference(lambda theta, i=i, w=w: np.sum(w * at(theta).Kfu(i, X)), start)
+            equal(features.gradient_fu(i, X, w), found, rtol=1e-7, atol=1e-8)
+
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
-        paths = kernel.prior_paths(8000, 4, np.random.RandomState(12)).values(X[None])
+        paths = prior_paths(kernel, 8000, 4, 12).values(X[None])
         stacked = paths.swapaxes(1, 2).reshape(len(paths), -1)
         K = kernel(X)
         variance = np.multiply.outer(np.diag(K), np.diag(K))
@@ -228,7 +265,7 @@ class TestContract:
 
     def test_slopes_of_paths_are_their_derivatives(self, kernel):
         X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
-        paths = kernel.prior_paths(3, 8, np.random.RandomState(14))
+        paths = prior_paths(kernel, 3, 8, 14)
         found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
         equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
 

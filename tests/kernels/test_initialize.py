@@ -81,7 +81,7 @@ class TestOpenKernels:
         """What outputs found alone is what the joint kernel starts from, and it stays a covariance."""
         X, Y = data[0], np.nan_to_num(data[1])
         joint = kernel.initialize(X, Y, 0)
-        singles = [kernel.single().initialize(X, Y[:, i : i + 1], 0) for i in range(3)]
+        singles = [kernel.single_output().initialize(X, Y[:, i : i + 1], 0) for i in range(3)]
         assert [single.n_outputs for single in singles] == [1, 1, 1]
         found = kernel.initialize(X, Y, 0, singles)
         assert found.n_dims == joint.n_dims

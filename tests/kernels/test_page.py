@@ -1,4 +1,4 @@
-"""The kernel of the page adding.md passes every test of the contract."""
+"""The kernels of the page adding.md pass every test of the contract."""
 
 import importlib.util
 import re
@@ -11,7 +11,7 @@ import pytest
 
 HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "docs" / "adding.md"
-NAME = "the kernel of the page"
+NAMES = ["four methods, of the page", "trend of the page"]
 
 
 def module(name, path):
@@ -21,33 +21,42 @@ def module(name, path):
     return made
 
 
-def kernel_of_the_page():
-    """Its first block of code, as a module, since instances are pickled by the name of their class."""
-    code = re.search(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)[1]
-    made = sys.modules.setdefault("kernel_of_the_page", ModuleType("kernel_of_the_page"))
-    exec(compile(code, PAGE.name, "exec"), vars(made))
+def kernels_of_the_page():
+    """The classes of its code, as a module, since instances are pickled by the name of their class."""
+    blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    made = sys.modules.setdefault("kernels_of_the_page", ModuleType("kernels_of_the_page"))
+    for code in blocks:
+        if "\nclass " in code:
+            exec(compile(code, PAGE.name, "exec"), vars(made))
     rng = np.random.default_rng(0)
     P, d, n = 3, 2, 2
-    return made.PeriodicTrend(
-        n, rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, 2 * n * d)), center=rng.normal(size=2 * n * d)
-    )
+    scales = rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, 2 * n * d))
+    return [
+        made.SharedMatern(rng.normal(size=P), rng.uniform(0.7, 1.6, d)),
+        made.PeriodicTrend(n, *scales, center=rng.normal(size=2 * n * d)),
+    ]
 
 
 contract = module("contract_of_kernels", HERE / "test_contract.py")
-contract.KERNELS[NAME] = kernel_of_the_page()
+contract.KERNELS.update(zip(NAMES, kernels_of_the_page(), strict=True))
 
 
 class TestContractOfThePage(contract.TestContract):
-    @pytest.fixture
-    def name(self):
-        return NAME
+    @pytest.fixture(params=NAMES)
+    def name(self, request):
+        return request.param
 
     @pytest.fixture
-    def kernel(self):
-        return contract.KERNELS[NAME]
+    def kernel(self, name):
+        return contract.KERNELS[name]
 
 
 def test_a_whole_turn_changes_nothing():
-    kernel = contract.KERNELS[NAME]
+    kernel = contract.KERNELS["trend of the page"]
     X = np.random.default_rng(1).normal(size=(4, 2))
     np.testing.assert_allclose(kernel(X, X + 2 * np.pi), kernel(X), atol=1e-12)
+
+
+def test_paths_that_a_kernel_lacks_are_said_to_be_missing():
+    with pytest.raises(NotImplementedError, match="sample_y"):
+        contract.KERNELS["four methods, of the page"].prior_paths(1, 4, None)

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import kstest
 
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
-from skdgp.kernels._parts import PartFeatures
+from skdgp.kernels._features import LatentFeatures
 
 X = np.random.default_rng(0).normal(0, 1.2, (4, 2))
 Z = np.random.default_rng(1).normal(0, 1.2, (3, 2))
@@ -29,7 +29,7 @@ def make_kernel(covariance_type="diag", shifted=True, P=3, d=2, seed=0):
 
 def parts_of(kernel):
     """Parts that some outputs have and others have not."""
-    return PartFeatures(kernel, [(0, 0), (0, 2), (1, 1), (2, 0)], [Z, Z[:1], Z[:2] + 0.5, Z])
+    return LatentFeatures(kernel, [0, 0, 1, 2], [Z, Z[:1], Z[:2] + 0.5, Z], outputs=[0, 2, 1, 0])
 
 
 def trend():

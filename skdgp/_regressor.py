@@ -8,11 +8,10 @@ from numbers import Integral, Real
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
-from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
@@ -20,6 +19,7 @@ from skdgp._compute.checkpoint import kept_in, record_of_fit
 from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import check_n_jobs, fit_map
+from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.tables import column_names
 from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, output_correlation, reach_of
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
@@ -206,7 +206,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     # -- fitting ---------------------------------------------------------------------------------------
 
-    @_fit_context(prefer_skip_nested_validation=False)
+    @fit_context(prefer_skip_nested_validation=False)
     def fit(self, X, y):
         """Learn the hyperparameters and the posterior.
 
@@ -313,7 +313,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     # -- after the fit ---------------------------------------------------------------------------------
 
-    @_fit_context(prefer_skip_nested_validation=False)
+    @fit_context(prefer_skip_nested_validation=False)
     def partial_fit(self, X, y):
         """Learn from further samples, at the hyperparameters found by ``fit``.
 

@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
-from sklearn.utils import _safe_indexing
-from sklearn.utils.validation import _num_samples
 
+from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._flight.clock import flight_codes
 from skdgp.metrics._scorers import predict_observed
 from skdgp.model_selection import BlockSplit
@@ -25,7 +24,7 @@ FEWEST_ROWS = 6
 
 def flights_of(X, groups) -> pd.DataFrame:
     """Return the flight of each row, numbered, and its time where X has one."""
-    n, columns = _num_samples(X), getattr(X, "columns", ())
+    n, columns = len(X), getattr(X, "columns", ())
     ids = groups if groups is not None else X["flight"] if "flight" in columns else np.zeros(n)
     codes, _ = flight_codes(ids)
     if len(codes) != n:
@@ -67,8 +66,8 @@ def _blocks_of_one(flights, cv):
 
 def fit_and_score(estimator, X, y, Y, train, test) -> np.ndarray:
     """Return the scores of held-out rows, by a model that did not learn from them."""
-    fitted = clone(estimator).fit(_safe_indexing(X, train), _safe_indexing(y, train))
-    return conformity_scores(fitted, _safe_indexing(X, test), Y[test])
+    fitted = clone(estimator).fit(safe_indexing(X, train), safe_indexing(y, train))
+    return conformity_scores(fitted, safe_indexing(X, test), Y[test])
 
 
 def conformity_scores(estimator, X, Y) -> np.ndarray:

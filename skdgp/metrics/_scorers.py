@@ -12,8 +12,8 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
-from sklearn.utils import _safe_indexing
 
+from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
 from skdgp.metrics._arrays import output_names
@@ -68,7 +68,7 @@ class _PredictiveScorer:
 
     def __call__(self, estimator, X, y):
         rows, *predicted = predict_observed(estimator, X, y, with_std=self.needs_std)
-        return self.sign * self.metric(_safe_indexing(y, rows), *predicted, **self.kwargs)
+        return self.sign * self.metric(safe_indexing(y, rows), *predicted, **self.kwargs)
 
     def __repr__(self):
         return f"make_predictive_scorer({self.metric.__name__}, greater_is_better={self.sign > 0})"
@@ -106,7 +106,7 @@ def score_outputs(estimator, X, y) -> dict[str, float]:
     ['median_relative_error_0', 'median_relative_error_1', 'normalized_rmse_0', 'normalized_rmse_1']
     """
     rows, *predicted = predict_observed(estimator, X, y, with_std=accepts(estimator, "return_std"))
-    scores = _scores(_safe_indexing(y, rows), *predicted)
+    scores = _scores(safe_indexing(y, rows), *predicted)
     return {f"{metric}_{name}": float(value) for metric, values in scores.items() for name, value in values.items()}
 
 
@@ -194,7 +194,7 @@ def predict_observed(estimator, X, y, *, with_std: bool):
     while isinstance(estimator, Pipeline):
         X, estimator = estimator[:-1].transform(X) if len(estimator) > 1 else X, unwrap(estimator[-1])
     nested = any(isinstance(value, BaseEstimator) for value in estimator.get_params().values())
-    X = X if nested else _safe_indexing(X, rows)
+    X = X if nested else safe_indexing(X, rows)
     predicted = predict_with_noise(estimator, X) if with_std else (estimator.predict(X),)
     return rows, *([part[rows] for part in predicted] if nested else predicted)
 

@@ -7,9 +7,9 @@ import pandas as pd
 from sklearn.base import clone
 from sklearn.metrics import check_scoring
 from sklearn.model_selection import LeaveOneGroupOut
-from sklearn.utils import _safe_indexing
 from sklearn.utils.parallel import Parallel, delayed
 
+from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._flight.checks import check_columns, check_table
 from skdgp.metrics import score_outputs
 from skdgp.model_selection._blocks import held_out, rows_by_flight
@@ -92,12 +92,12 @@ def flight_learning_curve(
     points = [(float(second), k) for second in np.atleast_1d(seconds) for k in range(len(splits))]
     parts = [_first(second, table, splits[k][0]) for second, k in points]
     judges = [
-        (test_table, test_Y) if test_table is not None else (table.iloc[test], _safe_indexing(Y, test))
+        (test_table, test_Y) if test_table is not None else (table.iloc[test], safe_indexing(Y, test))
         for _, test in splits
     ]
     scorer = check_scoring(estimator, scoring=scoring)
     scores = Parallel(n_jobs=n_jobs)(
-        delayed(_fit_and_score)(estimator, table.iloc[rows], _safe_indexing(Y, rows), *judges[k], n_samples, scorer)
+        delayed(_fit_and_score)(estimator, table.iloc[rows], safe_indexing(Y, rows), *judges[k], n_samples, scorer)
         for (_, k), rows in zip(points, parts, strict=True)
     )
     return pd.concat([pd.DataFrame(points, columns=["seconds", "split"]), pd.DataFrame(scores)], axis=1)

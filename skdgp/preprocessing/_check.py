@@ -8,8 +8,8 @@ from numbers import Real
 
 import numpy as np
 import pandas as pd
-from sklearn.utils._param_validation import Interval
 
+from skdgp._compute.sklearn_compat import Interval
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import check_clock, flight_segments, part_restarts
 from skdgp._flight.fault_detectors import usual_spacing

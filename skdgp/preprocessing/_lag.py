@@ -8,8 +8,8 @@ from numbers import Real
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
-from sklearn.utils._param_validation import StrOptions
 
+from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_codes, flight_segments, uniform_grid
 from skdgp.preprocessing._lag_estimate import FORCE, RATE, SURFACES, UNKNOWN, Lag, air_lag, stretches, surface_lag

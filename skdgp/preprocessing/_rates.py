@@ -5,8 +5,8 @@ from __future__ import annotations
 from numbers import Real
 
 import numpy as np
-from sklearn.utils._param_validation import Interval
 
+from skdgp._compute.sklearn_compat import Interval
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 

@@ -7,8 +7,8 @@ from difflib import get_close_matches
 
 import numpy as np
 import pandas as pd
-from sklearn.utils._param_validation import StrOptions
 
+from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._flight.channels import TRUTH_SUFFIX
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning

@@ -5,8 +5,8 @@ from __future__ import annotations
 from numbers import Real
 
 import numpy as np
-from sklearn.utils._param_validation import Interval, StrOptions
 
+from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.smoothing import differentiate, noise_level, smooth
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns

@@ -8,10 +8,11 @@ from abc import ABC, abstractmethod
 import numpy as np
 import pandas as pd
 from sklearn import get_config
-from sklearn.base import BaseEstimator, TransformerMixin, _fit_context
-from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
+from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context, output_container, set_output_container
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import check_table
 
@@ -26,7 +27,7 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
 
     _known = frozenset(CHANNELS)
 
-    @_fit_context(prefer_skip_nested_validation=True)
+    @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X, y=None):
         """Learn which columns are there.
 
@@ -88,7 +89,7 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
         ndarray of str objects
         """
         check_is_fitted(self)
-        names = _check_feature_names_in(self, input_features)
+        names = check_feature_names_in(self, input_features)
         return names if self._passes else np.asarray(self._columns_out(list(names)), dtype=object)
 
     def set_output(self, *, transform=None):
@@ -106,7 +107,7 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
         if transform not in (None, "default", "pandas", "polars"):
             raise ValueError(f"Got transform={transform!r}, but expected 'default', 'pandas' or 'polars'.")
         if transform is not None:
-            self._sklearn_output_config = {"transform": transform}
+            set_output_container(self, transform)
         return self
 
     @abstractmethod
@@ -136,7 +137,7 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
         return X if named else checked
 
     def _contained(self, result):
-        choice = getattr(self, "_sklearn_output_config", {}).get("transform", get_config()["transform_output"])
+        choice = output_container(self, get_config()["transform_output"])
         if choice == "default":
             return result
         if not isinstance(result, pd.DataFrame):

@@ -8,9 +8,9 @@ from numbers import Real
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
-from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._reconstruction.flight_log import (

@@ -7,6 +7,8 @@ from importlib import import_module
 from importlib.machinery import ModuleSpec
 
 MOVED = {
+    "skdgp.metrics._point": "skdgp.metrics._metrics",
+    "skdgp.metrics._probabilistic": "skdgp.metrics._metrics",
     "skdgp.dynamics._aircraft": "skdgp.dynamics._vehicle.aircraft",
     "skdgp.dynamics._propeller": "skdgp.dynamics._vehicle.propeller",
     "skdgp.dynamics._thrust_line": "skdgp.dynamics._vehicle.thrust_line",

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import norm
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.metrics._probabilistic import LEVELS, check_levels, shares_inside, standardized
+from skdgp.metrics._metrics import LEVELS, check_levels, shares_inside, standardized
 from skdgp.plotting._arrays import check_columns_of, check_std, choose, names_of
 from skdgp.plotting._coefficients import grid, predict_with_std
 from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, panels, symbol, tidy

@@ -346,7 +346,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         warnings.warn(
             f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than {top:.3g}: the intervals of "
             f"{names} held as often on these {self.unit_}s, without a guarantee for the next. Calibrate on "
-            f"{conformal.units_needed(self.level)} {self.unit_}s or more, or ask for level={np.floor(100 * top) / 100:g}.",
+            f"{conformal.units_needed(self.level)} {self.unit_}s or more, or set level={np.floor(100 * top) / 100:g}.",
             UserWarning,
             stacklevel=5,
         )

@@ -7,6 +7,8 @@ from importlib import import_module
 from importlib.machinery import ModuleSpec
 
 MOVED = {
+    "skdgp.preprocessing._reconstruction": "skdgp.preprocessing",  # a folder in version 0.1
+    "skdgp.preprocessing._reconstruction.reconstruction": "skdgp.preprocessing._flight_path",
     "skdgp.metrics._point": "skdgp.metrics._metrics",
     "skdgp.metrics._probabilistic": "skdgp.metrics._metrics",
     "skdgp.dynamics._aircraft": "skdgp.dynamics._vehicle.aircraft",

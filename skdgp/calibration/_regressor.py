@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.stats import norm
@@ -136,7 +136,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         return tags
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X: Any, y: Any, groups: Any = None) -> CalibratedRegressor:
+    def fit(self, X: Any, y: Any, groups: Any = None) -> Self:
         """Score held-out flights, then fit on all flights.
 
         Parameters
@@ -148,10 +148,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             Targets; NaN where an output was not observed.
         groups : array-like (n,), optional
             Exchangeable units in place of the column ``flight``, such as the day.
-
-        Returns
-        -------
-        CalibratedRegressor
 
         Raises
         ------

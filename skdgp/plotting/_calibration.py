@@ -91,10 +91,6 @@ class CalibrationDisplay(Display):
         kind : {"coverage", "pit"}, default="coverage"
             Coverage by level, all outputs in one panel; or the histogram of the probability integral transform, a panel
             per output.
-
-        Returns
-        -------
-        CalibrationDisplay
         """
         check_choice("kind", kind, ("coverage", "pit"))
         chosen = choose(self.output_names, outputs)
@@ -170,10 +166,6 @@ class CalibrationDisplay(Display):
         **plot_options
             See :meth:`plot`.
 
-        Returns
-        -------
-        CalibrationDisplay
-
         Raises
         ------
         ValueError
@@ -208,10 +200,6 @@ class CalibrationDisplay(Display):
             truth, and for estimators whose ``predict`` does not take ``include_noise``.
         **options
             See :meth:`from_predictions`.
-
-        Returns
-        -------
-        CalibrationDisplay
         """
         check_matplotlib(cls.__name__)
         mean, std = predict_with_std(estimator, X, include_noise)

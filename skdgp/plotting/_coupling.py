@@ -60,10 +60,6 @@ class CouplingDisplay:
             A diverging colour map, drawn from -1 to 1.
         colorbar : bool, default=True
             Whether to draw the scale.
-
-        Returns
-        -------
-        CouplingDisplay
         """
         self.ax_ = ax = panels(ax, 1, 1, figsize=(6.2, 4.6))[0, 0]
         self.figure_ = ax.figure
@@ -100,10 +96,6 @@ class CouplingDisplay:
         **plot_options
             See :meth:`plot`.
 
-        Returns
-        -------
-        CouplingDisplay
-
         Raises
         ------
         ValueError
@@ -126,10 +118,6 @@ class CouplingDisplay:
             Its last step has ``output_correlation()``.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        CouplingDisplay
         """
         last = estimator.steps[-1][1] if hasattr(estimator, "steps") else estimator
         return cls.from_correlation(last.output_correlation(), **plot_options)

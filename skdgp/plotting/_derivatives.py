@@ -79,10 +79,6 @@ class DerivativeDisplay(Display):
             See :mod:`skdgp.plotting`.
         derivatives : names, optional
             Derivatives to draw, default all.
-
-        Returns
-        -------
-        DerivativeDisplay
         """
         z = norm.ppf(0.5 + 0.5 * check_level(level))
         chosen = choose(self.names, derivatives)
@@ -129,10 +125,6 @@ class DerivativeDisplay(Display):
             Known derivatives at the same points, in the same form.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        DerivativeDisplay
 
         Raises
         ------

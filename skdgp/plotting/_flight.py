@@ -76,10 +76,6 @@ class FlightDisplay(Display):
             Picture to draw.
         **options
             Of :meth:`plot_inputs` or :meth:`plot_path`.
-
-        Returns
-        -------
-        FlightDisplay
         """
         check_choice("kind", kind, ("inputs", "path"))
         return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
@@ -100,10 +96,6 @@ class FlightDisplay(Display):
             Flights to draw, default all.
         titles : bool, default=True
             Whether to write each flight's name above its column.
-
-        Returns
-        -------
-        FlightDisplay
         """
         names = self._names(flights)
         channels = self.inputs if channels is None else [channels] if isinstance(channels, str) else list(channels)
@@ -137,10 +129,6 @@ class FlightDisplay(Display):
             Quantity of the colour; default: the flight when there are several, else the altitude or the time.
         flights : names, optional
             Flights to draw, default all.
-
-        Returns
-        -------
-        FlightDisplay
         """
         names = self._names(flights)
         color_by = self._check_color(color_by, names)
@@ -203,10 +191,6 @@ class FlightDisplay(Display):
             One table (divided by its column ``flight``, where it has one) or several with their names.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        FlightDisplay
 
         Raises
         ------

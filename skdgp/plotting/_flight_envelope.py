@@ -114,10 +114,6 @@ class EnvelopeDisplay(Display):
             See :mod:`skdgp.plotting`.
         pairs : list of (name, name), optional
             Pairs to draw, default all.
-
-        Returns
-        -------
-        EnvelopeDisplay
         """
         wanted = self.pairs if pairs is None else [tuple(pair) for pair in pairs]
         unknown = [pair for pair in wanted if pair not in self.pairs]
@@ -163,10 +159,6 @@ class EnvelopeDisplay(Display):
             See :meth:`compute`.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        EnvelopeDisplay
         """
         check_matplotlib(cls.__name__)
         return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(**plot_options)
@@ -189,11 +181,6 @@ class EnvelopeDisplay(Display):
             where present, or else neighbouring columns.
         n_grid : int, default=16
             Points of the grid along each axis.
-
-        Returns
-        -------
-        EnvelopeDisplay
-            Not drawn yet.
 
         Raises
         ------

@@ -69,10 +69,6 @@ class FlightLearningCurveDisplay:
         ----------
         ax, outputs, legend
             See :mod:`skdgp.plotting`.
-
-        Returns
-        -------
-        FlightLearningCurveDisplay
         """
         chosen = choose(self.output_names, outputs)
         ax = panels(ax, 1, 1, figsize=(5.6, 4.2))[0, 0]
@@ -112,10 +108,6 @@ class FlightLearningCurveDisplay:
             Score to draw.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        FlightLearningCurveDisplay
 
         Raises
         ------
@@ -160,10 +152,6 @@ class FlightLearningCurveDisplay:
             See :meth:`plot`.
         **options
             See :func:`skdgp.model_selection.flight_learning_curve`.
-
-        Returns
-        -------
-        FlightLearningCurveDisplay
         """
         check_matplotlib(cls.__name__)
         curve = flight_learning_curve(estimator, table, Y, seconds=seconds, **options)

@@ -103,10 +103,6 @@ class CoefficientDisplay(Display):
             a long record.
         time_span : (begin, end), optional
             Part of the record to draw [s].
-
-        Returns
-        -------
-        CoefficientDisplay
         """
         level = check_level(level)
         check_choice("kind", kind, ("values", "residuals"))
@@ -146,10 +142,6 @@ class CoefficientDisplay(Display):
             See the class.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        CoefficientDisplay
 
         Raises
         ------
@@ -197,10 +189,6 @@ class CoefficientDisplay(Display):
             noise-free output.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        CoefficientDisplay
         """
         check_matplotlib(cls.__name__)
         if time is None and "time" not in getattr(X, "columns", ()):
@@ -281,10 +269,6 @@ class StateDisplay(Display):
             States to draw, default all.
         time_span : (begin, end), optional
             Part of the record to draw [s].
-
-        Returns
-        -------
-        StateDisplay
         """
         level = check_level(level)
 
@@ -324,10 +308,6 @@ class StateDisplay(Display):
             See the class.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        StateDisplay
 
         Raises
         ------
@@ -372,10 +352,6 @@ class StateDisplay(Display):
             Horizon to draw [s], default the longest.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        StateDisplay
 
         Raises
         ------

@@ -86,10 +86,6 @@ class TrajectoryDisplay(Display):
             Panels side by side.
         show_paths : bool, default=False
             Whether to draw paths, at most 40.
-
-        Returns
-        -------
-        TrajectoryDisplay
         """
         level = check_level(level)
 
@@ -153,10 +149,6 @@ class TrajectoryDisplay(Display):
             Columns to draw.
         **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        TrajectoryDisplay
 
         Raises
         ------

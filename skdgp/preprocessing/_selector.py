@@ -112,10 +112,6 @@ class RegressorSelector(TableTransformer):
             Flight table.
         y : array-like of shape (n,) or (n, P), optional
             Targets, NaN where not observed: the range is that of the observed rows.
-
-        Returns
-        -------
-        self
         """
         super().fit(X, y)
         if self._passes:

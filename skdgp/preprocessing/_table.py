@@ -45,10 +45,6 @@ class TableTransformer(  # type: ignore[call-arg]
             Flight table.
         y : None
             Ignored.
-
-        Returns
-        -------
-        self
         """
         task, self._passes = FitTask(self, X, y), not self._has_known_column(X)
         if self._passes:

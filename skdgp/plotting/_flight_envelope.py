@@ -20,15 +20,11 @@ PAIRS = (("alpha", "beta"), ("alpha", "elevator"), ("alpha", "q"), ("beta", "r")
 """Default panels; a rate may be the non-dimensional one."""
 LEVELS = (0.25, 0.5, 0.75)
 """Relative standard deviations of the contour lines; the panel is hatched above the middle one."""
-SHARES = (0.95, 0.5)
-"""Shares of the samples inside the light and the dark area."""
-MARGIN = 0.2
-"""Margin of the panels around the flown range, relative to it."""
-MAX_ROWS = 500
-"""Samples for the variance of the function as flown."""
+SHARES = (0.95, 0.5)  # shares of the samples inside the light and the dark area
+MARGIN = 0.2  # margin of the panels around the flown range, relative to it
+MAX_ROWS = 500  # samples for the variance of the function as flown
 N_BINS = 48
-N_CELLS = 64
-"""Cells along an axis. One sample of another flight per cell is drawn, so that no isolated sample is lost."""
+N_CELLS = 64  # cells along an axis, each with one dot of another flight, so that isolated samples remain
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

@@ -27,12 +27,9 @@ def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:
 
 
 class _Slices(NamedTuple):
-    sample: Indices
-    """Indices of the finite samples, in order."""
-    first: Indices
-    """Positions in ``sample`` where a new time slice begins."""
-    line: Indices
-    """For each of ``sample``, the number of its unbroken line."""
+    sample: Indices  # indices of the finite samples, in order
+    first: Indices  # positions in ``sample`` where a new time slice begins
+    line: Indices  # for each of ``sample``, the number of its unbroken line
 
 
 def _slices(time: Vector, finite: Mask, starts: Indices | None, n_bins: int) -> _Slices:

@@ -23,8 +23,7 @@ CYCLE = tuple(PALETTE[name] for name in ("blue", "vermillion", "green", "purple"
 
 QUIET = "#5F6973"
 """Of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)."""
-MARKERS = ("o", "s", "^", "D", "v", "P")
-"""One per colour of ``CYCLE``, for readers who do not see colours."""
+MARKERS = ("o", "s", "^", "D", "v", "P")  # one per colour of ``CYCLE``, for readers who do not see colours
 
 ROLES = {"measured": "#333333", "mean": PALETTE["blue"], "band": PALETTE["sky"], "truth": PALETTE["vermillion"]}
 

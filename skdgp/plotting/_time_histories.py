@@ -28,8 +28,7 @@ from skdgp.plotting._display import (
 from skdgp.plotting._lines import band_points, isolated, line_points, segment_starts
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, tidy
 
-LATERAL_STATES = ("v_east", "p", "r")
-"""The states of the paper's figure 7: east velocity, roll rate, yaw rate."""
+LATERAL_STATES = ("v_east", "p", "r")  # the states of the paper's figure 7: east velocity, roll rate, yaw rate
 MAX_BAND = 0.6  # a band widens the vertical axis by at most this part of the lines' range, so that lines stay readable
 MAX_MARKS = 150  # restarts; more would be a grey bar
 

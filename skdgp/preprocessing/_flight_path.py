@@ -41,8 +41,7 @@ from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_n
 
 WINDS = ("wind_north", "wind_east", "wind_down")
 MADE = (*AIR, "alpha_dot", "beta_dot", *RATE, *FORCE, *EULER, *SPEED, *WINDS)
-OBSERVABLE = 0.5
-"""A constant is observable if its standard deviation is less than this share of the prior one."""
+OBSERVABLE = 0.5  # a constant is observable if its standard deviation is less than this share of the prior one
 
 Flights = list[tuple[Any, Indices, Log, Estimate]]
 

@@ -38,31 +38,22 @@ GROUPS = {
     "attitude": ("phi", "theta", "psi"),
     "gps": ("v_north", "v_east", "v_down", "north", "east", "down"),
 }
-CONTROLS = (*SURFACES, "throttle", "propeller_speed")
-"""Channels without noise, in which steps are common."""
+CONTROLS = (*SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 MIN_SIGNIFICANCE = 3.0  # standard deviations
-MIN_LAG = 0.01
-"""Lags below this [s] do not change a model, and may be an error of the local linear model."""
-MIN_EXPLAINED = 0.8
-"""Least share of the response that the local linear model must explain."""
+MIN_LAG = 0.01  # lags below this [s] do not change a model, and may be an error of the local linear model
+MIN_EXPLAINED = 0.8  # least share of the response that the local linear model must explain
 KINEMATIC_SECONDS = 120.0
 """Length of each flight [s] from which the lags of attitude and GPS are known to the millisecond."""
-BAND = (0.3, 4.0)
-"""Frequencies [Hz] of the response to surfaces and gusts, between trim and noise."""
-STEADY = 0.2
-"""Airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag."""
-EDGE = 1.5
-"""Seconds at either end of a segment that the filter or a lag may distort."""
-SHORTEST = 20.0
-"""Least length of a segment [s]."""
+BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, between trim and noise
+STEADY = 0.2  # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
+EDGE = 1.5  # seconds at either end of a segment that the filter or a lag may distort
+SHORTEST = 20.0  # least length of a segment [s]
 RANGE, COARSE, FINE = 0.5, 0.04, 0.01
 """Largest lag, step of the scan, and step of the parabolas [s]."""
-RANK_TOLERANCE = 1e-6
-"""Predictors nearer than this to a combination of others are left out."""
-BLOCK = 5.0
-"""Seconds over which residuals may be correlated."""
+RANK_TOLERANCE = 1e-6  # predictors nearer than this to a combination of others are left out
+BLOCK = 5.0  # seconds over which residuals may be correlated
 
 
 class Lag(NamedTuple):

@@ -51,14 +51,10 @@ MIN_AIRSPEED = 3.0  # m/s, below which vanes show no angle
 class Equations(NamedTuple):
     """Linear equations residual + d_state x_k + d_next x_{k+1} + d_constants c = 0, m for each of n samples k."""
 
-    residual: Matrix
-    """(n, m)"""
-    d_state: Array
-    """(n, m, s)"""
-    d_next: Array | None
-    """(n, m, s); None for measurement equations."""
-    d_constants: Array
-    """(n, m, c)"""
+    residual: Matrix  # (n, m)
+    d_state: Array  # (n, m, s)
+    d_next: Array | None  # (n, m, s); None for measurement equations
+    d_constants: Array  # (n, m, c)
 
     def part(self, first: int, last: int) -> Equations:
         """Return the equations of the samples from first to before last."""
@@ -74,26 +70,16 @@ class Equations(NamedTuple):
 class Log(NamedTuple):
     """The sensors of one flight, n samples."""
 
-    time: Vector
-    """(n,) [s]"""
-    segment: Indices
-    """(n,) number of the gap-free segment of a sample."""
-    force: Matrix
-    """(n, 3) accelerometers [m/s^2]"""
-    rate: Matrix
-    """(n, 3) gyros [rad/s]"""
-    air: Matrix
-    """(n, 3) airspeed [m/s], alpha, beta [rad]; NaN where not sampled"""
-    velocity: Matrix
-    """(n, 3) GPS velocity, NED [m/s]; NaN where not sampled"""
-    attitude: Rotation
-    """n attitudes, body to NED"""
-    attitude_sampled: Mask
-    """(n,) where the attitude was sampled"""
-    gravity: float
-    """[m/s^2]"""
-    delays: tuple[int, ...] = (0,) * 9
-    """Lag of each measurement in whole samples."""
+    time: Vector  # (n,) [s]
+    segment: Indices  # (n,) number of the gap-free segment of a sample
+    force: Matrix  # (n, 3) accelerometers [m/s^2]
+    rate: Matrix  # (n, 3) gyros [rad/s]
+    air: Matrix  # (n, 3) airspeed [m/s], alpha, beta [rad]; NaN where not sampled
+    velocity: Matrix  # (n, 3) GPS velocity, NED [m/s]; NaN where not sampled
+    attitude: Rotation  # n attitudes, body to NED
+    attitude_sampled: Mask  # (n,) where the attitude was sampled
+    gravity: float  # [m/s^2]
+    delays: tuple[int, ...] = (0,) * 9  # lag of each measurement in whole samples
 
     def part(self, first: int, last: int) -> Log:
         """Return the samples from first to before last."""
@@ -108,14 +94,10 @@ class Log(NamedTuple):
 class Path(NamedTuple):
     """The states of a flight, one for every sample, and its constants."""
 
-    velocity: Matrix
-    """(n, 3) over the ground, NED [m/s]"""
-    attitude: Rotation
-    """n attitudes, body to NED"""
-    gust: Matrix
-    """(n, 3) the air's velocity minus the mean wind, NED [m/s]"""
-    constants: Vector
-    """(c,) in the order of CONSTANTS"""
+    velocity: Matrix  # (n, 3) over the ground, NED [m/s]
+    attitude: Rotation  # n attitudes, body to NED
+    gust: Matrix  # (n, 3) the air's velocity minus the mean wind, NED [m/s]
+    constants: Vector  # (c,) in the order of CONSTANTS
 
     def part(self, first: int, last: int) -> Path:
         """Return the states from first to before last."""

@@ -45,8 +45,7 @@ PRIOR_COUNT = 10
 """Number of residuals that the initial noise of a sensor is worth; it decides where the flight has no information."""
 START_PRECISION = np.repeat([1e-4, 1.0], 3)
 """Prior precision of the velocity [m/s] and the attitude [rad] at the first sample of a segment."""
-WINDOW = 4096
-"""Samples whose equations are in memory at a time."""
+WINDOW = 4096  # samples whose equations are in memory at a time
 DELAY_STEPS = 6
 """Gauss-Newton steps in which lags may change by whole samples; fixed delays let the later steps converge."""
 MAX_STEPS = 40
@@ -57,29 +56,20 @@ N_DRAWS = 16
 class Prior(NamedTuple):
     """Prior knowledge: precision, and the expansion point minus the expected value."""
 
-    states: Matrix
-    """(n, s) precision"""
-    states_offset: Matrix
-    """(n, s)"""
-    constants: Vector
-    """(c,) precision"""
-    constants_offset: Vector
-    """(c,)"""
+    states: Matrix  # (n, s) precision
+    states_offset: Matrix  # (n, s)
+    constants: Vector  # (c,) precision
+    constants_offset: Vector  # (c,)
 
 
 class Posterior(NamedTuple):
     """Solution of the bordered normal equations, and samples from the normal distribution around it."""
 
-    states: Matrix
-    """(n, s)"""
-    constants: Vector
-    """(c,)"""
-    covariance: Matrix
-    """Of the constants, (c, c)."""
-    state_draws: Array
-    """(n, s, k), mean zero."""
-    constant_draws: Matrix
-    """(c, k)"""
+    states: Matrix  # (n, s)
+    constants: Vector  # (c,)
+    covariance: Matrix  # of the constants, (c, c)
+    state_draws: Array  # (n, s, k), mean zero
+    constant_draws: Matrix  # (c, k)
 
 
 class Estimate(NamedTuple):
@@ -87,10 +77,8 @@ class Estimate(NamedTuple):
 
     path: Path
     noise: dict[str, float]
-    covariance: Matrix
-    """Of the free constants, (f, f)."""
-    air_std: Vector
-    """(3,) root mean square of the standard deviations of airspeed, alpha, beta."""
+    covariance: Matrix  # of the free constants, (f, f)
+    air_std: Vector  # (3,) root mean square of the standard deviations of airspeed, alpha, beta
     converged: bool
 
 
@@ -283,10 +271,8 @@ def _prior(
 class Sums(NamedTuple):
     """Sums over the samples of a channel, in units of its noise."""
 
-    squares: float
-    """Of the residuals."""
-    trace: float
-    """Of J P J^T, the number of samples that the path fits."""
+    squares: float  # of the residuals
+    trace: float  # of J P J^T, the number of samples that the path fits
     n_samples: int
 
 

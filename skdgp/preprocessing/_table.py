@@ -19,8 +19,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import check_table
 
-WRAPPED = ("phi", "psi")
-"""Angles that jump by 2 pi."""
+WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
 
 
 class TableTransformer(  # type: ignore[call-arg]

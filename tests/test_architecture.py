@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 import pytest
 
+from skdgp._compute.moved import MOVED
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "skdgp"
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -282,3 +284,9 @@ def test_no_assert_and_no_print_stand_in_for_errors(path):
 def test_no_global_random_state_is_touched(path):
     text = path.read_text(encoding="utf-8")
     assert not re.search(r"np\.random\.(seed|rand|randn|normal|uniform|choice|shuffle|permutation)\b", text)
+
+
+@pytest.mark.parametrize("old", MOVED)
+def test_modules_that_moved_are_found_by_their_old_path(old):
+    """Model files name the modules of their classes."""
+    assert importlib.import_module(old) is importlib.import_module(MOVED[old])

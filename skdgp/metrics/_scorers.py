@@ -186,8 +186,8 @@ def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple
     The transformers of a pipeline get every row. Its last step gets only the observed rows, as deviations are costly,
     unless it has an estimator inside, which may be a transformer.
     """
-    seen = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
-    rows = np.flatnonzero(seen) if seen.any() else np.arange(len(seen))
+    observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
+    rows = np.flatnonzero(observed) if observed.any() else np.arange(len(observed))
     if with_std:
         check_predicts_std(estimator)
     estimator = unwrap(estimator)

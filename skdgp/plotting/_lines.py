@@ -72,9 +72,9 @@ def line_points(time: Vector, values: Vector, *, n_bins: int, starts: Indices | 
     sample, first, line = _slices(time, np.isfinite(values) & np.isfinite(time), starts, n_bins)
     if sample.size == 0:
         return np.empty(0), np.empty(0)
-    kept = _extremes(values[sample], first, line)
-    gaps = np.flatnonzero(np.diff(line[kept])) + 1
-    return np.insert(time[sample][kept], gaps, np.nan), np.insert(values[sample][kept], gaps, np.nan)
+    points = _extremes(values[sample], first, line)
+    gaps = np.flatnonzero(np.diff(line[points])) + 1
+    return np.insert(time[sample][points], gaps, np.nan), np.insert(values[sample][points], gaps, np.nan)
 
 
 def _extremes(values: Vector, first: Indices, line: Indices) -> Indices:
@@ -83,11 +83,11 @@ def _extremes(values: Vector, first: Indices, line: Indices) -> Indices:
     number[first[1:]] = 1
     number = np.cumsum(number)
     ends = np.flatnonzero(np.diff(line))
-    kept = [ends, ends + 1, np.array([0, len(values) - 1])]
+    points = [ends, ends + 1, np.array([0, len(values) - 1])]
     for extreme in (np.minimum, np.maximum):
         hits = np.flatnonzero(values == extreme.reduceat(values, first)[number])
-        kept.append(hits[np.unique(number[hits], return_index=True)[1]])
-    return np.unique(np.concatenate(kept))
+        points.append(hits[np.unique(number[hits], return_index=True)[1]])
+    return np.unique(np.concatenate(points))
 
 
 def band_points(

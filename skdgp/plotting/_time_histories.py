@@ -173,12 +173,8 @@ class CoefficientDisplay(Display):
 
         Parameters
         ----------
-        estimator : fitted estimator or Pipeline
-            Its ``predict`` takes ``return_std``.
-        X : (n, d)
-            Regressors, or the flight table of an identification pipeline.
-        Y : (n, P)
-            Measured outputs; NaN = not observed.
+        estimator, X, Y
+            See :meth:`CalibrationDisplay.from_estimator`.
         time : (n,), optional
             Default: the column ``time`` of ``X``.
         truth : (n, P), optional

@@ -192,9 +192,8 @@ def _interpolated(time: Vector, values: Vector, longest: float) -> Vector:
     if known.size < 2 or usual_spacing(values) > 1:
         return values
     filled = np.interp(time, time[known], values[known])
-    before = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
-    after = np.minimum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), len(values))[::-1])[::-1]
-    inside = (before >= 0) & (after < len(values))
-    short = np.zeros(len(values), bool)
-    short[inside] = time[after[inside]] - time[before[inside]] <= longest + 1e-9
-    return np.where(short, filled, values)
+    after = np.searchsorted(known, np.arange(len(values)))  # the next sample of each row, in ``known``
+    inside = (after > 0) & (after < len(known))
+    gap = np.diff(time[known])[after[inside] - 1]
+    values[inside] = np.where(gap <= longest + 1e-9, filled[inside], values[inside])
+    return values

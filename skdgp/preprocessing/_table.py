@@ -36,15 +36,7 @@ class TableTransformer(  # type: ignore[call-arg]
 
     @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Check the columns of the flight table, and learn from them.
-
-        Parameters
-        ----------
-        X : DataFrame of shape (n, n_columns)
-            Flight table.
-        y : None
-            Ignored.
-        """
+        """Check the columns of the flight table X, and learn from them; y is ignored."""
         task, self._passes = FitTask(self, X, y), not self._has_known_column(X)
         if self._passes:
             self._check_other_input(X, reset=True)
@@ -62,35 +54,14 @@ class TableTransformer(  # type: ignore[call-arg]
         return self
 
     def transform(self, X: Any) -> Any:
-        """Return the transformed table.
-
-        Parameters
-        ----------
-        X : DataFrame of shape (n, n_columns)
-            Flight table.
-
-        Returns
-        -------
-        DataFrame or ndarray
-            A DataFrame for a DataFrame, with its index.
-        """
+        """Return the transformed flight table X, with its index; an array for an array."""
         check_is_fitted(self)
         if self._passes:
             return self._as_output(self._check_other_input(X))
         return self._as_output(self._transform_table(self._as_table(X)))
 
     def get_feature_names_out(self, input_features: Any = None) -> np.ndarray:
-        """Return the column names of the transformed table.
-
-        Parameters
-        ----------
-        input_features : array-like of str, optional
-            Must equal ``feature_names_in_``, where defined.
-
-        Returns
-        -------
-        ndarray of str objects
-        """
+        """Return the column names of the transformed table; ``input_features`` must equal ``feature_names_in_``."""
         check_is_fitted(self)
         names = check_feature_names_in(self, input_features)
         return names if self._passes else np.asarray(self._columns_out(list(names)), dtype=object)

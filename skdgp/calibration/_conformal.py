@@ -81,14 +81,9 @@ def conformity_scores(estimator: Any, X: Any, Y: Matrix) -> Matrix:
 
 
 def units_of(tests: list[Indices], flights: Indices) -> tuple[str, Indices]:
-    """Return the kind of exchangeable unit, and the unit of each held-out row.
+    """Return the exchangeable unit, the flight or, if a split cuts one, the block, and that of each held-out row.
 
-    Parameters
-    ----------
-    tests : list of ndarray of int
-        Held-out rows, one array per split. The unit is the flight, if no split cuts one, else the block.
-    flights : ndarray (n,) of int
-        The flight of every row, from 0 on.
+    ``tests`` holds the held-out rows of each split, ``flights`` the flight of every row, from 0 on.
     """
     sizes = np.bincount(flights)
     counts = np.array([np.bincount(flights[test], minlength=len(sizes)) for test in tests])

@@ -354,15 +354,7 @@ def _check_X(X: Any) -> Any:
 
 
 class ScaledPaths(Sequence):
-    """Paths f of a posterior with mean m as m + scale (f - m), with the interface of `skdgp.inference.Paths`.
-
-    Parameters
-    ----------
-    paths : Paths
-    regressor : estimator
-        Its ``predict`` is m, its ``predict_gradient`` the gradient of m.
-    scale : ndarray (P,), or float for y of shape (n,)
-    """
+    """Paths f of a posterior with mean m, of a regressor, as m + scale (f - m): as `skdgp.inference.Paths`."""
 
     def __init__(self, paths: Paths, regressor: Any, scale: Any) -> None:
         self.paths, self.regressor, self.scale = paths, regressor, scale

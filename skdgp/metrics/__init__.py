@@ -2,7 +2,9 @@
 
 Targets are (n,) or (n, P). A NaN target was not observed and is left out, output by output. ``multioutput`` is
 scikit-learn's: ``"raw_values"`` for one number per output, ``"uniform_average"`` for their mean, or an array of
-weights. The scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
+weights. The metric of an output that is never observed is NaN, with a warning. The metrics raise ValueError if shapes
+differ, a prediction is not finite, a standard deviation is not positive (negative, for ``coverage_curve``), or a level
+is not inside (0, 1). The scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
 """
 
 from skdgp.metrics._metrics import (

@@ -35,12 +35,6 @@ def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: 
     Returns
     -------
     float or ndarray of shape (P,)
-        NaN, with a warning, for an output that is never observed.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ or a prediction is not finite.
 
     Examples
     --------
@@ -68,12 +62,7 @@ def normalized_rmse(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Averag
     Returns
     -------
     float or ndarray of shape (P,)
-        NaN, with a warning, for an output that is constant or never observed.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ or a prediction is not finite.
+        NaN, with a warning, for a constant output.
 
     Examples
     --------
@@ -107,12 +96,7 @@ def negative_log_predictive_density(
     Returns
     -------
     float or ndarray of shape (P,)
-        In nats per observation; NaN, with a warning, for an output that is never observed.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, a prediction is not finite, or a standard deviation is not positive.
+        In nats per observation.
 
     Examples
     --------
@@ -146,12 +130,7 @@ def continuous_ranked_probability_score(
     Returns
     -------
     float or ndarray of shape (P,)
-        In units of the output; NaN, with a warning, for an output that is never observed.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, a prediction is not finite, or a standard deviation is not positive.
+        In units of the output.
 
     Examples
     --------
@@ -187,13 +166,6 @@ def interval_coverage(
     Returns
     -------
     float or ndarray of shape (P,)
-        NaN, with a warning, for an output that is never observed.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, a prediction is not finite, a standard deviation is not positive, or ``level``
-        is not inside (0, 1).
 
     Examples
     --------
@@ -226,12 +198,6 @@ def coverage_curve(
     -------
     DataFrame of shape (L, P)
         A row per level, rising, a column per output; NaN for an output never observed.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, a prediction is not finite, a standard deviation is negative, or a level is not inside
-        (0, 1).
 
     Examples
     --------

@@ -38,8 +38,6 @@ class CalibrationDisplay(Display):
     Balabdaoui & Raftery 2007). A histogram high in the middle: deviations too large. High at both ends: too small. High
     at one end: the mean is biased, which coverage does not show.
 
-    Use :meth:`from_estimator` or :meth:`from_predictions`. All parameters are kept as attributes.
-
     Parameters
     ----------
     nominal : (L,)
@@ -165,11 +163,6 @@ class CalibrationDisplay(Display):
             Default: those of a DataFrame ``measured``; for six unnamed columns CX CY CZ Cl Cm Cn.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If shapes or names do not match, a standard deviation is negative, or a level is not between 0 and 1.
         """
         values = as_columns(measured, "measured outputs")
         mean = as_columns(mean, "mean", values.shape)

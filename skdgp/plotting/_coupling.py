@@ -17,8 +17,6 @@ from skdgp.plotting._style import scale_beside, symbol
 class CouplingDisplay:
     """Heat map of the correlations between outputs, with their values.
 
-    Use :meth:`from_estimator` or :meth:`from_correlation`. All parameters are kept as attributes.
-
     Parameters
     ----------
     correlation : (P, P)
@@ -95,11 +93,6 @@ class CouplingDisplay:
             Default: those of the Bunch or DataFrame; for six unnamed outputs CX CY CZ Cl Cm Cn.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If the matrix is not square, or holds values beyond -1 and 1.
         """
         if hasattr(correlation, "correlation"):
             output_names = correlation.output_names if output_names is None else output_names

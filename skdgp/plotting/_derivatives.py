@@ -23,8 +23,6 @@ DEFAULT_DERIVATIVES = (
 class DerivativeDisplay(Display):
     """Derivatives with their bands over airspeed, alpha or beta, one panel each.
 
-    Use :meth:`from_sweep`. All parameters are kept as attributes.
-
     Parameters
     ----------
     at : (n,)
@@ -42,8 +40,6 @@ class DerivativeDisplay(Display):
 
     Attributes
     ----------
-    axes_, figure_ : ndarray of Axes, Figure
-        The panels and their figure.
     lines_, bands_, truth_ : lists of artists
         One per panel; None where there was nothing to draw.
 
@@ -125,11 +121,6 @@ class DerivativeDisplay(Display):
             Known derivatives at the same points, in the same form.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If the table is of a single point, or lacks a name.
         """
         if not isinstance(sweep.index, pd.MultiIndex):
             raise ValueError(

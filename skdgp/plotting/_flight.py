@@ -29,8 +29,6 @@ PATH_POINTS = 600  # of one flight; a picture resolves no more
 class FlightDisplay(Display):
     """Inputs against time (the paper's figure 4) or the path over the ground (its figure 5).
 
-    Use :meth:`from_flights`. All parameters are kept as attributes.
-
     Parameters
     ----------
     flights : dict of name to DataFrame
@@ -191,11 +189,6 @@ class FlightDisplay(Display):
             One table (divided by its column ``flight``, where it has one) or several with their names.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If a table lacks the columns that the picture needs.
         """
         return cls(flights=named_flights(flights)).plot(**plot_options)
 

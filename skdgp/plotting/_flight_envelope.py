@@ -42,8 +42,6 @@ class EnvelopeDisplay(Display):
     the expected normalised RMSE is 1, as of predicting the mean. Regressors that a panel does not show have their
     medians.
 
-    Use :meth:`from_estimator`, or :meth:`compute` and :meth:`plot`. All parameters are kept as attributes.
-
     Parameters
     ----------
     flown : DataFrame (n, d)
@@ -63,8 +61,6 @@ class EnvelopeDisplay(Display):
 
     Attributes
     ----------
-    axes_, figure_ : ndarray of Axes, Figure
-        The panels and their figure.
     density_, contours_, hatches_ : lists of QuadContourSet
         One per panel.
     paths_ : list of Line2D
@@ -177,11 +173,6 @@ class EnvelopeDisplay(Display):
             where present, or else neighbouring columns.
         n_grid : int, default=16
             Points of the grid along each axis.
-
-        Raises
-        ------
-        ValueError
-            If regressors have no names, or a pair is unknown.
         """
         selection, scaling, last = _split_steps(estimator)
         flown = _regressors(selection, X)

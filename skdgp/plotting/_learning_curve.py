@@ -23,8 +23,6 @@ class FlightLearningCurveDisplay:
     A line is the mean over the splits, a dot one split. Where lines are flat, longer flights of this kind do not
     improve the model.
 
-    Use :meth:`from_estimator` or :meth:`from_curve`. All parameters are kept as attributes.
-
     Parameters
     ----------
     seconds : (S,)
@@ -108,11 +106,6 @@ class FlightLearningCurveDisplay:
             Score to draw.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If the curve lacks the score.
         """
         columns = [score] if score in curve else [name for name in curve if str(name).startswith(f"{score}_")]
         if not columns:

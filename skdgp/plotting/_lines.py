@@ -50,19 +50,10 @@ def _slices(time: Vector, finite: Mask, starts: Indices | None, n_bins: int) -> 
 
 
 def line_points(time: Vector, values: Vector, *, n_bins: int, starts: Indices | None = None) -> tuple[Vector, Vector]:
-    """Return times and values of a line that looks the same, with NaN where it breaks.
+    """Return the lowest and the highest sample of each of ``n_bins`` time slices, with NaN where the line breaks.
 
-    Parameters
-    ----------
-    time, values : (n,)
-        Samples; those that are not finite are holes.
-    n_bins : int
-        Number of time slices. The lowest and the highest sample of each remain.
-    starts : (k,) int, optional
-        Where a new segment begins; default: after gaps in ``time``.
+    It breaks at ``starts``, by default after gaps in time, and at values that are not finite.
 
-    Examples
-    --------
     >>> t = np.arange(10_000) / 100.0
     >>> v = np.sin(t); v[5000] = 7.0
     >>> few_t, few_v = line_points(t, v, n_bins=100)

@@ -37,8 +37,6 @@ MAX_MARKS = 150  # restarts; more would be a grey bar
 class CoefficientDisplay(Display):
     """Measured and estimated outputs with the band of the estimate, one panel each (the paper's figure 6).
 
-    Use :meth:`from_estimator` or :meth:`from_predictions`. All parameters are kept as attributes.
-
     Parameters
     ----------
     time : (n,)
@@ -56,8 +54,6 @@ class CoefficientDisplay(Display):
 
     Attributes
     ----------
-    axes_, figure_ : ndarray of Axes, Figure
-        The panels and their figure.
     measured_, mean_, bands_, truth_ : lists of artists
         One per panel; None where there was nothing to draw.
 
@@ -141,11 +137,6 @@ class CoefficientDisplay(Display):
             See the class.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If shapes or names do not match, or a standard deviation is negative.
         """
         values = as_columns(measured, "measured outputs")
         return cls(
@@ -201,8 +192,6 @@ class StateDisplay(Display):
     A replay restarts from the measured state every few seconds. Lines break there, and small marks on the upper edge
     show where. States are given in SI units and drawn in degrees.
 
-    Use :meth:`from_replay` or :meth:`from_predictions`. All parameters are kept as attributes.
-
     Parameters
     ----------
     time : (n,)
@@ -218,8 +207,6 @@ class StateDisplay(Display):
 
     Attributes
     ----------
-    axes_, figure_ : ndarray of Axes, Figure
-        The panels and their figure.
     measured_, replayed_, bands_ : lists of artists
         One per panel; None where there was nothing to draw.
     restarts_ : list of artists
@@ -303,11 +290,6 @@ class StateDisplay(Display):
             See the class.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If shapes or names do not match, or a standard deviation is negative.
         """
         values = as_columns(measured, "measured states")
         window = None if window is None else np.asarray(window)
@@ -347,11 +329,6 @@ class StateDisplay(Display):
             Horizon to draw [s], default the longest.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If columns or the horizon are missing, or the rows do not match.
         """
         states = list(states)
         rows = replay_rows(trajectory, horizon)

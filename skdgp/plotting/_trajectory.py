@@ -27,8 +27,6 @@ class TrajectoryDisplay(Display):
     trajectory with ``return_std=True`` the band is that of a normal distribution. Marks on the upper edge show where a
     path leaves the range of the training data. Angles are drawn in degrees.
 
-    Use :meth:`from_trajectories`. All parameters are kept as attributes.
-
     Parameters
     ----------
     time : (n,)
@@ -46,8 +44,6 @@ class TrajectoryDisplay(Display):
 
     Attributes
     ----------
-    axes_, figure_ : ndarray of Axes, Figure
-        The panels and their figure.
     lines_, bands_, paths_, truth_ : lists of artists
         One per panel; None where there was nothing to draw. ``paths_`` holds a list for each panel.
     beyond_ : list of artists
@@ -149,11 +145,6 @@ class TrajectoryDisplay(Display):
             Columns to draw.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If columns or the start are missing.
         """
         names = list(columns)
         check_columns(trajectories, ["time", *names], what="trajectory")

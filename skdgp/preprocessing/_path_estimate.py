@@ -90,21 +90,8 @@ def estimate(
     Gauss-Newton on the path alternates with Foerstner's estimate of the variance components: a channel's variance is
     the sum of its squared residuals over its redundancy, the number of samples minus the trace of J P J^T. At its fixed
     point the gradient of the marginal likelihood is zero (Searle, Casella & McCulloch 1992, section 8.3). The traces
-    are those of draws from the posterior.
-
-    Parameters
-    ----------
-    log : Log
-    start : Path
-        Its constants are also their prior means.
-    noise : dict
-        Initial standard deviations, of the names in NOISE and GUSTS.
-    learn : collection of str
-        Names in ``noise`` to estimate.
-    free : list of str
-        Names of the constants to estimate.
-    gust_time : float
-        Correlation time of gusts [s].
+    are those of draws from the posterior. The constants of ``start`` are their prior means; those in ``free`` are
+    estimated. ``noise`` holds the initial standard deviations, by the names in NOISE and GUSTS.
     """
     path, places = start, [PLACE[name] for name in free]
     draws = np.random.default_rng(0).standard_normal((9 * len(log.time) + len(places), N_DRAWS))
@@ -141,14 +128,8 @@ def solve(windows: Iterable[tuple[int, Equations, Equations]], prior: Prior, dra
     C - B^T A^-1 B. The inverse of the whole matrix is the covariance; x = L^-T e - A^-1 B c with standard normal e and
     c from the inverse of the complement is a sample from it.
 
-    Parameters
-    ----------
-    windows : iterable of (int, Equations, Equations)
-        Number of the first state, process and measurement equations of consecutive windows: of n - 1 and n samples in
-        all.
-    prior : Prior
-    draws : ndarray (n s + c, k)
-        Standard normal numbers.
+    ``windows`` holds the number of the first state, the process and the measurement equations of consecutive windows;
+    ``draws`` standard normal numbers, (n s + c, k).
     """
     n, s = prior.states.shape
     band, border, corner, g, h = _normal_equations(windows, prior)

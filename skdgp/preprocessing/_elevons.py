@@ -11,6 +11,7 @@ import numpy as np
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
+ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 
 
@@ -73,11 +74,7 @@ class ElevonSplitter(TableTransformer):
     }
 
     def __init__(
-        self,
-        *,
-        surfaces: Sequence[str] = ("elevon_left", "elevon_right"),
-        controls: Sequence[str] = ("elevator", "aileron"),
-        mixing: Any = None,
+        self, *, surfaces: Sequence[str] = ELEVONS, controls: Sequence[str] = MIXED, mixing: Any = None
     ) -> None:
         self.surfaces = surfaces
         self.controls = controls

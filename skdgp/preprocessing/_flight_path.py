@@ -14,13 +14,13 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
 from skdgp.preprocessing._path_equations import (
     AIR,
     CONSTANTS,
-    EULER,
     FORCE,
     INERTIAL,
     NEEDED,

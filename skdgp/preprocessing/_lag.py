@@ -14,10 +14,12 @@ from scipy.interpolate import CubicSpline
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import check_clock, flight_codes, flight_segments, runs_by_flight, uniform_grid
+from skdgp.preprocessing._elevons import ELEVONS, MIXED
 from skdgp.preprocessing._flight_path import FlightPathReconstruction
-from skdgp.preprocessing._path_equations import FORCE, NEEDED, RATE
+from skdgp.preprocessing._path_equations import FORCE, NEEDED, RATE, SPEED
 from skdgp.preprocessing._table import (
     WRAPPED,
     TableTransformer,
@@ -30,13 +32,12 @@ from skdgp.preprocessing._table import (
 )
 
 VANES = ("alpha", "beta")
-ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
 SURFACES = (*MIXED, "rudder", *ELEVONS)
 GROUPS = {
     "air": ("airspeed", *VANES),
     "surfaces": SURFACES,
-    "attitude": ("phi", "theta", "psi"),
-    "gps": ("v_north", "v_east", "v_down", "north", "east", "down"),
+    "attitude": EULER,
+    "gps": (*SPEED, "north", "east", "down"),
 }
 CONTROLS = (*SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64

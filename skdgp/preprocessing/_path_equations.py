@@ -14,12 +14,13 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._flight.channels import EULER
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
 from skdgp._flight.frames import air_data, cross_matrix
 from skdgp.preprocessing._table import has_values, interpolate_missing, numeric
 
 FORCE, RATE = ("ax", "ay", "az"), ("p", "q", "r")
-AIR, SPEED, EULER = ("airspeed", "alpha", "beta"), ("v_north", "v_east", "v_down"), ("phi", "theta", "psi")
+AIR, SPEED = ("airspeed", "alpha", "beta"), ("v_north", "v_east", "v_down")
 NEEDED = (*RATE, *FORCE, *EULER, *SPEED, "airspeed")
 """Channels that a flight table must hold; alpha and beta are optional."""
 

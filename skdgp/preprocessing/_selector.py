@@ -15,11 +15,11 @@ from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import TRUTH_SUFFIX
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
+from skdgp.preprocessing._elevons import ELEVONS, MIXED
 from skdgp.preprocessing._rates import SUFFIX
 from skdgp.preprocessing._table import TableTransformer, numeric
 
-SURFACES = ("elevator", "aileron", "rudder")
-ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
+SURFACES = (*MIXED, "rudder")
 OPTIONAL = ("throttle", *SURFACES)
 REGRESSOR_SETS = {
     "quasi-steady": ("alpha", "beta", "p", "q", "r", *SURFACES, "throttle"),
@@ -189,7 +189,7 @@ def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
             f"The flight lacks {sorted(missing)}, but these regressors need them: put {set(missing.values()).pop()} "
             "before RegressorSelector in the pipeline, or name other regressors."
         )
-    if {"elevon_left", "elevon_right"} <= set(table.columns) and "elevator" in names and "elevator" not in table:
+    if set(ELEVONS) <= set(table.columns) and "elevator" in names and "elevator" not in table:
         raise ValueError(
             "The flight has elevons but no elevator and aileron: put ElevonSplitter() before RegressorSelector in "
             "the pipeline, or name elevon_left and elevon_right as regressors."

@@ -41,15 +41,13 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
 
     (hierarchical conformal prediction: Lee, Barber & Willett 2023; Dunn, Wasserman & Ramdas 2023). If the next flight
     and the K others are exchangeable, the expected share of its samples inside the interval is at least ``level``, for
-    every model, distribution of errors and dependence within a flight. The share of one flight may be smaller.
+    every model, distribution of errors and dependence within a flight. The share of one flight may be smaller. The
+    guarantee is exact with ``cv="prefit"``; in cross-validation, where predictions come from a model of all flights,
+    intervals are mostly too wide, though no theorem says so.
 
     **K flights guarantee no level above K / (K + 1)**: two 0.67, four 0.8, nineteen 0.95. Above it ``fit`` warns, and q
     is the quantile of the observed scores with equal weight per flight: consistent as K grows (Dunn et al., section 3),
     without a guarantee for small K.
-
-    With ``cv="prefit"`` and flights that the model did not learn from, the guarantee is exact. In cross-validation the
-    scores come from models that lack a flight, but predictions from a model of all flights: intervals are then mostly
-    too wide, though no theorem says so.
 
     Parameters
     ----------
@@ -81,10 +79,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         Unit of the guarantee: "block" if a splitter cuts flights.
     n_units_ : ndarray (P,) of int
         K, the units in which each output was observed.
-    calibration_scores_ : ndarray (m, P)
-        Scores of the held-out samples; NaN where an output was not observed.
-    calibration_units_ : ndarray (m,) of int
-        Unit of each held-out sample.
+    calibration_scores_, calibration_units_ : ndarray (m, P), ndarray (m,) of int
+        Scores of the held-out samples, NaN where an output was not observed, and their units.
     output_names_ : list of str
         Column names of Y, or y0, y1, ...
     n_features_in_, feature_names_in_

@@ -143,15 +143,7 @@ class EnvelopeDisplay(Display):
     def from_estimator(
         cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16, **plot_options: Any
     ) -> Self:
-        """Compute the uncertainty of a fitted estimator around its data, and draw.
-
-        Parameters
-        ----------
-        estimator, X, flight, pairs, n_grid
-            See :meth:`compute`.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Compute the uncertainty of an estimator around its data, and draw; see :meth:`compute` and :meth:`plot`."""
         check_matplotlib(cls.__name__)
         return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(**plot_options)
 

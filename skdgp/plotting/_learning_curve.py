@@ -61,13 +61,7 @@ class FlightLearningCurveDisplay:
     output_names: tuple[str, ...]
 
     def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True) -> Self:
-        """Draw the curves.
-
-        Parameters
-        ----------
-        ax, outputs, legend
-            See :mod:`skdgp.plotting`.
-        """
+        """Draw the curves. See :mod:`skdgp.plotting` for the options."""
         chosen = choose(self.output_names, outputs)
         ax = panels(ax, 1, 1, figsize=(5.6, 4.2))[0, 0]
         drawn = [self._draw_output(ax, k) for k in chosen]
@@ -133,19 +127,7 @@ class FlightLearningCurveDisplay:
         legend: bool = True,
         **options: Any,
     ) -> Self:
-        """Compute the learning curve of an estimator, and draw.
-
-        Parameters
-        ----------
-        estimator, table, Y, seconds
-            See :func:`skdgp.model_selection.flight_learning_curve`.
-        score : str, default="normalized_rmse"
-            Score to draw.
-        ax, outputs, legend
-            See :meth:`plot`.
-        **options
-            See :func:`skdgp.model_selection.flight_learning_curve`.
-        """
+        """Compute :func:`skdgp.model_selection.flight_learning_curve` with its ``options``, and draw one ``score``."""
         check_matplotlib(cls.__name__)
         curve = flight_learning_curve(estimator, table, Y, seconds=seconds, **options)
         return cls.from_curve(curve, score=score, ax=ax, outputs=outputs, legend=legend)

@@ -129,15 +129,7 @@ class CoefficientDisplay(Display):
         output_names: Any = None,
         **plot_options: Any,
     ) -> Self:
-        """Draw predictions and measurements.
-
-        Parameters
-        ----------
-        time, measured, mean, std, truth, output_names
-            See the class.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Draw predictions and measurements; see the class and :meth:`plot`."""
         values = as_columns(measured, "measured outputs")
         return cls(
             time=check_time(time, len(values)),
@@ -282,15 +274,7 @@ class StateDisplay(Display):
         state_names: Any = None,
         **plot_options: Any,
     ) -> Self:
-        """Draw replayed and measured states.
-
-        Parameters
-        ----------
-        time, measured, replayed, std, window, state_names
-            See the class.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Draw replayed and measured states; see the class and :meth:`plot`."""
         values = as_columns(measured, "measured states")
         window = None if window is None else np.asarray(window)
         if window is not None and window.shape != (len(values),):

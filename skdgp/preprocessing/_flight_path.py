@@ -55,27 +55,22 @@ class FlightPathReconstruction(TableTransformer):
     .. math:: \dot v = R f + g, \quad \dot R = R [\omega]_\times, \quad v_a = R^T (v - w),
     .. math:: V = |v_a|, \quad \alpha = \arctan(w_a / u_a), \quad \beta = \arcsin(v_a / V),
 
-    and gusts of correlation time ``gust_time``. The noise of each sensor and the strength of gusts are estimated by
-    maximum likelihood: in calm air alpha and beta follow mostly from the inertial sensors, in gusts from the vanes.
-    Vanes are optional. This is the flight-path reconstruction (data compatibility check) of flight test (Mulder et al.
-    1999; Klein & Morelli 2006, chapter 10; Jategaonkar 2006, chapter 10), as one sparse least-squares problem.
-
-    ``fit`` learns the noise of the sensors and, on request, their scale factors, biases and lags. ``transform`` uses
-    these, and estimates the biases of inertial sensors, the wind and the gusts of each flight by itself.
+    and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter 10; Jategaonkar 2006,
+    chapter 10), as one sparse least-squares problem. Vanes are optional. The noise of each sensor and the strength of
+    gusts are estimated by maximum likelihood. ``fit`` learns the noise and, on request, scale factors, biases and lags.
+    ``transform`` uses these, and estimates biases of inertial sensors, wind and gusts of each flight by itself.
 
     Parameters
     ----------
     calibrate : {"inertial", "all"} or list of str, default="inertial"
-        Errors to estimate and remove. "inertial": biases of accelerometers and gyros, ax_bias ... r_bias, flight by
-        flight. A list may name these and errors of the other sensors, learned in ``fit``: airspeed_scale, alpha_bias,
-        alpha_scale, beta_bias, beta_scale, airspeed_lag, vane_lag, velocity_lag, attitude_lag [s], the lags relative
-        to the inertial sensors. Measured is (1 + scale) truth + bias. "all": all of them. Scales and biases of air data
-        need calm air, since the response of the aircraft to gusts resembles a scale.
+        Errors to estimate and remove. "inertial": ax_bias, ay_bias, az_bias, p_bias, q_bias, r_bias, in each flight.
+        "all", or a list of names: also airspeed_scale, alpha_bias, alpha_scale, beta_bias, beta_scale, and, relative to
+        the inertial sensors, airspeed_lag, vane_lag, velocity_lag, attitude_lag [s], learned in ``fit``. Measured is
+        (1 + scale) truth + bias. Errors of air data need calm air, as the response to gusts resembles a scale.
     rates : {"air", "steady"}, default="air"
-        Definition of alpha_dot and beta_dot: "air", derivatives of the reconstructed alpha and beta, with gusts;
-        "steady", from the kinematics in air of constant velocity. The latter have several times smaller errors, but
-        contain the measured accelerations (alpha_dot - q is about az / V, plus gravity): a model of the forces then
-        uses them where alpha is uncertain.
+        alpha_dot and beta_dot as derivatives of the reconstructed alpha and beta, with gusts; or from the kinematics in
+        air of constant velocity. "steady" has smaller errors, but contains the measured accelerations (alpha_dot - q is
+        about az / V, plus gravity), which a model of the forces then uses where alpha is uncertain.
     gust_time : float, default=10.0
         Correlation time of gusts [s]. A longer one allows more steady vertical wind in place of a vane's bias.
     gravity : float, default=9.80665

@@ -8,11 +8,10 @@ from numbers import Integral, Real
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, _fit_context, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
-from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
@@ -20,6 +19,7 @@ from skdgp._compute.checkpoint import kept_in, record_of_fit
 from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import check_n_jobs, fit_map
+from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.tables import column_names
 from skdgp.inference import (
     Data,
@@ -78,14 +78,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         exceeds what its hyperparameters would fit by chance (the Bayesian information criterion).
     private_latents : bool
         Whether each output also has a latent process of its own, which none of the others sees.
-    structure : {"joint", "trend", "auto"}
-        "joint": a trend and the dependent processes. "trend": the trend alone, its weights integrated out. "auto": the
-        trend alone where it predicts blocks of rows better that are held out in turn, by the mean over the outputs of
-        squared errors; rows in the order of the log. ``structure_`` says what was chosen, ``structure_errors_`` why.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     length_scale_prior : None, "auto", pair or array (d, 2)
         Prior median of the widths and spread of their logarithms, see ``ConvolvedGaussian``. None: no prior.
+    structure : {"joint", "trend", "auto"}
+        "joint": a trend and the dependent processes. "trend": the trend alone, its weights integrated out. "auto": the
+        trend alone where it predicts blocks of rows better that are held out in turn, by the mean over the outputs of
+        squared errors; rows in the order of the log. ``structure_`` says what was chosen, ``structure_errors_`` why.
     trend : {"linear", "constant"}, transformer or None
         "constant" takes the mean of each output away (the paper's centring). "linear" adds a linear function of the
         regressors whose weights are integrated out: the model goes on sensibly where there were no data, with the
@@ -229,7 +229,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     # -- fitting ---------------------------------------------------------------------------------------
 
-    @_fit_context(prefer_skip_nested_validation=False)
+    @fit_context(prefer_skip_nested_validation=False)
     def fit(self, X, y, time=None, flight=None):
         """Learn the hyperparameters and the posterior.
 
@@ -376,7 +376,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     # -- after the fit ---------------------------------------------------------------------------------
 
-    @_fit_context(prefer_skip_nested_validation=False)
+    @fit_context(prefer_skip_nested_validation=False)
     def partial_fit(self, X, y, time=None, flight=None):
         """Learn from further samples, at the hyperparameters found by ``fit``.
 

@@ -15,7 +15,7 @@ from skdgp.dynamics._replay.replay import _coefficient_array
 from skdgp.dynamics._simulation.starts import STATE_NAMES, as_starts
 from skdgp.metrics import coverage_curve, score_outputs
 from skdgp.model_selection import flight_learning_curve, thin_targets
-from skdgp.preprocessing import FlightSmoother
+from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
 
 X = np.random.default_rng(0).normal(size=(40, 2))
 TARGETS = {"CZ": -4.0 * X[:, 0], "Cm": np.where(np.arange(40) % 4, -X[:, 1], np.nan)}
@@ -101,3 +101,32 @@ def test_flights_of_another_library_are_refused():
     with pytest.raises(TypeError, match=r"expected a pandas DataFrame .* its to_pandas\(\)"):
         FlightSmoother().fit(flight)
     assert LinearRegression().fit(flight[["alpha"]], [0, 1]).feature_names_in_.tolist() == ["alpha"]
+
+
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+def test_transformers_hand_tables_of_polars_to_the_regressor():
+    polars = pytest.importorskip("polars")
+    rng = np.random.default_rng(1)
+    flight = pd.DataFrame({"time": 0.02 * np.arange(200), "airspeed": 20.0, "note": "calm"})
+    waves = np.sin(flight[["time"]].to_numpy() * [3.0, 5.0, 7.0, 4.0]) + 0.01 * rng.normal(size=(200, 4))
+    flight[["alpha", "q", "elevon_left", "elevon_right"]] = 0.1 * waves
+    Y = pd.DataFrame({"CZ": -4.0 * flight["alpha"], "Cm": flight["q"] - flight["elevon_left"]})
+    Y.iloc[np.arange(200) % 5 > 0] = np.nan
+
+    def model():
+        steps = FlightSmoother(cutoff=4.0), ElevonSplitter(), RateNondimensionalizer(2.0, 0.5)
+        regressor = DependentGPRegressor(n_latent=1, max_iter=1, random_state=0)
+        return make_pipeline(*steps, RegressorSelector(["alpha", "q_hat", "elevator"]), regressor)
+
+    expected = model().fit(flight, Y).predict(flight, return_std=True)
+    pipeline = model()
+    pipeline[-2].set_output(transform="polars")
+    got = pipeline.fit(flight, polars.from_pandas(Y)).predict(flight, return_std=True)
+    assert isinstance(pipeline[:-1].transform(flight), polars.DataFrame)
+    assert pipeline[-1].feature_names_in_.tolist() == ["alpha", "q_hat", "elevator"]
+    np.testing.assert_array_equal(got, expected)
+
+    smoothed = FlightSmoother(cutoff=4.0).set_output(transform="polars").fit_transform(flight)
+    assert isinstance(smoothed, polars.DataFrame)
+    assert smoothed["note"].to_list() == ["calm"] * 200
+    assert smoothed.columns == [*flight.columns, "alpha_dot"]

@@ -5,16 +5,7 @@ from __future__ import annotations
 from threading import Lock
 
 from skdgp._compute.progress import listening_too
-
-try:
-    from sklearn.callback import CallbackSupportMixin
-except ImportError:
-    KNOWN = False
-
-    class CallbackSupportMixin:
-        """Scikit-learn before 1.9 knows no callbacks."""
-else:
-    KNOWN = True
+from skdgp._compute.sklearn_compat import HAS_CALLBACKS, CallbackSupportMixin, callback_context, has_callbacks
 
 __all__ = ["CallbackSupportMixin", "FitTask"]
 
@@ -41,13 +32,13 @@ class FitTask:
     def __init__(self, estimator, X, y=None):
         self.estimator, self.data, self.lock = estimator, {"X": X, "y": y}, Lock()
         self.n_evaluations, self.stage, self.round, self.left = 0, None, None, 0
-        if KNOWN:
-            self.task = estimator._init_callback_context(max_subtasks=None)
+        if HAS_CALLBACKS:
+            self.task = callback_context(estimator)
             self._begin(self.task)
 
     def heard(self, function, *args):
         """Return ``function(*args)``, every evaluation in it told to the callbacks, if there are any."""
-        if not vars(self.estimator).get("_skl_callbacks"):
+        if not has_callbacks(self.estimator):
             return function(*args)
         with listening_too(self._hear):
             result = function(*args)
@@ -56,7 +47,7 @@ class FitTask:
 
     def end(self):
         """Tell the callbacks that the estimator is fitted."""
-        if KNOWN:
+        if HAS_CALLBACKS:
             self._end(self.task, reconstruction_attributes=dict)
 
     def _hear(self, stage, n_evaluations, log_likelihood):

@@ -13,6 +13,10 @@ MOVED = {
     "skdgp.inference._shares": "skdgp.inference._sums",
     "skdgp.kernels._basis": "skdgp.kernels._trend",
     "skdgp.kernels._parts": "skdgp.kernels._features",
+    "skdgp.preprocessing._reconstruction": "skdgp.preprocessing",  # a folder in version 0.1
+    "skdgp.preprocessing._reconstruction.reconstruction": "skdgp.preprocessing._flight_path",
+    "skdgp.metrics._point": "skdgp.metrics._metrics",
+    "skdgp.metrics._probabilistic": "skdgp.metrics._metrics",
     "skdgp.dynamics._aircraft": "skdgp.dynamics._vehicle.aircraft",
     "skdgp.dynamics._propeller": "skdgp.dynamics._vehicle.propeller",
     "skdgp.dynamics._thrust_line": "skdgp.dynamics._vehicle.thrust_line",

@@ -1,8 +1,8 @@
-"""Standard deviations and intervals that hold on flights that were not learned from.
+"""Calibration of standard deviations and intervals by held-out flights.
 
-A model states how uncertain it is; flights that it has not seen show how wrong it was. Scaling the first by the second
-gives bands with a guarantee that needs no normal distribution and no right model: only that the next flight is of the
-same kind as those of the calibration.
+A model predicts standard deviations; held-out flights show its errors. Scaling the first by the second gives intervals
+with a guaranteed coverage. The guarantee needs no normal distribution and no correct model, only that the next flight
+is of the same kind as the flights of the calibration.
 """
 
 from skdgp.calibration._regressor import CalibratedRegressor

@@ -8,8 +8,8 @@ from numbers import Real
 import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch, check_random_state
-from sklearn.utils._param_validation import Interval, validate_params
 
+from skdgp._compute.sklearn_compat import Interval, validate_params
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._flight_plans import FLIGHT_PLANS
 from skdgp.datasets._flight_table import flight_table, truth_of

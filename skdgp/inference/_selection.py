@@ -46,10 +46,12 @@ def choose_kernel(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed. Where more than 2400 values were, rows spread over them are used.
-    optimizer, max_iter, random_state, input_noise, clock
+    optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
     record : Record or None
         Where the fits are kept, if they are.
+    clock : ndarray (n, 2) or None
+        As for ``fit_exact``.
 
     Returns
     -------

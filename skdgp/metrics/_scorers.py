@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,39 +13,41 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
-from sklearn.utils import _safe_indexing
 
+from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
-from skdgp.metrics._arrays import output_names
-from skdgp.metrics._point import median_relative_error, normalized_rmse
-from skdgp.metrics._probabilistic import (
+from skdgp.metrics._metrics import (
     continuous_ranked_probability_score,
     interval_coverage,
+    median_relative_error,
     negative_log_predictive_density,
+    normalized_rmse,
+    output_names,
 )
 
 
-def make_predictive_scorer(metric: Callable, *, greater_is_better: bool, needs_std: bool = False, **kwargs):
-    """Make a scorer ``(estimator, X, y) -> float`` from a metric that may need predictive deviations.
+def make_predictive_scorer(
+    metric: Callable, *, greater_is_better: bool, needs_std: bool = False, **kwargs: Any
+) -> Callable[..., float]:
+    """Return a scorer ``(estimator, X, y) -> float`` of a metric that may need predicted standard deviations.
 
     Parameters
     ----------
     metric : callable
-        ``metric(y_true, y_pred, **kwargs)`` or, with ``needs_std``, ``metric(y_true, y_pred, y_std,
-        **kwargs)``.
+        ``metric(y_true, y_pred, **kwargs)``; with ``needs_std``, ``metric(y_true, y_pred, y_std, **kwargs)``.
     greater_is_better : bool
         False flips the sign, as scikit-learn maximises scores.
     needs_std : bool, default=False
-        Ask the estimator, through pipelines and fitted searches, for ``predict(X, return_std=True)``; with
-        ``include_noise=True`` where it takes that, since the targets are measurements.
+        Whether to call ``predict(X, return_std=True)``, with ``include_noise=True`` where the estimator takes it, as
+        the targets are measurements. Pipelines and fitted searches pass it on.
     **kwargs
         Passed to the metric.
 
     Returns
     -------
     callable
-        Picklable; use it as ``scoring=``.
+        For ``scoring=``; it can be pickled.
 
     Examples
     --------
@@ -61,14 +64,14 @@ def make_predictive_scorer(metric: Callable, *, greater_is_better: bool, needs_s
 
 
 class _PredictiveScorer:
-    """A metric with a sign and what it asks of ``predict``."""
+    """A metric, its sign, and whether it needs standard deviations."""
 
     def __init__(self, metric, sign, needs_std, kwargs):
         self.metric, self.sign, self.needs_std, self.kwargs = metric, sign, needs_std, kwargs
 
     def __call__(self, estimator, X, y):
         rows, *predicted = predict_observed(estimator, X, y, with_std=self.needs_std)
-        return self.sign * self.metric(_safe_indexing(y, rows), *predicted, **self.kwargs)
+        return self.sign * self.metric(safe_indexing(y, rows), *predicted, **self.kwargs)
 
     def __repr__(self):
         return f"make_predictive_scorer({self.metric.__name__}, greater_is_better={self.sign > 0})"
@@ -88,14 +91,14 @@ SCORERS = {
     ),
     "interval_coverage": make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True),
 }
-"""Scorers by name, for ``scoring=SCORERS``; greater is better, but coverage is to be read, not maximised."""
+"""Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near its level."""
 
 
-def score_outputs(estimator, X, y) -> dict[str, float]:
-    """Score every output apart, ``{"normalized_rmse_CX": ..., ...}``: a ``scoring=`` of ``cross_validate``.
+def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
+    """Return the metrics of each output, ``{"normalized_rmse_CX": ..., ...}``, for ``scoring=`` of ``cross_validate``.
 
-    All five metrics where the estimator predicts standard deviations, else the two that need none; signs are
-    those of the metrics (errors are positive). Outputs are named by the columns of ``y``, or numbered.
+    There are five metrics where the estimator predicts standard deviations, otherwise the two that need none. Errors
+    are positive. Outputs are named by the columns of ``y``, or numbered.
 
     Examples
     --------
@@ -106,15 +109,14 @@ def score_outputs(estimator, X, y) -> dict[str, float]:
     ['median_relative_error_0', 'median_relative_error_1', 'normalized_rmse_0', 'normalized_rmse_1']
     """
     rows, *predicted = predict_observed(estimator, X, y, with_std=accepts(estimator, "return_std"))
-    scores = _scores(_safe_indexing(y, rows), *predicted)
+    scores = _scores(safe_indexing(y, rows), *predicted)
     return {f"{metric}_{name}": float(value) for metric, values in scores.items() for name, value in values.items()}
 
 
-def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") -> pd.DataFrame:
-    """Score a fitted estimator flight by flight and output by output.
+def score_flights(estimator: Any, table: pd.DataFrame, Y: Any, *, flight: str = "flight") -> pd.DataFrame:
+    """Return the metrics of a fitted estimator by flight and output.
 
-    Standard deviations are with measurement noise where the estimator knows of it. A model that is good on average may
-    be bad on one flight.
+    Standard deviations include measurement noise where the estimator has it.
 
     Parameters
     ----------
@@ -124,15 +126,13 @@ def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") 
     Y : DataFrame, Series or array-like of shape (n,) or (n, P)
         Measured targets; NaN is not observed.
     flight : str, default="flight"
-        Column of ``table`` that tells the flights apart.
+        Column of ``table`` that names the flight.
 
     Returns
     -------
     DataFrame
-        A row per flight and output; ``n_observed``, and a column per metric as in :func:`score_outputs`: the relative
-        error and the RMSE, and where there are standard deviations the negative log predictive density, the
-        continuous ranked probability score and the coverage of 95 % intervals. NaN for what was never observed in a
-        flight.
+        A row per flight and output. Columns: ``n_observed``, and the metrics of :func:`score_outputs`; NaN where an
+        output is never observed in a flight.
 
     Raises
     ------
@@ -145,10 +145,10 @@ def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") 
     >>> from sklearn.linear_model import LinearRegression
     >>> table = pd.DataFrame({"flight": ["a"] * 5 + ["b"] * 5, "alpha": np.linspace(0.0, 0.9, 10)})
     >>> Y = pd.DataFrame({"CZ": -4.0 * table.alpha + 0.1 * (table.flight == "b")})
-    >>> from sklearn.compose import make_column_transformer
     >>> from sklearn.pipeline import make_pipeline
-    >>> model = make_pipeline(make_column_transformer(("passthrough", ["alpha"])), LinearRegression())
-    >>> score_flights(model.fit(table[:5], Y[:5]), table, Y)["normalized_rmse"].round(2)
+    >>> from skdgp.preprocessing import RegressorSelector
+    >>> model = make_pipeline(RegressorSelector(["alpha"]), LinearRegression()).fit(table[:5], Y[:5])
+    >>> score_flights(model, table, Y)["normalized_rmse"].round(2)
     flight  output
     a       CZ        0.00
     b       CZ        0.18
@@ -158,13 +158,13 @@ def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") 
     values = np.asarray(Y, dtype=float).reshape(len(table), -1)
     Y = pd.DataFrame(values, columns=output_names(Y) or range(values.shape[1]))
     rows, *observed = predict_observed(estimator, table, Y, with_std=accepts(estimator, "return_std"))
-    predicted = [np.ones(values.shape) for _ in observed]  # elsewhere there is nothing to compare with
+    predicted = [np.ones(values.shape) for _ in observed]  # no row without a target is scored
     for full, part in zip(predicted, observed, strict=True):
         full[rows] = part.reshape(len(rows), -1)
     tables = {}
     for name, rows in flight_rows(table[flight]).items():
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UndefinedMetricWarning)  # NaN says it
+            warnings.simplefilter("ignore", UndefinedMetricWarning)  # the NaN shows it
             scores = pd.DataFrame(_scores(Y.iloc[rows], *(part[rows] for part in predicted)))
         scores.insert(0, "n_observed", Y.iloc[rows].notna().sum())
         tables[name] = scores
@@ -173,50 +173,50 @@ def score_flights(estimator, table: pd.DataFrame, Y, *, flight: str = "flight") 
 
 def _scores(y, *predicted) -> dict[str, dict]:
     """Return every metric that the predictions allow, by output."""
-    found = {metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT}
+    found: dict[str, Any] = {metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT}
     if len(predicted) > 1:
         found |= {metric.__name__: metric(y, *predicted, multioutput="raw_values") for metric in PROBABILISTIC}
     names = list(getattr(y, "columns", [])) or range(len(found[POINT[0].__name__]))
     return {metric: dict(zip(names, values, strict=True)) for metric, values in found.items()}
 
 
-def predict_observed(estimator, X, y, *, with_std: bool):
+def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple:
     """Return the rows where some target is observed, all if none is, and mean and std there.
 
-    The transformers of a pipeline see every row, its last step the observed ones alone: deviations cost most. What
-    may hold transformers itself, a step with an estimator inside, sees every row too.
+    The transformers of a pipeline get every row. Its last step gets only the observed rows, as deviations are costly,
+    unless it has an estimator inside, which may be a transformer.
     """
-    seen = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
-    rows = np.flatnonzero(seen) if seen.any() else np.arange(len(seen))
+    observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
+    rows = np.flatnonzero(observed) if observed.any() else np.arange(len(observed))
     if with_std:
         check_predicts_std(estimator)
     estimator = unwrap(estimator)
     while isinstance(estimator, Pipeline):
         X, estimator = estimator[:-1].transform(X) if len(estimator) > 1 else X, unwrap(estimator[-1])
     nested = any(isinstance(value, BaseEstimator) for value in estimator.get_params().values())
-    X = X if nested else _safe_indexing(X, rows)
+    X = X if nested else safe_indexing(X, rows)
     predicted = predict_with_noise(estimator, X) if with_std else (estimator.predict(X),)
     return rows, *([part[rows] for part in predicted] if nested else predicted)
 
 
-def predict_with_noise(estimator, X):
+def predict_with_noise(estimator: Any, X: Any) -> tuple:
     """Return mean and std, with the noise of measurements and regressors where the estimator can add it."""
     check_predicts_std(estimator)
     noise = {name: True for name in ("include_noise", "include_input_noise") if accepts(estimator, name)}
     return tuple(np.asarray(part) for part in unwrap(estimator).predict(X, return_std=True, **noise))
 
 
-def check_predicts_std(estimator) -> None:
-    """Refuse an estimator that states no uncertainty."""
+def check_predicts_std(estimator: Any) -> None:
+    """Raise TypeError if the estimator predicts no standard deviations."""
     if not accepts(estimator, "return_std"):
         raise TypeError(
             f"Got {type(estimator).__name__}, whose predict takes no return_std, but this metric needs "
-            "predictive standard deviations: use DependentGPRegressor (also inside a Pipeline), or a metric of means."
+            "predictive standard deviations: use DependentGPRegressor, also inside a Pipeline, or a metric of means."
         )
 
 
-def unwrap(estimator) -> BaseEstimator:
-    """Return the fitted estimator behind a search, whose own predict takes no keywords, or behind a frozen one."""
+def unwrap(estimator: Any) -> Any:
+    """Return the fitted estimator inside a search or a frozen one, whose own predict takes no keywords."""
     while True:
         if isinstance(estimator, FrozenEstimator):
             estimator = estimator.estimator
@@ -226,8 +226,8 @@ def unwrap(estimator) -> BaseEstimator:
             return estimator
 
 
-def accepts(estimator, keyword) -> bool:
-    """Whether the last step's predict takes the keyword."""
+def accepts(estimator: Any, keyword: str) -> bool:
+    """Return whether ``predict`` of the last step takes the keyword."""
     estimator = unwrap(estimator)
     while isinstance(estimator, Pipeline):
         estimator = unwrap(estimator.steps[-1][1])

@@ -1,8 +1,8 @@
-"""Choosing what is learned from, and what it is judged on.
+"""Training subsets, splits of flights and learning curves.
 
-Whole flights are held out with scikit-learn's own ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``:
-neighbouring samples of one flight are nearly the same, so a split inside a flight flatters the model. Where there is
-one flight alone, ``BlockSplit`` holds out blocks of it, at a distance.
+Hold out whole flights with scikit-learn's ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``. Neighbouring
+samples of one flight are nearly equal, so a random split inside a flight gives scores that are too good. With a single
+flight, ``BlockSplit`` holds out blocks of it, with a gap in time.
 
 >>> import numpy as np, pandas as pd
 >>> from sklearn.linear_model import LinearRegression

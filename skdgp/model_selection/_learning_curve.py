@@ -1,37 +1,40 @@
-"""Learning curves over the seconds flown."""
+"""Learning curves over the length of the training flights."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
 from sklearn.metrics import check_scoring
 from sklearn.model_selection import LeaveOneGroupOut
-from sklearn.utils import _safe_indexing
 from sklearn.utils.parallel import Parallel, delayed
 
+from skdgp._compute.sklearn_compat import safe_indexing
+from skdgp._compute.typing import ArrayLike, Indices
 from skdgp._flight.checks import check_columns, check_table
 from skdgp.metrics import score_outputs
-from skdgp.model_selection._blocks import held_out, rows_by_flight
+from skdgp.model_selection._blocks import list_splits, rows_by_flight
 from skdgp.model_selection._thin import thin_targets
 
 
 def flight_learning_curve(
-    estimator,
+    estimator: Any,
     table: pd.DataFrame,
-    Y,
+    Y: Any,
     *,
-    seconds,
+    seconds: ArrayLike,
     test_table: pd.DataFrame | None = None,
-    test_Y=None,
-    cv=None,
+    test_Y: Any = None,
+    cv: Any = None,
     n_samples: int | None = None,
-    scoring=score_outputs,
+    scoring: Any = score_outputs,
     n_jobs: int | None = None,
 ) -> pd.DataFrame:
-    """Score a model that learned from the first so many seconds of each training flight.
+    """Return the scores of models that learned from the first seconds of each training flight.
 
-    Where the curve has become flat, flying longer like this teaches nothing more: fly something else.
+    Where the curve is flat, longer flights of this kind do not improve the model: fly other manoeuvres.
 
     Parameters
     ----------
@@ -42,42 +45,41 @@ def flight_learning_curve(
     Y : DataFrame, Series or array-like of shape (n,) or (n, P)
         Targets; NaN is not observed.
     seconds : array-like of shape (S,)
-        Seconds of each training flight, counted over its recorded rows. A shorter flight is used whole; one must be as
-        long.
+        Seconds of each training flight, counted over its recorded rows. A shorter flight is used whole; at least one
+        must be as long.
     test_table, test_Y : DataFrame and targets, optional
-        Flights to be judged on, with their targets.
+        Test flights and their targets.
     cv : splitter or iterable, optional
-        Without test flights: what is held out of ``table``. Default: each flight in turn.
+        Splits of ``table``, where there are no test flights. Default: hold out each flight in turn.
     n_samples : int, optional
-        Rows to learn from in every training part, spread evenly (:func:`thin_targets`): then the parts differ in what
-        was flown, not in how many samples there are. Default: the targets as they are.
+        Rows to learn from in every training part (:func:`thin_targets`), so that parts differ in what was flown and
+        not in the number of samples. Default: all observed rows.
     scoring : callable, str, list or dict, default=score_outputs
         As in ``cross_validate``.
     n_jobs : int, optional
-        Points of the curve side by side, as in joblib.
+        Points of the curve that are computed in parallel, as in joblib.
 
     Returns
     -------
     DataFrame
-        A row per point and split: ``seconds``, ``split``, ``n_samples`` (rows learned from), and a column per score.
+        A row per point and split: ``seconds``, ``split``, ``n_samples`` (rows to learn from), and a column per score.
 
     Raises
     ------
     ValueError
-        If ``seconds`` are not positive or longer than every training flight, or it is not clear what to judge on: test
-        flights and their targets, or ``cv``, or several flights.
+        If ``seconds`` are not positive or longer than every training flight, or there is nothing to test on: neither
+        test flights with targets, nor ``cv``, nor several flights.
 
     Examples
     --------
     >>> import numpy as np, pandas as pd
-    >>> from sklearn.compose import make_column_transformer
     >>> from sklearn.linear_model import LinearRegression
     >>> from sklearn.pipeline import make_pipeline
-    >>> from skdgp.model_selection import flight_learning_curve
+    >>> from skdgp.preprocessing import RegressorSelector
     >>> t = np.tile(np.arange(0.0, 60.0, 0.1), 2)
     >>> table = pd.DataFrame({"time": t, "flight": np.repeat(["a", "b"], 600), "alpha": 0.1 * np.sin(t**2 / 60)})
     >>> Y = pd.DataFrame({"CZ": -4.0 * table.alpha + 30 * table.alpha**3})
-    >>> model = make_pipeline(make_column_transformer(("passthrough", ["alpha"])), LinearRegression())
+    >>> model = make_pipeline(RegressorSelector(["alpha"]), LinearRegression())
     >>> curve = flight_learning_curve(model, table, Y, seconds=[5, 50])
     >>> curve[["seconds", "split", "n_samples"]].values.tolist()
     [[5.0, 0.0, 50.0], [5.0, 1.0, 50.0], [50.0, 0.0, 500.0], [50.0, 1.0, 500.0]]
@@ -86,18 +88,16 @@ def flight_learning_curve(
     """
     check_columns(check_table(table), ["time"])
     if test_table is not None and (test_Y is None or cv is not None):
-        raise ValueError("Got a test_table, but expected its test_Y as well, and no cv: what else is held out?")
-    everything = np.arange(len(table))
-    splits = [(everything, None)] if test_table is not None else _held_out(cv, table)
+        raise ValueError("Got a test_table, but expected its test_Y as well, and no cv: give both, or cv alone.")
+    if test_table is not None:
+        splits = [(np.arange(len(table)), (test_table, test_Y))]
+    else:
+        splits = [(train, (table.iloc[test], safe_indexing(Y, test))) for train, test in _splits(cv, table)]
     points = [(float(second), k) for second in np.atleast_1d(seconds) for k in range(len(splits))]
-    parts = [_first(second, table, splits[k][0]) for second, k in points]
-    judges = [
-        (test_table, test_Y) if test_table is not None else (table.iloc[test], _safe_indexing(Y, test))
-        for _, test in splits
-    ]
+    parts = [_first_rows(second, table, splits[k][0]) for second, k in points]
     scorer = check_scoring(estimator, scoring=scoring)
     scores = Parallel(n_jobs=n_jobs)(
-        delayed(_fit_and_score)(estimator, table.iloc[rows], _safe_indexing(Y, rows), *judges[k], n_samples, scorer)
+        delayed(_fit_and_score)(estimator, table.iloc[rows], safe_indexing(Y, rows), *splits[k][1], n_samples, scorer)
         for (_, k), rows in zip(points, parts, strict=True)
     )
     return pd.concat([pd.DataFrame(points, columns=["seconds", "split"]), pd.DataFrame(scores)], axis=1)
@@ -110,7 +110,7 @@ def _fit_and_score(estimator, table, Y, test_table, test_Y, n_samples, scorer) -
     return {"n_samples": int(observed.sum()), **(scores if isinstance(scores, dict) else {"score": scores})}
 
 
-def _first(second: float, table: pd.DataFrame, train: np.ndarray) -> np.ndarray:
+def _first_rows(second: float, table: pd.DataFrame, train: Indices) -> Indices:
     """Return the training rows of the first seconds of each flight."""
     if not second > 0:
         raise ValueError(f"Got {second:g} s, but expected a positive number of seconds to learn from.")
@@ -121,22 +121,18 @@ def _first(second: float, table: pd.DataFrame, train: np.ndarray) -> np.ndarray:
         longest = max(longest, step * len(rows))
         kept.append(rows[np.arange(len(rows)) * step < second * (1 - 1e-9)])
     if second > longest * (1 + 1e-6):
-        raise ValueError(
-            f"Got {second:g} s, but the longest training flight has {longest:g} s: beyond it the curve would be flat "
-            "for want of data. Ask for fewer seconds."
-        )
+        raise ValueError(f"Got {second:g} s, but the longest training flight has {longest:g} s: ask for fewer seconds.")
     return train[np.sort(np.concatenate(kept))]
 
 
-def _held_out(cv, table: pd.DataFrame) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return pairs of training and test rows, of each flight in turn by default."""
+def _splits(cv: Any, table: pd.DataFrame) -> list[tuple[Indices, Indices]]:
+    """Return training and test rows; by default each flight in turn is held out."""
     flights = rows_by_flight(table)
     if cv is None and len(flights) < 2:
         raise ValueError(
-            "Got one flight, but expected several, of which each is held out in turn: give test_table and test_Y, or "
-            "cv=BlockSplit()."
+            "Got one flight, but expected several to hold out in turn: give test_table and test_Y, or cv=BlockSplit()."
         )
     groups = np.empty(len(table), dtype=int)
     for code, rows in enumerate(flights.values()):
         groups[rows] = code
-    return held_out(LeaveOneGroupOut() if cv is None else cv, table, groups)
+    return list_splits(LeaveOneGroupOut() if cv is None else cv, table, groups)

@@ -1,8 +1,9 @@
-"""Thinning of targets: the rows of a flight that are learned from."""
+"""Thinning of targets: the rows of a flight that the regressor learns from."""
 
 from __future__ import annotations
 
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,18 +11,18 @@ import pandas as pd
 from skdgp._compute.tables import column_names
 
 
-def thin_targets(Y, n_samples: int):
-    """Leave ``n_samples`` evenly spread rows of the targets observed; the others become NaN, not observed.
+def thin_targets(Y: Any, n_samples: int) -> Any:
+    """Return targets with ``n_samples`` evenly spread observed rows; the others are NaN, not observed.
 
     Smoothing and differentiation need the flight at its full rate, exact inference a few hundred samples. So the
-    training subset is chosen in the targets: transformers see every row, the regressor learns from those observed.
+    training subset is chosen in the targets: transformers get every row, the regressor learns from the observed ones.
 
     Parameters
     ----------
     Y : DataFrame, Series or array-like of shape (n,) or (n, P)
         Targets; rows that are NaN in every output do not count.
     n_samples : int
-        Rows to keep; all, where there are not so many.
+        Rows to keep; all rows where there are fewer.
 
     Returns
     -------
@@ -44,16 +45,14 @@ def thin_targets(Y, n_samples: int):
     values = np.array(Y, dtype=float)
     if values.ndim not in (1, 2):
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
-    seen = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
-    if seen.size > n_samples:
-        middles = (np.arange(n_samples) + 0.5) * seen.size / n_samples  # of equal stretches: no flight's very end
-        dropped = np.ones(len(values), dtype=bool)
-        dropped[seen[middles.astype(int)]] = False
-        values[dropped] = np.nan
+    observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
+    if observed.size > n_samples:
+        middles = (np.arange(n_samples) + 0.5) * observed.size / n_samples  # of n_samples equal parts of the rows
+        values[np.setdiff1d(np.arange(len(values)), observed[middles.astype(int)])] = np.nan
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):
         return pd.Series(values, index=Y.index, name=Y.name)
-    if column_names(Y):  # polars and its kin, which have no index
+    if column_names(Y):  # a table without an index, such as polars'
         return type(Y)(dict(zip(Y.columns, values.T, strict=True))) if values.ndim == 2 else type(Y)(Y.name, values)
     return values

@@ -1,18 +1,31 @@
 """Pictures in scikit-learn's manner: a Display holds the data, draws them, and keeps its artists.
 
-Every display is made by ``from_predictions``, ``from_estimator`` or the like, draws into a given Axes or
-Figure or a new one, and is safe for colour-blind readers. Long records are reduced to the extremes of each
-time slice before they are drawn. Needs matplotlib: ``pip install "skdgp[plot]"``.
+Make a display with one of its methods ``from_...``, which raise ValueError if shapes, names, columns or values are
+wrong. Draw it again with ``plot``. The parameters of the constructor, the panels ``axes_`` (or ``ax_``), ``figure_``
+and the artists are attributes. Colours are safe for colour-blind readers. Needs matplotlib:
+``pip install "skdgp[plot]"``.
+
+Options that the displays share:
+
+ax : Axes, Figure, SubFigure or array of Axes, optional
+    Where to draw; default: a new pyplot figure. One Axes is divided when there are several panels.
+outputs : str or list of str, optional
+    Names of the outputs to draw, default all.
+level : float, default=0.95
+    Probability of the bands.
+n_bins : int, default=2000
+    Time slices of a long record: the lowest and the highest sample of each are drawn.
+legend : bool, default=True
+    Whether to draw a legend.
 """
 
 from skdgp.plotting._calibration import CalibrationDisplay
-from skdgp.plotting._coefficients import CoefficientDisplay
 from skdgp.plotting._coupling import CouplingDisplay
 from skdgp.plotting._derivatives import DerivativeDisplay
 from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._learning_curve import FlightLearningCurveDisplay
-from skdgp.plotting._states import StateDisplay
+from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay
 from skdgp.plotting._trajectory import TrajectoryDisplay
 
 __all__ = [

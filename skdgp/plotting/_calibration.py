@@ -1,30 +1,42 @@
-"""CalibrationDisplay: how often intervals hold what they should."""
+"""CalibrationDisplay: coverage of intervals, and histograms of the probability integral transform."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from scipy.stats import norm
 
+from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.metrics._probabilistic import LEVELS, check_levels, shares_inside, standardized
-from skdgp.plotting._arrays import check_columns_of, check_std, choose, names_of
-from skdgp.plotting._coefficients import grid, predict_with_std
-from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, panels, symbol, tidy
+from skdgp.metrics._metrics import LEVELS, check_levels, shares_inside, standardized
+from skdgp.plotting._display import (
+    Display,
+    Names,
+    as_columns,
+    check_choice,
+    check_std,
+    choose,
+    grid_columns,
+    names_of,
+    predict_with_std,
+)
+from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, symbol, tidy
 
 N_BINS = 20
 
 
-class CalibrationDisplay:
-    """How often intervals hold, against what they promise, and where in its distribution each value lies, per output.
+@dataclass(kw_only=True, eq=False, repr=False)
+class CalibrationDisplay(Display):
+    """Coverage of intervals by nominal level, and the probability integral transform, per output.
 
     The interval of probability c is mean +/- z std with z = Phi^-1((1 + c) / 2). A curve on the diagonal: the
     standard deviations are right. Below it: too small (overconfident). Above it: too large.
 
-    The probability integral transform Phi((y - mean) / std) of honest predictions is uniform (Dawid 1984; Gneiting,
-    Balabdaoui & Raftery 2007). A histogram like a hill: deviations too large. Like a bowl: too small. Aslant: the mean
-    is off to one side, which coverage does not tell.
-
-    Use :meth:`from_estimator` or :meth:`from_predictions`. All parameters are kept as attributes.
+    The probability integral transform Phi((y - mean) / std) of calibrated predictions is uniform (Dawid 1984; Gneiting,
+    Balabdaoui & Raftery 2007). A histogram high in the middle: deviations too large. High at both ends: too small. High
+    at one end: the mean is biased, which coverage does not show.
 
     Parameters
     ----------
@@ -37,18 +49,16 @@ class CalibrationDisplay:
     output_names : P names
         The outputs.
     n_values : (P,) int
-        How many values each share was counted over.
+        Number of observed values per output.
 
     Attributes
     ----------
-    lines_ : list of Line2D
-        Of the coverage, one per output drawn.
+    lines_, bars_ : list of Line2D, list of StepPatch
+        Coverage curves or histograms, one per output drawn.
     diagonal_ : Line2D
-        Where a calibrated model lies.
-    bars_ : list of StepPatch
-        Of the histograms, one per output drawn.
+        The curve of a calibrated model.
     ax_, axes_, figure_ : Axes, ndarray of Axes, Figure
-        Where it was drawn.
+        The first panel, all panels and their figure.
 
     Examples
     --------
@@ -63,103 +73,84 @@ class CalibrationDisplay:
     True
     """
 
-    def __init__(self, *, nominal, observed, pit, output_names, n_values):
-        self.nominal = nominal
-        self.observed = observed
-        self.pit = pit
-        self.output_names = output_names
-        self.n_values = n_values
+    nominal: Vector
+    observed: Matrix
+    pit: Matrix
+    output_names: tuple[str, ...]
+    n_values: np.ndarray
 
-    def plot(self, ax=None, *, kind="coverage", outputs=None, legend=True):
-        """Draw the curves, or the histograms.
+    def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True, kind: str = "coverage") -> Self:
+        """Draw the coverage curves or the histograms.
 
         Parameters
         ----------
-        ax : Axes, Figure, SubFigure or array of Axes, optional
-            Where to draw; default: a new pyplot figure. One Axes is divided when there are several panels.
+        ax, outputs, legend
+            See :mod:`skdgp.plotting`.
         kind : {"coverage", "pit"}, default="coverage"
             Coverage by level, all outputs in one panel; or the histogram of the probability integral transform, a panel
             per output.
-        outputs : names, optional
-            Which outputs to draw, default all.
-        legend : bool, default=True
-            Whether to name the curves.
-
-        Returns
-        -------
-        CalibrationDisplay
-            Itself, with the artists as attributes.
         """
-        check_matplotlib(f"{type(self).__name__}.plot")
-        if kind not in ("coverage", "pit"):
-            raise ValueError(f"Got kind={kind!r}, but expected 'coverage' or 'pit'.")
+        check_choice("kind", kind, ("coverage", "pit"))
         chosen = choose(self.output_names, outputs)
         if kind == "pit":
             self._draw_histograms(ax, chosen)
         else:
-            self._draw_coverage(ax, chosen, legend)
-        self.ax_, self.figure_ = self.axes_.flat[0], self.axes_.flat[0].figure
+            self._draw_panels(ax, lambda one, _: self._draw_coverage(one, chosen, legend), [0], 1, (4.6, 3.6))
+        self.ax_ = self.axes_.flat[0]
         return self
 
     def _draw_coverage(self, ax, chosen, legend):
-        self.axes_ = panels(ax, 1, 1, figsize=(4.6, 4.6))
-        ax = self.axes_[0, 0]
         (self.diagonal_,) = ax.plot([0, 100], [0, 100], color=PALETTE["grey"], linewidth=1.0, linestyle=":")
         self.lines_ = [self._draw_line(ax, k) for k in chosen]
-        ax.set(
-            xlabel="nominal coverage [%]",
-            ylabel="observed coverage [%]",
-            xlim=(0, 100),
-            ylim=(0, 100),
-            xticks=range(0, 101, 20),
-            yticks=range(0, 101, 20),
-            aspect="equal",
-        )
+        ticks = range(0, 101, 20)
+        ax.set(xlabel="nominal coverage [%]", xlim=(0, 100), xticks=ticks, aspect="equal")
+        ax.set(ylabel="observed coverage [%]", ylim=(0, 100), yticks=ticks)
         tidy(ax)
         ax.text(4, 96, "too wide", va="top", fontsize="small", color=QUIET)
         ax.text(96, 4, "too narrow", ha="right", fontsize="small", color=QUIET)
         if legend and chosen:
             ax.legend(loc="upper left", bbox_to_anchor=(0.01, 0.92), frameon=False, fontsize="small")
+        return ()
+
+    def _draw_line(self, ax, k):
+        name = self.output_names[k]
+        # Where curves agree, their markers stand beside each other.
+        marks = {"marker": MARKERS[k % len(MARKERS)], "markersize": 4, "markevery": (k % 5, 5)}
+        style = {"color": CYCLE[k % len(CYCLE)], "linestyle": dashes(name), "linewidth": 1.4, "clip_on": False}
+        return ax.plot(100 * self.nominal, 100 * self.observed[:, k], label=symbol(name), **style, **marks)[0]
 
     def _draw_histograms(self, ax, chosen):
-        n_rows, n_cols = grid(len(chosen))
-        self.axes_ = panels(ax, n_rows, n_cols, figsize=(3.2 * n_cols, 1 + 1.5 * n_rows), sharex=True, sharey=True)
         edges = np.linspace(0, 1, len(self.pit) + 1)
-        self.bars_ = []
-        for one, k in zip(self.axes_.T.flat, chosen, strict=False):
-            bars = one.stairs(np.nan_to_num(self.pit[:, k]), edges, fill=True, color=CYCLE[k % len(CYCLE)], alpha=0.75)
-            one.axhline(1.0, color="#333333", linewidth=1.0, linestyle=":")
-            one.set(xlim=(0, 1), xticks=[0, 0.5, 1])
-            one.set_title(symbol(self.output_names[k]), loc="left", fontsize="medium")
-            tidy(one)
-            self.bars_.append(bars)
-        for unused in self.axes_.T.flat[len(chosen) :]:
-            unused.set_visible(False)
-        self.axes_.flat[0].set_ylim(0, 1.05 * np.max(self.pit[:, chosen], initial=1.0, where=self.pit[:, chosen] > 0))
+
+        def draw(ax, k):
+            bars = ax.stairs(np.nan_to_num(self.pit[:, k]), edges, fill=True, color=CYCLE[k % len(CYCLE)], alpha=0.75)
+            ax.axhline(1.0, color="#333333", linewidth=1.0, linestyle=":")
+            ax.set(xlim=(0, 1), xticks=[0, 0.5, 1])
+            ax.set_title(symbol(self.output_names[k]), loc="left", fontsize="medium")
+            tidy(ax)
+            return (bars,)
+
+        options: dict[str, Any] = {"by_column": True, "sharex": True, "sharey": True}
+        (self.bars_,) = self._draw_panels(ax, draw, chosen, grid_columns(len(chosen)), (3.2, 1.5), **options)
+        top = np.max(self.pit[:, chosen], initial=1.0, where=self.pit[:, chosen] > 0)
+        self.axes_.flat[0].set_ylim(0, 1.05 * top)
         for left in self.axes_[:, 0]:
             left.set_ylabel("density")
         for bottom in self.axes_[-1]:
             bottom.set_xlabel(r"$\Phi$((measured - mean) / std)")
 
-    def _draw_line(self, ax, k):
-        name = self.output_names[k]
-        return ax.plot(
-            100 * self.nominal,
-            100 * self.observed[:, k],
-            color=CYCLE[k % len(CYCLE)],
-            linestyle=dashes(name),
-            linewidth=1.4,
-            marker=MARKERS[k % len(MARKERS)],
-            markersize=4,
-            # Where curves agree, their marks stand beside each other.
-            markevery=(k % 5, 5),
-            label=symbol(name),
-            clip_on=False,
-        )[0]
-
     @classmethod
-    def from_predictions(cls, measured, mean, std, *, levels=LEVELS, output_names=None, ax=None, **plot_options):
-        """Count how often intervals hold, and draw.
+    def from_predictions(
+        cls,
+        measured: ArrayLike,
+        mean: ArrayLike,
+        std: ArrayLike,
+        *,
+        levels: ArrayLike = LEVELS,
+        output_names: Any = None,
+        **plot_options: Any,
+    ) -> Self:
+        """Compute coverage and transform of predictions, and draw.
 
         Parameters
         ----------
@@ -170,65 +161,47 @@ class CalibrationDisplay:
             Probabilities of the intervals.
         output_names : P names, optional
             Default: those of a DataFrame ``measured``; for six unnamed columns CX CY CZ Cl Cm Cn.
-        ax, **plot_options
+        **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        CalibrationDisplay
-            The display, drawn.
-
-        Raises
-        ------
-        ValueError
-            If shapes or names do not belong together, a standard deviation is negative, or a level is not
-            between 0 and 1.
         """
-        check_matplotlib(f"{cls.__name__}.from_predictions")
-        values = check_columns_of(measured, None, "measured outputs")
-        mean = check_columns_of(mean, values.shape, "mean")
+        values = as_columns(measured, "measured outputs")
+        mean = as_columns(mean, "mean", values.shape)
         nominal = check_levels(levels)
         z = standardized(values, mean, check_std(std, values.shape))
-        display = cls(
+        return cls(
             nominal=nominal,
             observed=shares_inside(z, nominal),
             pit=_densities(norm.cdf(z)),
             output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
             n_values=np.count_nonzero(~np.isnan(z), axis=0),
-        )
-        return display.plot(ax, **plot_options)
+        ).plot(**plot_options)
 
     @classmethod
-    def from_estimator(cls, estimator, X, Y, *, include_noise=True, ax=None, **options):
-        """Predict with a fitted estimator, count and draw.
+    def from_estimator(cls, estimator: Any, X: Any, Y: Any, *, include_noise: bool = True, **options: Any) -> Self:
+        """Predict with a fitted estimator, and draw.
 
         Parameters
         ----------
         estimator : fitted estimator or Pipeline
-            Whose ``predict`` takes ``return_std``.
+            Its ``predict`` takes ``return_std``.
         X : (n, d)
             Regressors, or the flight table of an identification pipeline.
         Y : (n, P)
             Measured outputs; NaN = not observed.
         include_noise : bool, default=True
-            Whether to ask for the standard deviation of a new measurement, as measured ``Y`` need. Set it to
-            False for truth, and for estimators that do not know the word.
-        ax, **options
+            Whether to predict the standard deviation of a new measurement, as measured ``Y`` need. Set it to False for
+            truth, and for estimators whose ``predict`` does not take ``include_noise``.
+        **options
             See :meth:`from_predictions`.
-
-        Returns
-        -------
-        CalibrationDisplay
-            The display, drawn.
         """
-        check_matplotlib(f"{cls.__name__}.from_estimator")
+        check_matplotlib(cls.__name__)
         mean, std = predict_with_std(estimator, X, include_noise)
         if not hasattr(Y, "columns"):
             options.setdefault("output_names", getattr(estimator, "output_names_", None))
-        return cls.from_predictions(Y, mean, std, ax=ax, **options)
+        return cls.from_predictions(Y, mean, std, **options)
 
 
-def _densities(transformed) -> np.ndarray:
+def _densities(transformed: Matrix) -> Matrix:
     """Return the histogram of each column, (B, P), relative to a uniform one."""
     counts = np.column_stack([np.histogram(column, N_BINS, (0, 1))[0] for column in transformed.T])
     with np.errstate(invalid="ignore"):

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, Self
+
 import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
-from skdgp.plotting._arrays import choose
-from skdgp.plotting._comparison import check_level
-from skdgp.plotting._style import (
-    ROLES,
-    axis_label,
-    check_matplotlib,
-    display_unit,
-    legend_above,
-    panels,
-    plain,
-    symbol,
-    tidy,
-)
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.plotting._display import Display, Names, check_choice, check_level, choose
+from skdgp.plotting._style import ROLES, axis_label, display_unit, plain, symbol, tidy
 
-USUAL = (
+DEFAULT_DERIVATIVES = (
     "CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_r", "Cm_elevator",
     "Cl_aileron", "Cn_rudder",
 )  # fmt: skip
-OVER = ("airspeed", "alpha", "beta")
 
 
-class DerivativeDisplay:
+@dataclass(kw_only=True, eq=False, repr=False)
+class DerivativeDisplay(Display):
     """Derivatives with their bands over airspeed, alpha or beta, one panel each.
-
-    Use :meth:`from_sweep`. All parameters are kept as attributes.
 
     Parameters
     ----------
@@ -41,20 +32,16 @@ class DerivativeDisplay:
     names : k names
         ``CL_alpha``, ``Cm_q``, ...
     over : {"airspeed", "alpha", "beta"}
-        What ``at`` is.
+        Quantity of ``at``.
     std : (n, k), optional
         Their standard deviations.
     truth : (n, k), optional
-        Known ones; NaN where there is none.
+        Known derivatives; NaN where there is none.
 
     Attributes
     ----------
-    axes_ : ndarray of Axes
-        The panels.
-    figure_ : Figure
-        The figure they are in.
     lines_, bands_, truth_ : lists of artists
-        One per panel drawn; None where there was nothing to draw.
+        One per panel; None where there was nothing to draw.
 
     Examples
     --------
@@ -72,114 +59,89 @@ class DerivativeDisplay:
     ('CL_alpha', 'CD_alpha', 'Cm_alpha')
     """
 
-    def __init__(self, *, at, values, names, over="airspeed", std=None, truth=None):
-        self.at = at
-        self.values = values
-        self.names = names
-        self.over = over
-        self.std = std
-        self.truth = truth
+    at: Vector
+    values: Matrix
+    names: tuple[str, ...]
+    over: str = "airspeed"
+    std: Matrix | None = None
+    truth: Matrix | None = None
 
-    def plot(self, ax=None, *, derivatives=None, level=0.95, legend=True):
+    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True, derivatives: Names = None) -> Self:
         """Draw the panels.
 
         Parameters
         ----------
-        ax : Axes, Figure, SubFigure or array of Axes, optional
-            Where to draw; default: a new pyplot figure.
+        ax, level, legend
+            See :mod:`skdgp.plotting`.
         derivatives : names, optional
-            Which to draw, default all.
-        level : float, default=0.95
-            Probability of the bands.
-        legend : bool, default=True
-            Whether to write what is what above the first panel.
-
-        Returns
-        -------
-        DerivativeDisplay
-            Itself, with the artists as attributes.
+            Derivatives to draw, default all.
         """
-        check_matplotlib(f"{type(self).__name__}.plot")
-        reach = norm.ppf(0.5 + 0.5 * check_level(level))
+        z = norm.ppf(0.5 + 0.5 * check_level(level))
         chosen = choose(self.names, derivatives)
-        n_cols = min(3, len(chosen))
-        n_rows = -(-len(chosen) // n_cols)
-        axes = panels(ax, n_rows, n_cols, figsize=(3.2 * n_cols, 0.8 + 1.9 * n_rows), sharex=True)
-        drawn = [self._draw_panel(one, k, reach, level) for one, k in zip(axes.flat, chosen, strict=False)]
-        for unused in axes.flat[len(chosen) :]:
-            unused.set_visible(False)
-        for bottom in axes[-1]:
-            bottom.set_xlabel(axis_label(self.over))
-        self.lines_, self.bands_, self.truth_ = (list(kind) for kind in zip(*drawn, strict=True))
-        self.axes_, self.figure_ = axes, axes.flat[0].figure
-        if legend:
-            legend_above(axes.flat[0])
+        at = self.at * display_unit(self.over)[0]
+
+        def draw(ax, k):
+            values, band, known = self.values[:, k], None, None
+            if self.std is not None:
+                style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
+                band = ax.fill_between(at, values - z * self.std[:, k], values + z * self.std[:, k], **style)
+            (line,) = ax.plot(at, values, color=ROLES["mean"], label="model")
+            if self.truth is not None and np.isfinite(self.truth[:, k]).any():
+                (known,) = ax.plot(at, self.truth[:, k], "--", color=ROLES["truth"], label="known")
+            ax.set_ylabel(_label(self.names[k]))
+            tidy(ax)
+            return line, band, known
+
+        n_cols, label = min(3, len(chosen)), axis_label(self.over)
+        artists = self._draw_panels(ax, draw, chosen, n_cols, (3.2, 1.9), xlabel=label, legend=legend, sharex=True)
+        self.lines_, self.bands_, self.truth_ = artists
         return self
 
-    def _draw_panel(self, ax, k, reach, level):
-        at, values = self.at * display_unit(self.over)[0], self.values[:, k]
-        band = known = None
-        if self.std is not None:
-            half = reach * self.std[:, k]
-            band = ax.fill_between(
-                at, values - half, values + half, color=ROLES["band"], alpha=0.4, lw=0, label=f"{level:.0%}"
-            )
-        (line,) = ax.plot(at, values, color=ROLES["mean"], label="model")
-        if self.truth is not None and np.isfinite(self.truth[:, k]).any():
-            (known,) = ax.plot(at, self.truth[:, k], "--", color=ROLES["truth"], label="known")
-        ax.set_ylabel(_label(self.names[k]))
-        tidy(ax)
-        return line, band, known
-
     @classmethod
-    def from_sweep(cls, sweep: pd.DataFrame, *, over="airspeed", derivatives=None, truth=None, ax=None, **plot_options):
-        """Draw what :func:`skdgp.dynamics.stability_derivatives` returned for several points.
+    def from_sweep(
+        cls,
+        sweep: pd.DataFrame,
+        *,
+        over: str = "airspeed",
+        derivatives: Names = None,
+        truth: pd.DataFrame | None = None,
+        **plot_options: Any,
+    ) -> Self:
+        """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points.
 
         Parameters
         ----------
         sweep : DataFrame
             With levels ``point`` and derivative.
         over : {"airspeed", "alpha", "beta"}
-            What the points are drawn over.
+            Quantity of the horizontal axis.
         derivatives : names, optional
-            Which to draw; default: the best known of those there are.
+            Derivatives to draw; default: the most common ones of the table.
         truth : DataFrame, optional
-            Known ones at the same points, of the same form.
-        ax, **plot_options
+            Known derivatives at the same points, in the same form.
+        **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        DerivativeDisplay
-            The display, drawn.
-
-        Raises
-        ------
-        ValueError
-            If the table is of a single point, or lacks a name.
         """
-        check_matplotlib(f"{cls.__name__}.from_sweep")
         if not isinstance(sweep.index, pd.MultiIndex):
             raise ValueError(
                 "Got derivatives of a single point, but expected those of several: stability_derivatives(model, "
                 "aircraft, [trim, ...])."
             )
-        if over not in OVER:
-            raise ValueError(f"Got over={over!r}, but expected one of {list(OVER)}.")
+        check_choice("over", over, ("airspeed", "alpha", "beta"))
         wide = sweep["value"].unstack(0)
-        names = [name for name in USUAL if name in wide.index] if derivatives is None else list(derivatives)
+        default = [name for name in DEFAULT_DERIVATIVES if name in wide.index]
+        names = default if derivatives is None else list(derivatives)
         choose(tuple(wide.index), names)
         at = sweep[over].groupby(level=0).first()
         order = at.sort_values().index
-        display = cls(
+        return cls(
             at=at[order].to_numpy(dtype=float),
             values=wide.loc[names, order].to_numpy(dtype=float).T,
             std=sweep["std"].unstack(0).loc[names, order].to_numpy(dtype=float).T if "std" in sweep else None,
             truth=None if truth is None else truth["value"].unstack(0).reindex(names)[order].to_numpy(dtype=float).T,
             over=over,
             names=tuple(names),
-        )
-        return display.plot(ax, **plot_options)
+        ).plot(**plot_options)
 
 
 def _label(name: str) -> str:
@@ -189,5 +151,5 @@ def _label(name: str) -> str:
     if not regressor:
         return f"$C_{below}$"
     sign = symbol(regressor)
-    of = sign.strip("$") if sign.startswith("$") else rf"\mathrm{{{plain(regressor)}}}".replace("_", r"\_")
-    return f"$C_{{{below}_{{{of}}}}}$"
+    index = sign.strip("$") if sign.startswith("$") else rf"\mathrm{{{plain(regressor)}}}".replace("_", r"\_")
+    return f"$C_{{{below}_{{{index}}}}}$"

@@ -3,39 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
+from scipy.integrate import cumulative_trapezoid
 
+from skdgp._compute.typing import Indices, Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
-from skdgp.plotting._arrays import check_time, choose
-from skdgp.plotting._envelope import line_points
-from skdgp.plotting._ground_path import ground_path
-from skdgp.plotting._style import (
-    CYCLE,
-    PALETTE,
-    axis_label,
-    check_matplotlib,
-    display_unit,
-    legend_above,
-    panels,
-    plain,
-    scale_beside,
-    tidy,
-)
+from skdgp.plotting._display import Display, Names, check_choice, check_time, choose, panels
+from skdgp.plotting._lines import line_points
+from skdgp.plotting._style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 
 INPUTS = ("throttle", "elevator", "aileron", "rudder")
 ELEVONS = ("elevon_left", "elevon_right")
 COLOR_STEPS = 32
 START_MARKERS = "os^Dv*"
+PATH_POINTS = 600  # of one flight; a picture resolves no more
 
 
-class FlightDisplay:
-    """The inputs flown against time (the paper's figure 4) or the path over the ground (its figure 5).
-
-    Use :meth:`from_flights`. All parameters are kept as attributes.
+@dataclass(kw_only=True, eq=False, repr=False)
+class FlightDisplay(Display):
+    """Inputs against time (the paper's figure 4) or the path over the ground (its figure 5).
 
     Parameters
     ----------
@@ -44,14 +36,12 @@ class FlightDisplay:
 
     Attributes
     ----------
-    axes_ : ndarray of Axes
-        The panels: inputs by rows and flights by columns, or the one with the path.
-    figure_ : Figure
-        The figure they are in.
+    axes_, figure_ : ndarray of Axes, Figure
+        The panels, inputs by rows and flights by columns, or the one with the path; and their figure.
     lines_ : list of artists
         The lines, panel by panel; for a path one per flight.
     starts_ : list of Line2D
-        For a path: where each flight begins.
+        The first point of each path.
     colorbar_ : Colorbar or None
         The scale of altitude or time along a path.
 
@@ -71,53 +61,40 @@ class FlightDisplay:
     'east [m]'
     """
 
-    def __init__(self, *, flights):
-        self.flights = flights
+    flights: dict[str, pd.DataFrame]
 
-    def plot(self, ax=None, *, kind="inputs", **options):
+    def plot(self, ax: Any = None, *, kind: str = "inputs", **options: Any) -> Self:
         """Draw the inputs or the path.
 
         Parameters
         ----------
-        ax : Axes, Figure, SubFigure or array of Axes, optional
-            Where to draw; default: a new pyplot figure.
+        ax
+            See :mod:`skdgp.plotting`.
         kind : {"inputs", "path"}, default="inputs"
-            What to draw.
+            Picture to draw.
         **options
             Of :meth:`plot_inputs` or :meth:`plot_path`.
-
-        Returns
-        -------
-        FlightDisplay
-            Itself, with the artists as attributes.
         """
-        if kind not in ("inputs", "path"):
-            raise ValueError(f"Got kind={kind!r}, but expected 'inputs' or 'path'.")
+        check_choice("kind", kind, ("inputs", "path"))
         return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
 
-    def plot_inputs(self, ax=None, *, channels=None, flights=None, n_bins=2000, titles=True):
+    def plot_inputs(
+        self, ax: Any = None, *, n_bins: int = 2000, channels: Names = None, flights: Names = None, titles: bool = True
+    ) -> Self:
         """Draw the inputs against time, one row per input and one column per flight.
 
         Parameters
         ----------
-        ax : Axes, Figure, SubFigure or array of Axes, optional
-            Where to draw; default: a new pyplot figure.
+        ax, n_bins
+            See :mod:`skdgp.plotting`.
         channels : names, optional
             Columns to draw; default: throttle, elevator, aileron, rudder, those that some flight has (the
             elevons where no flight has an elevator).
         flights : names, optional
-            Which flights, default all.
-        n_bins : int, default=2000
-            Time slices a longer record is drawn with; of each the extremes are kept.
+            Flights to draw, default all.
         titles : bool, default=True
             Whether to write each flight's name above its column.
-
-        Returns
-        -------
-        FlightDisplay
-            Itself, with the artists as attributes.
         """
-        check_matplotlib(f"{type(self).__name__}.plot_inputs")
         names = self._names(flights)
         channels = self.inputs if channels is None else [channels] if isinstance(channels, str) else list(channels)
         size = (2 + 4 * len(names), 1 + 1.3 * len(channels))
@@ -134,29 +111,23 @@ class FlightDisplay:
         self.axes_, self.figure_, self.colorbar_ = axes, axes.flat[0].figure, None
         return self
 
-    def plot_path(self, ax=None, *, color_by=None, flights=None, legend=True):
+    def plot_path(
+        self, ax: Any = None, *, legend: bool = True, color_by: str | None = None, flights: Names = None
+    ) -> Self:
         """Draw the path over the ground, north up, both axes to one scale.
 
-        Positions are the columns ``north`` and ``east``; where these are absent, ``v_north`` and ``v_east``
-        are integrated (trapezoids) from the origin.
+        Positions are the columns ``north`` and ``east``. Without these, ``v_north`` and ``v_east`` are integrated
+        from the origin by trapezoids.
 
         Parameters
         ----------
-        ax : Axes or Figure, optional
-            Where to draw; default: a new pyplot figure.
+        ax, legend
+            See :mod:`skdgp.plotting`.
         color_by : {"flight", "altitude", "time"}, optional
-            What the colour means; default: the flight when there are several, else the altitude or the time.
+            Quantity of the colour; default: the flight when there are several, else the altitude or the time.
         flights : names, optional
-            Which flights, default all.
-        legend : bool, default=True
-            Whether to name the flights.
-
-        Returns
-        -------
-        FlightDisplay
-            Itself, with the artists as attributes.
+            Flights to draw, default all.
         """
-        check_matplotlib(f"{type(self).__name__}.plot_path")
         names = self._names(flights)
         color_by = self._check_color(color_by, names)
         paths = {name: ground_path(self.flights[name], name) for name in names}
@@ -164,7 +135,10 @@ class FlightDisplay:
         draw = _draw_plain if color_by == "flight" else _draw_coloured
         self.lines_, scale = draw(ax, paths, color_by)
         self.starts_ = [_draw_start(ax, path, name, k) for k, (name, path) in enumerate(paths.items())]
-        _finish_map(ax)
+        tidy(ax)
+        ax.margins(0.05)
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.set(xlabel=axis_label("east"), ylabel=axis_label("north"))
         self.colorbar_ = None if scale is None else scale_beside(ax, scale, axis_label(color_by))
         if legend:
             legend_above(ax, self.lines_ if color_by == "flight" else self.starts_)
@@ -174,9 +148,9 @@ class FlightDisplay:
     @property
     def inputs(self) -> list[str]:
         """Names of the inputs that some flight has."""
-        have = set().union(*(table.columns for table in self.flights.values()))
-        wanted = INPUTS if "elevator" in have else (INPUTS[0], *ELEVONS, *INPUTS[2:])
-        found = [name for name in wanted if name in have]
+        columns = set().union(*(table.columns for table in self.flights.values()))
+        wanted = INPUTS if "elevator" in columns else (INPUTS[0], *ELEVONS, *INPUTS[2:])
+        found = [name for name in wanted if name in columns]
         if not found:
             raise ValueError(f"Got flights without any of {[*INPUTS, *ELEVONS]}: name the columns as channels=...")
         return found
@@ -200,40 +174,26 @@ class FlightDisplay:
         altitude = all("altitude" in self.flights[name].columns for name in names)
         if color_by is None:
             return "flight" if len(names) > 1 else "altitude" if altitude else "time"
-        if color_by not in ("flight", "altitude", "time"):
-            raise ValueError(f"Got color_by={color_by!r}, but expected 'flight', 'altitude' or 'time'.")
+        check_choice("color_by", color_by, ("flight", "altitude", "time"))
         if color_by == "altitude" and not altitude:
             raise ValueError("Got color_by='altitude' for a flight without that column: use 'flight' or 'time'.")
         return color_by
 
     @classmethod
-    def from_flights(cls, flights, *, kind="inputs", ax=None, **plot_options):
+    def from_flights(cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], **plot_options: Any) -> Self:
         """Draw flight tables.
 
         Parameters
         ----------
         flights : DataFrame, or dict of name to DataFrame
             One table (divided by its column ``flight``, where it has one) or several with their names.
-        kind : {"inputs", "path"}, default="inputs"
-            What to draw.
-        ax, **plot_options
-            See :meth:`plot_inputs` and :meth:`plot_path`.
-
-        Returns
-        -------
-        FlightDisplay
-            The display, drawn.
-
-        Raises
-        ------
-        ValueError
-            If a table lacks the columns that the picture needs.
+        **plot_options
+            See :meth:`plot`.
         """
-        check_matplotlib(f"{cls.__name__}.from_flights")
-        return cls(flights=named_flights(flights)).plot(ax, kind=kind, **plot_options)
+        return cls(flights=named_flights(flights)).plot(**plot_options)
 
 
-def named_flights(flights) -> dict[str, pd.DataFrame]:
+def named_flights(flights: pd.DataFrame | Mapping[Any, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """Return checked flight tables by name; one table is divided by its column ``flight``."""
     if not isinstance(flights, Mapping):
         table = check_table(flights)
@@ -266,7 +226,7 @@ def _draw_coloured(ax, paths, color_by):
     cmap = colormaps["viridis"].resampled(COLOR_STEPS)
     lines = []
     for name, path in paths.items():
-        # The edge keeps the dark end of the scale visible on dark pages, and the bright one on white.
+        # The grey edge keeps the dark end of the scale visible on dark pages, and the bright end on white ones.
         ax.plot(path["east"], path["north"], color=PALETTE["grey"], linewidth=2.8, zorder=1.9)
         pieces, shades = _pieces(path, path[color_by].to_numpy(), low, high)
         line = LineCollection(pieces, array=shades, cmap=cmap, linewidths=1.6, capstyle="round", label=plain(name))
@@ -277,7 +237,7 @@ def _draw_coloured(ax, paths, color_by):
 
 
 def _pieces(path, values, low, high):
-    """Return the path in pieces of one shade each, neighbours sharing a point, and the shades' values."""
+    """Return the path in pieces of one shade each, which share their end points, and the shades' values."""
     step = (high - low) / COLOR_STEPS or 1.0
     middle = 0.5 * (values[:-1] + values[1:])
     shade = np.clip(np.floor((middle - low) / step), 0, COLOR_STEPS - 1)
@@ -289,26 +249,44 @@ def _pieces(path, values, low, high):
 
 
 def start_marker(k: int) -> str:
-    """Return the k-th flight's marker: where colours come round again, the marker is another."""
+    """Return the marker of the k-th flight; flights of one colour have different markers."""
     return START_MARKERS[(k + k // len(CYCLE)) % len(START_MARKERS)]
 
 
 def _draw_start(ax, path, name, k):
-    """Mark where a flight begins, each flight with a marker and colour of its own, seen where two begin together."""
-    begin = path.iloc[:1]
-    style = {
-        "marker": start_marker(k),
-        "markersize": max(5, 12 - 5 * k),
-        "markeredgecolor": "white",
-        "linestyle": "none",
-    }
-    return ax.plot(
-        begin["east"], begin["north"], color=CYCLE[k % len(CYCLE)], zorder=3, label=plain(f"{name}: start"), **style
-    )[0]
+    """Mark the first point of a flight; sizes differ, so that two markers at one point are both visible."""
+    first, size = path.iloc[:1], max(5, 12 - 5 * k)
+    style = {"marker": start_marker(k), "markersize": size, "markeredgecolor": "white", "linestyle": "none"}
+    label = plain(f"{name}: start")
+    return ax.plot(first["east"], first["north"], color=CYCLE[k % len(CYCLE)], zorder=3, label=label, **style)[0]
 
 
-def _finish_map(ax) -> None:
-    tidy(ax)
-    ax.margins(0.05)
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.set(xlabel=axis_label("east"), ylabel=axis_label("north"))
+def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
+    """Return time, north and east [m], and altitude where known, at no more than 600 points.
+
+    Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear across holes of the log.
+    """
+    time = flight["time"].to_numpy(dtype=float)
+    if {"north", "east"} <= set(flight.columns):
+        north, east = flight["north"].to_numpy(dtype=float), flight["east"].to_numpy(dtype=float)
+    else:
+        check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
+        north, east = (_integral(flight[column], time) for column in ("v_north", "v_east"))
+    points = {"time": time, "north": north, "east": east}
+    if "altitude" in flight.columns:
+        points["altitude"] = flight["altitude"].to_numpy(dtype=float)
+    return pd.DataFrame(points).iloc[_evenly_spread(north, east)]
+
+
+def _integral(velocity: pd.Series, time: Vector) -> Vector:
+    filled = velocity.astype(float).interpolate(limit_direction="both").to_numpy()
+    return cumulative_trapezoid(filled, time, initial=0)
+
+
+def _evenly_spread(north: Vector, east: Vector) -> Indices:
+    """Return indices at equal distances along the path."""
+    step = np.nan_to_num(np.hypot(np.diff(north), np.diff(east)))
+    distance = np.concatenate([[0.0], np.cumsum(step)])
+    if distance[-1] == 0:
+        return np.array([0])
+    return np.unique(np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(0, len(distance) - 1))

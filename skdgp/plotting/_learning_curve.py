@@ -1,24 +1,27 @@
-"""FlightLearningCurveDisplay: scores over the seconds flown."""
+"""FlightLearningCurveDisplay: scores over the length of the training flights."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Array, ArrayLike, Vector
 from skdgp.model_selection import flight_learning_curve
-from skdgp.plotting._arrays import choose
-from skdgp.plotting._style import CYCLE, check_matplotlib, dashes, panels, plain, symbol, tidy
+from skdgp.plotting._display import Names, choose, panels
+from skdgp.plotting._style import CYCLE, check_matplotlib, dashes, plain, symbol, tidy
 
 MAX_TICKS = 12
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class FlightLearningCurveDisplay:
-    """How a score changes with the seconds of each flight that were learned from, per output.
+    """Scores over the seconds of each training flight, per output.
 
-    A line is the mean over the splits, a dot one split. Where the lines have become flat, flying longer like this
-    teaches nothing more.
-
-    Use :meth:`from_estimator` or :meth:`from_curve`. All parameters are kept as attributes.
+    A line is the mean over the splits, a dot one split. Where lines are flat, longer flights of this kind do not
+    improve the model.
 
     Parameters
     ----------
@@ -27,7 +30,7 @@ class FlightLearningCurveDisplay:
     scores : (S, K, P)
         Scores of K splits and P outputs; NaN where there is none.
     score : str
-        What the scores are.
+        Name of the score.
     output_names : P names
         The outputs.
 
@@ -52,30 +55,13 @@ class FlightLearningCurveDisplay:
     (('CZ', 'Cm'), [0.5, 0.25])
     """
 
-    def __init__(self, *, seconds, scores, score, output_names):
-        self.seconds = seconds
-        self.scores = scores
-        self.score = score
-        self.output_names = output_names
+    seconds: Vector
+    scores: Array
+    score: str
+    output_names: tuple[str, ...]
 
-    def plot(self, ax=None, *, outputs=None, legend=True):
-        """Draw the curves.
-
-        Parameters
-        ----------
-        ax : Axes or Figure, optional
-            Where to draw; default: a new pyplot figure.
-        outputs : names, optional
-            Which outputs to draw, default all.
-        legend : bool, default=True
-            Whether to name the curves.
-
-        Returns
-        -------
-        FlightLearningCurveDisplay
-            Itself, with the artists as attributes.
-        """
-        check_matplotlib(f"{type(self).__name__}.plot")
+    def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True) -> Self:
+        """Draw the curves. See :mod:`skdgp.plotting` for the options."""
         chosen = choose(self.output_names, outputs)
         ax = panels(ax, 1, 1, figsize=(5.6, 4.2))[0, 0]
         drawn = [self._draw_output(ax, k) for k in chosen]
@@ -93,78 +79,55 @@ class FlightLearningCurveDisplay:
 
     def _draw_output(self, ax, k):
         values, color, name = self.scores[:, :, k], CYCLE[k % len(CYCLE)], self.output_names[k]
-        seen = ~np.isnan(values)
-        sums, counts = np.where(seen, values, 0.0).sum(axis=1), seen.sum(axis=1)
+        sums, counts = np.nansum(values, axis=1), np.count_nonzero(~np.isnan(values), axis=1)
         mean = np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
         style = {"color": color, "clip_on": False}
-        (line,) = ax.plot(
-            self.seconds, mean, marker="o", markersize=4, linestyle=dashes(name), label=symbol(name), **style
-        )
+        marks = {"marker": "o", "markersize": 4, "linestyle": dashes(name)}
+        (line,) = ax.plot(self.seconds, mean, label=symbol(name), **marks, **style)
         at = np.repeat(self.seconds, values.shape[1])
         (dots,) = ax.plot(at, values.ravel(), "o", markersize=3, alpha=0.35, markeredgewidth=0, **style)
         return line, dots
 
     @classmethod
-    def from_curve(cls, curve: pd.DataFrame, *, score="normalized_rmse", ax=None, **plot_options):
-        """Draw what :func:`skdgp.model_selection.flight_learning_curve` returned.
+    def from_curve(cls, curve: pd.DataFrame, *, score: str = "normalized_rmse", **plot_options: Any) -> Self:
+        """Draw the result of :func:`skdgp.model_selection.flight_learning_curve`.
 
         Parameters
         ----------
         curve : DataFrame
             Columns ``seconds``, ``split``, and ``<score>_<output>`` of each output, or ``<score>`` alone.
         score : str, default="normalized_rmse"
-            Which score to draw.
-        ax, **plot_options
+            Score to draw.
+        **plot_options
             See :meth:`plot`.
-
-        Returns
-        -------
-        FlightLearningCurveDisplay
-            The display, drawn.
-
-        Raises
-        ------
-        ValueError
-            If the curve lacks the score.
         """
-        check_matplotlib(f"{cls.__name__}.from_curve")
         columns = [score] if score in curve else [name for name in curve if str(name).startswith(f"{score}_")]
         if not columns:
             known = [str(name) for name in curve if name not in ("seconds", "split", "n_samples")]
             raise ValueError(f"Got score={score!r}, but expected the beginning of a column among {known}.")
         tables = [curve.pivot(index="seconds", columns="split", values=column).sort_index() for column in columns]
-        display = cls(
+        return cls(
             seconds=tables[0].index.to_numpy(dtype=float),
             scores=np.stack([table.to_numpy(dtype=float) for table in tables], axis=2),
             score=score,
             output_names=tuple(str(column).removeprefix(f"{score}_") for column in columns),
-        )
-        return display.plot(ax, **plot_options)
+        ).plot(**plot_options)
 
     @classmethod
     def from_estimator(
-        cls, estimator, table, Y, *, seconds, score="normalized_rmse", ax=None, outputs=None, legend=True, **options
-    ):
-        """Learn from the first seconds of each flight, score and draw.
-
-        Parameters
-        ----------
-        estimator : estimator or Pipeline
-            It is cloned and fitted for every point of the curve.
-        table, Y, seconds
-            See :func:`skdgp.model_selection.flight_learning_curve`.
-        score : str, default="normalized_rmse"
-            Which score to draw.
-        ax, outputs, legend
-            See :meth:`plot`.
-        **options
-            See :func:`skdgp.model_selection.flight_learning_curve`.
-
-        Returns
-        -------
-        FlightLearningCurveDisplay
-            The display, drawn.
-        """
-        check_matplotlib(f"{cls.__name__}.from_estimator")
+        cls,
+        estimator: Any,
+        table: pd.DataFrame,
+        Y: Any,
+        *,
+        seconds: ArrayLike,
+        score: str = "normalized_rmse",
+        ax: Any = None,
+        outputs: Names = None,
+        legend: bool = True,
+        **options: Any,
+    ) -> Self:
+        """Compute :func:`skdgp.model_selection.flight_learning_curve` with its ``options``, and draw one ``score``."""
+        check_matplotlib(cls.__name__)
         curve = flight_learning_curve(estimator, table, Y, seconds=seconds, **options)
         return cls.from_curve(curve, score=score, ax=ax, outputs=outputs, legend=legend)

@@ -1,6 +1,8 @@
-"""Style of all pictures: colours, symbols, units, axes."""
+"""Style of all pictures: colours, symbols, units, legends."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +22,8 @@ PALETTE = {
 CYCLE = tuple(PALETTE[name] for name in ("blue", "vermillion", "green", "purple", "sky", "orange"))
 
 QUIET = "#5F6973"
-"""Of words that explain: grey, and yet readable on white (contrast 5.6, WCAG 2.1 asks for 4.5)."""
-MARKERS = ("o", "s", "^", "D", "v", "P")
-"""Beside the colours of ``CYCLE``, for who does not tell them apart."""
+"""Of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)."""
+MARKERS = ("o", "s", "^", "D", "v", "P")  # one per colour of ``CYCLE``, for readers who do not see colours
 
 ROLES = {"measured": "#333333", "mean": PALETTE["blue"], "band": PALETTE["sky"], "truth": PALETTE["vermillion"]}
 
@@ -43,7 +44,7 @@ _SYMBOLS = {
 
 
 def check_matplotlib(who: str) -> None:
-    """Raise an ImportError that names the extra to install when matplotlib is absent."""
+    """Raise ImportError, with the extra to install, if matplotlib is absent."""
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
@@ -53,7 +54,7 @@ def check_matplotlib(who: str) -> None:
 
 
 def display_unit(name: str) -> tuple[float, str]:
-    """Return the factor from SI to the unit shown, and that unit: pictures, and only they, use degrees."""
+    """Return the factor from SI to the displayed unit, and that unit. Only pictures use degrees."""
     unit = CHANNELS[name].unit if name in CHANNELS else ""
     if unit.startswith("rad") and name != "propeller_speed":
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
@@ -66,7 +67,7 @@ def symbol(name: str) -> str:
 
 
 def plain(name: str) -> str:
-    """Return ``name`` so that matplotlib takes it as it stands: no mathematics, no hidden label."""
+    """Return ``name`` escaped for matplotlib: no mathematics, no hidden label."""
     return (f" {name}" if name.startswith("_") else name).replace("$", r"\$")
 
 
@@ -76,76 +77,30 @@ def axis_label(name: str) -> str:
     return f"{symbol(name)} [{unit}]" if unit else symbol(name)
 
 
-def dashes(name: str):
-    """Return the line style that tells an output beside its colour: lateral coefficients dashed, others solid."""
+def dashes(name: str) -> Any:
+    """Return the line style of an output: dashed for lateral coefficients, solid for others."""
     return "-" if name in LONGITUDINAL or name not in COEFFICIENTS else (0, (4, 1.5))
 
 
-def panels(ax, n_rows: int, n_cols: int, *, figsize: tuple[float, float], **subplots) -> np.ndarray:
-    """Return an ``(n_rows, n_cols)`` array of axes.
-
-    ``ax`` is None (a new pyplot figure), a Figure or SubFigure (filled), an array of as many axes as panels,
-    or one Axes, which is divided when there are several panels.
-    """
-    from matplotlib.axes import Axes
-
-    shape = (n_rows, n_cols)
-    if ax is None:
-        import matplotlib.pyplot as plt
-
-        return plt.subplots(*shape, figsize=figsize, layout="constrained", squeeze=False, **subplots)[1]
-    if hasattr(ax, "subplots"):
-        return ax.subplots(*shape, squeeze=False, **subplots)
-    if isinstance(ax, Axes):
-        return np.array([[ax]]) if shape == (1, 1) else _divide(ax, shape, subplots)
-    given = np.asarray(ax, dtype=object)
-    if given.size != n_rows * n_cols or not all(isinstance(one, Axes) for one in given.flat):
-        raise ValueError(
-            f"Got {given.size} axes, but expected {n_rows * n_cols} (or one Axes, a Figure, or None): "
-            f"use fig, axes = plt.subplots({n_rows}, {n_cols})."
-        )
-    return given.reshape(shape)
-
-
-def _divide(ax, shape: tuple[int, int], subplots: dict) -> np.ndarray:
-    ax.set_axis_off()
-    spec = ax.get_subplotspec()
-    if spec is None:
-        raise ValueError(
-            f"Got one free-standing Axes for {shape[0]} x {shape[1]} panels, but expected one made by subplots, "
-            f"which can be divided: give a Figure instead."
-        )
-    return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
-
-
-def tidy(ax) -> None:
-    """Take away what carries no information: two spines, heavy ticks; leave a faint grid."""
+def tidy(ax: Any) -> None:
+    """Remove two spines and draw a faint grid."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(True, linewidth=0.4, alpha=0.35)
     ax.set_axisbelow(True)
     ax.margins(x=0)
 
 
-def scale_beside(ax, artist, label: str, **options):
-    """Draw the colour scale of ``artist`` as tall as the axes, beside them."""
-    # An inset follows axes of fixed aspect; room stolen from their parent would not.
+def scale_beside(ax: Any, artist: Any, label: str, **options: Any) -> Any:
+    """Draw the colour scale of ``artist`` beside the axes, in their height."""
+    # An inset follows axes of fixed aspect; axes taken from the parent do not.
     bar = ax.figure.colorbar(artist, cax=ax.inset_axes([1.03, 0.0, 0.035, 1.0]), label=label, **options)
     bar.outline.set_visible(False)
     return bar
 
 
-def legend_above(ax, handles=None) -> None:
-    """Put the legend over the axes, where it covers no data."""
+def legend_above(ax: Any, handles: list | None = None) -> None:
+    """Draw the legend above the axes, where it covers no data."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     if handles:
-        ax.legend(
-            handles=handles,
-            loc="lower left",
-            bbox_to_anchor=(0, 1),
-            ncols=4,
-            frameon=False,
-            fontsize="small",
-            borderaxespad=0.2,
-            handlelength=1.6,
-            columnspacing=1.4,
-        )
+        size = {"fontsize": "small", "borderaxespad": 0.2, "handlelength": 1.6, "columnspacing": 1.4}
+        ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, **size)

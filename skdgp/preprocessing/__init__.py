@@ -1,4 +1,4 @@
-"""From a raw flight table to regressors, as scikit-learn transformers that know columns by name.
+"""Transformers of flight tables, from raw logs to regressors, with columns by name.
 
 >>> from sklearn.pipeline import make_pipeline
 >>> from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
@@ -10,9 +10,9 @@
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._check import FlightCheck, inspect_flight
 from skdgp.preprocessing._elevons import ElevonSplitter
+from skdgp.preprocessing._flight_path import FlightPathReconstruction
 from skdgp.preprocessing._lag import LagCorrector
 from skdgp.preprocessing._rates import RateNondimensionalizer
-from skdgp.preprocessing._reconstruction.reconstruction import FlightPathReconstruction
 from skdgp.preprocessing._selector import RegressorSelector
 from skdgp.preprocessing._smoother import FlightSmoother
 

@@ -1,15 +1,18 @@
-"""ElevonSplitter: elevons mixed to elevator and aileron."""
+"""ElevonSplitter: elevator and aileron from elevons, and other mixings."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
-DISAGREEMENT = 1e-3  # rad: more than rounding of a log
+ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
+MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 
 
 class ElevonSplitter(TableTransformer):
@@ -17,21 +20,21 @@ class ElevonSplitter(TableTransformer):
 
     .. math:: \text{controls} = \text{mixing} \cdot \text{surfaces}
 
-    By default, parity of two elevons: elevator = (left + right) / 2, aileron = (left - right) / 2. The lift of a
-    symmetric aircraft is even and its roll odd under exchange of the elevons, which no regressor but these shows.
+    Default: elevator = (left + right) / 2, aileron = (left - right) / 2 of two elevons. Under exchange of the elevons
+    the lift of a symmetric aircraft is even and its roll moment odd, as are these controls.
 
-    A table that has the controls but not the surfaces (a conventional aircraft, a simulation) passes through
-    unchanged. Where it has both, the controls are computed anew from the surfaces, which are what the air feels; a
-    warning says so if the logged controls differ by more than 0.001 rad. The surfaces stay in the table.
+    A table with the controls but without the surfaces (a conventional aircraft, a simulation) passes through unchanged.
+    With both, the controls are computed from the surfaces, with a warning if the logged controls differ by more than
+    0.001 rad. The surfaces stay in the table.
 
     Parameters
     ----------
     surfaces : sequence of str, default=("elevon_left", "elevon_right")
         Columns of the deflections [rad].
     controls : sequence of str, default=("elevator", "aileron")
-        Columns to make [rad].
+        Columns to compute [rad].
     mixing : array-like of shape (n_controls, n_surfaces), optional
-        By default the parity of two elevons.
+        Default: that of two elevons.
 
     Attributes
     ----------
@@ -70,29 +73,20 @@ class ElevonSplitter(TableTransformer):
         "mixing": ["array-like", None],
     }
 
-    def __init__(self, *, surfaces=("elevon_left", "elevon_right"), controls=("elevator", "aileron"), mixing=None):
+    def __init__(
+        self, *, surfaces: Sequence[str] = ELEVONS, controls: Sequence[str] = MIXED, mixing: Any = None
+    ) -> None:
         self.surfaces = surfaces
         self.controls = controls
         self.mixing = mixing
 
-    def inverse_transform(self, X):
-        """Return the table with the surfaces that give its controls (of least deflection where several do).
-
-        Parameters
-        ----------
-        X : DataFrame of shape (n, n_columns)
-            Table with the controls.
-
-        Returns
-        -------
-        DataFrame
-            With the surfaces computed from the controls.
-        """
+    def inverse_transform(self, X: Any) -> Any:
+        """Return the table X with the surfaces that give its controls; of several, those of least deflection."""
         if self._passes:
-            return self._contained(self._checked_stranger(X))
+            return self._as_output(self._check_other_input(X))
         check_columns(X, self.controls)
         surfaces = numeric(X, self.controls) @ np.linalg.pinv(self.mixing_).T
-        return self._contained(with_columns(X, dict(zip(self.surfaces, surfaces.T, strict=True))))
+        return self._as_output(with_columns(X, dict(zip(self.surfaces, surfaces.T, strict=True))))
 
     def _fit_table(self, table):
         shape = (len(self.controls), len(self.surfaces))
@@ -104,36 +98,28 @@ class ElevonSplitter(TableTransformer):
                 f"Got mixing of shape {self.mixing_.shape}, but expected (n_controls, n_surfaces) = {shape}: one row "
                 f"for each of {list(self.controls)}, one column for each of {list(self.surfaces)}."
             )
-        self._mixed(table)
+        self._controls_of(table)
 
     def _transform_table(self, table):
-        return with_columns(table, self._mixed(table))
+        return with_columns(table, self._controls_of(table))
 
     def _columns_out(self, names):
         mixes = all(surface in names for surface in self.surfaces)
         return names + [name for name in self.controls if mixes and name not in names]
 
-    def _mixed(self, table):
+    def _controls_of(self, table):
         """Return controls by name; none where the table has them but not the surfaces."""
-        bare = not any(surface in table for surface in self.surfaces)
-        if bare and all(control in table for control in self.controls):
+        if not any(name in table for name in self.surfaces) and all(name in table for name in self.controls):
             return {}
         check_columns(table, self.surfaces)
-        mixed = dict(zip(self.controls, self.mixing_ @ numeric(table, self.surfaces).T, strict=True))
-        _warn_of_disagreement(table, {name: values for name, values in mixed.items() if name in table})
-        return mixed
-
-
-def _warn_of_disagreement(table, mixed):
-    if not mixed:
-        return
-    apart = np.abs(numeric(table, mixed) - np.column_stack(list(mixed.values())))
-    largest = np.where(np.isfinite(apart), apart, 0.0).max(axis=0)
-    worst = {name: float(f"{d:.2g}") for name, d in zip(mixed, largest, strict=True)}
-    if max(worst.values()) > DISAGREEMENT:
-        warnings.warn(
-            f"Logged controls differ from the surfaces by up to {worst} rad; the surfaces are used. Drop the logged "
-            "columns if they are commands, or correct surfaces, controls and mixing.",
-            UserWarning,
-            stacklevel=4,
-        )
+        computed = dict(zip(self.controls, self.mixing_ @ numeric(table, self.surfaces).T, strict=True))
+        difference = {n: np.abs(numeric(table, [n])[:, 0] - values) for n, values in computed.items() if n in table}
+        largest = {name: float(f"{np.max(d, where=np.isfinite(d), initial=0):.2g}") for name, d in difference.items()}
+        if max(largest.values(), default=0.0) > MAX_DIFFERENCE:
+            warnings.warn(
+                f"Logged controls differ from the surfaces by up to {largest} rad; the surfaces are used. Drop the "
+                "logged columns if they are commands, or correct surfaces, controls and mixing.",
+                UserWarning,
+                stacklevel=3,
+            )
+        return computed

@@ -1,84 +1,112 @@
-"""LagCorrector: lags of channels removed."""
+"""LagCorrector: lags of air data, surfaces, attitude and GPS, estimated and removed."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Sequence
 from numbers import Real
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy import linalg, signal
 from scipy.interpolate import CubicSpline
-from sklearn.utils._param_validation import StrOptions
 
+from skdgp._compute.sklearn_compat import StrOptions
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
-from skdgp._flight.clock import flight_codes, flight_segments, uniform_grid
-from skdgp.preprocessing._lag_estimate import FORCE, RATE, SURFACES, UNKNOWN, Lag, air_lag, stretches, surface_lag
-from skdgp.preprocessing._reconstruction.flight_log import NEEDED
-from skdgp.preprocessing._reconstruction.reconstruction import FlightPathReconstruction
-from skdgp.preprocessing._smoother import WRAPPED, _rewrapped, _unwrapped
-from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
+from skdgp._flight.clock import check_clock, flight_codes, flight_segments, runs_by_flight, uniform_grid
+from skdgp.preprocessing._elevons import ELEVONS, MIXED
+from skdgp.preprocessing._flight_path import FlightPathReconstruction
+from skdgp.preprocessing._path_equations import FORCE, NEEDED, RATE, SPEED
+from skdgp.preprocessing._table import (
+    WRAPPED,
+    TableTransformer,
+    has_values,
+    interpolate_missing,
+    numeric,
+    unwrapped,
+    with_columns,
+    wrapped_near,
+)
 
+VANES = ("alpha", "beta")
+SURFACES = (*MIXED, "rudder", *ELEVONS)
 GROUPS = {
-    "air": ("airspeed", "alpha", "beta"),
+    "air": ("airspeed", *VANES),
     "surfaces": SURFACES,
-    "attitude": ("phi", "theta", "psi"),
-    "gps": ("v_north", "v_east", "v_down", "north", "east", "down"),
+    "attitude": EULER,
+    "gps": (*SPEED, "north", "east", "down"),
 }
-CONTROLS = (*SURFACES, "throttle", "propeller_speed")
-"""Channels without noise, in which steps are common."""
+CONTROLS = (*SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
-BIASES = ("p_bias", "q_bias", "r_bias")
-SIGNIFICANT = 3.0
-"""A lag of less than so many standard deviations is not told from none."""
-LEAST = 0.01
-"""A lag [s] of less than this costs a model nothing, and may be one of the local linear model."""
-EXPLAINED = 0.8
-"""A model that explains less of its response does not tell a lag."""
-ENOUGH = 120.0
-"""Seconds of each flight from which the lags of attitude and GPS are known to the millisecond."""
+MIN_SIGNIFICANCE = 3.0  # standard deviations
+MIN_LAG = 0.01  # lags below this [s] do not change a model, and may be an error of the local linear model
+MIN_EXPLAINED = 0.8  # least share of the response that the local linear model must explain
+KINEMATIC_SECONDS = 120.0
+"""Length of each flight [s] from which the lags of attitude and GPS are known to the millisecond."""
+BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, between trim and noise
+STEADY = 0.2  # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
+EDGE = 1.5  # seconds at either end of a segment that the filter or a lag may distort
+SHORTEST = 20.0  # least length of a segment [s]
+RANGE, COARSE, FINE = 0.5, 0.04, 0.01
+"""Largest lag, step of the scan, and step of the parabolas [s]."""
+RANK_TOLERANCE = 1e-6  # predictors nearer than this to a combination of others are left out
+BLOCK = 5.0  # seconds over which residuals may be correlated
+
+
+class Lag(NamedTuple):
+    """A lag [s], positive where late; its standard deviation; the share of the response that the model explains."""
+
+    lag: float
+    std: float
+    explained: float
+
+
+UNKNOWN = Lag(0.0, np.nan, np.nan)
 
 
 class LagCorrector(TableTransformer):
-    r"""Estimate how late air data, surfaces, attitude and GPS are against the inertial unit, and shift them back.
+    r"""Estimate the lags of air data, surfaces, attitude and GPS against the inertial unit, and remove them.
 
-    A channel that lags by tau shows at t what was at t - tau, so it is replaced by its value at t + tau, stretch by
-    stretch and never across a gap; where that is beyond the end of a stretch the last value stands. Sensors are shifted
-    in frequency, which leaves white noise white for :class:`FlightSmoother` to find; controls, and channels of a
-    jittered clock, on cubic splines. For full-rate flights, before smoothing.
+    A channel with lag tau shows at t its value at t - tau, so it is replaced by its value at t + tau, segment by
+    segment; beyond the end of a segment the last value is repeated. Sensors are shifted in the frequency domain, which
+    keeps white noise white for :class:`FlightSmoother`; controls, and channels of a jittered clock, by cubic splines.
+    Use full-rate flights, before smoothing.
 
-    Attitude and GPS are tied to gyros and accelerometers by kinematics, through
-    :class:`FlightPathReconstruction`. Surfaces and vanes are tied to them by a local linear model, without assumed
-    derivatives: at one and the same time
+    Attitude and GPS follow from gyros and accelerometers by kinematics, through :class:`FlightPathReconstruction`.
+    Surfaces and vanes are related to them by a local linear model, without assumed derivatives: at the same time
 
     .. math:: \dot\omega / V^2 \approx B\,[\delta, \omega / V, f / V^2], \quad
               (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
-    all within the band from 0.3 to 4 Hz. The lag is where least squares leaves least: the maximum of the profile
-    likelihood (for lags in identification see Jategaonkar 2006, chapter 10; Morelli & Klein 2016, chapter 10). Its
-    standard deviation takes residuals as correlated within 5 s (Liang & Zeger 1986).
+    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares: the maximum of the profile likelihood
+    (for lags in identification see Jategaonkar 2006, chapter 10; Morelli & Klein 2016, chapter 10). Its standard
+    deviation allows for residuals that are correlated within 5 s (Liang & Zeger 1986).
 
-    Engines take time to answer: throttle and propeller speed are not looked at, but may be given.
+    Lags of throttle and propeller speed are not estimated, as engines respond slowly, but may be given.
 
     Parameters
     ----------
     lags : {"auto"}, dict or None, default="auto"
         Estimated in ``fit``; or given [s], positive where late, by group (air: airspeed, alpha, beta; surfaces;
-        attitude; gps) or column, nothing else being shifted; or None for no change.
+        attitude; gps) or column; or None for no change.
 
     Attributes
     ----------
     lags_ : DataFrame
         By group or column: ``lag`` and ``std`` [s], ``explained`` (share of the response that the local linear model
-        explains), ``applied`` (what is taken away [s]) and ``remark``. A lag under 3 standard deviations or 10 ms, or
-        one of a model that explains less than 0.8, is not taken away.
+        explains), ``applied`` (the removed lag [s]) and ``remark``. A lag below 3 standard deviations or 10 ms, or
+        of a model that explains less than 0.8, is not removed.
     n_features_in_, feature_names_in_
         Columns seen in ``fit``.
 
     Raises
     ------
     ValueError
-        If ``time``, an accelerometer or a gyro is missing; if ``lags`` names what is no group and no column, or is not
+        If ``time``, an accelerometer or a gyro is missing; if ``lags`` names neither a group nor a column, or is not
         finite.
 
     Examples
@@ -93,35 +121,36 @@ class LagCorrector(TableTransformer):
 
     _parameter_constraints: dict = {"lags": [StrOptions({"auto"}), dict, None]}
 
-    def __init__(self, lags="auto"):
+    def __init__(self, lags: Any = "auto") -> None:
         self.lags = lags
 
     def _fit_table(self, table):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
             check_columns(table, [*FORCE, *RATE])
-            self.lags_ = _judged(_estimated(table))
+            self.lags_ = _lag_table({group: (*lag, *_applied(lag)) for group, lag in _estimated(table).items()})
         else:
             self.lags_ = _given(self.lags or {}, table)
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
         time, new = numeric(table, ["time"])[:, 0], {}
-        for group, lag in self.lags_["applied"].items():
+        lags: dict[Any, float] = self.lags_["applied"].to_dict()
+        for group, lag in lags.items():
             for name in GROUPS.get(group, (group,)):
                 if lag and name in table:
-                    values, noisy = _unwrapped(table, [name])[:, 0], name not in CONTROLS
-                    new[name] = _on_time(time, values, lag, table.get("flight"), noisy=noisy)
+                    values, noisy = unwrapped(table, [name])[:, 0], name not in CONTROLS
+                    new[name] = _shifted(time, values, lag, table.get("flight"), noisy=noisy)
                     if name in WRAPPED:
-                        new[name] = _rewrapped(new[name], table[name])
+                        new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
 
     def _columns_out(self, names):
         return names
 
 
-def _on_time(time, values, lag, flight, *, noisy):
-    """Return a channel as it is without its lag, on the rows where it was sampled."""
+def _shifted(time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bool) -> Vector:
+    """Return a channel without its lag, on the rows where it was sampled."""
     out, rows = values.copy(), np.flatnonzero(np.isfinite(values))
     for run in flight_segments(time[rows], None if flight is None else np.asarray(flight)[rows]):
         here = rows[run]
@@ -139,71 +168,213 @@ def _on_time(time, values, lag, flight, *, noisy):
     return out
 
 
-def _advanced(values, steps):
-    """Return equidistant values a fraction of steps later: an all-pass, so that white noise stays white.
+def _advanced(values: Vector, steps: float) -> Vector:
+    """Return equidistant values a fraction of steps later, by an all-pass filter, which keeps white noise white.
 
-    Every frequency is turned by its phase (Oppenheim & Schafer 2010, section 4.5). The values are continued oddly
-    beyond both ends, and the line between these shifted by itself, so that what repeats is continuous.
+    The phase of every frequency is shifted (Oppenheim & Schafer 2010, section 4.5). The values are continued oddly
+    beyond both ends, and the line between these is shifted separately, so that the periodic signal is continuous.
     """
-    reach = min(len(values) - 1, PADDING + int(np.ceil(abs(steps))))
-    padded = np.pad(values, reach, mode="reflect", reflect_type="odd")
+    margin = min(len(values) - 1, PADDING + int(np.ceil(abs(steps))))
+    padded = np.pad(values, margin, mode="reflect", reflect_type="odd")
     n = len(padded)
     slope = (padded[-1] - padded[0]) / (n - 1)
     line = padded[0] + slope * np.arange(n)
-    turned = np.fft.rfft(padded - line) * np.exp(2j * np.pi * np.fft.rfftfreq(n) * steps)
-    return (np.fft.irfft(turned, n) + line + slope * steps)[reach : n - reach]
+    spectrum = np.fft.rfft(padded - line) * np.exp(2j * np.pi * np.fft.rfftfreq(n) * steps)
+    return (np.fft.irfft(spectrum, n) + line + slope * steps)[margin : n - margin]
 
 
-def _estimated(table) -> dict[str, Lag]:
-    """Return the lag of each group, unknown where the flights do not tell it."""
-    flights = stretches(table)
+def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
+    """Return the lag of each group; unknown where the flights do not show it."""
+    flights = flights_of(table)
     surfaces = surface_lag(flights)
-    air = air_lag(flights, surfaces.lag)
-    found = {"air": air, "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
-    heard = all(name in table and np.isfinite(numeric(table, [name])).any() for name in NEEDED)
-    return found | _kinematic(table) if flights and heard else found
+    found = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
+    return found | _kinematic_lags(table) if flights and all(has_values(table, name) for name in NEEDED) else found
 
 
-def _kinematic(table) -> dict[str, Lag]:
+def _kinematic_lags(table: pd.DataFrame) -> dict[str, Lag]:
     """Return the lags of attitude and GPS against integrated gyros and accelerometers."""
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
     since = table["time"] - table.groupby(codes)["time"].transform("min")
-    bare = table[since < ENOUGH].drop(columns=["alpha", "beta"], errors="ignore")
+    inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of what flights do not show: the standard deviation says it
-        path = FlightPathReconstruction(calibrate=[*BIASES, *KINEMATIC.values()]).fit(bare)
+        warnings.simplefilter("ignore", UserWarning)  # of unobservable constants; their std shows it
+        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC.values()]).fit(inertial)
     precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
-    return {
-        group: Lag(path.sensors_[constant], float(precision[constant] ** -0.5), np.nan)
-        for group, constant in KINEMATIC.items()
-    }
+    lags = {group: path.sensors_[constant] for group, constant in KINEMATIC.items()}
+    return {group: Lag(lag, float(precision[KINEMATIC[group]] ** -0.5), np.nan) for group, lag in lags.items()}
 
 
-def _judged(found) -> pd.DataFrame:
-    """Return the table of lags, with those that are to be taken away."""
-    table = pd.DataFrame.from_dict(found, orient="index", columns=Lag._fields).rename_axis("group")
-    table["remark"] = [_remark(lag) for lag in found.values()]
-    table["applied"] = table["lag"].where(table["remark"] == "taken away", 0.0)
-    return table[[*Lag._fields, "applied", "remark"]]
-
-
-def _remark(found: Lag) -> str:
+def _applied(found: Lag) -> tuple[float, str]:
+    """Return the lag to remove, and a remark."""
     if not np.isfinite(found.std):
-        return "not told by these flights"
-    if found.explained < EXPLAINED:
-        return "not told: the local linear model explains too little"
-    if abs(found.lag) < SIGNIFICANT * found.std:
-        return "not significant"
-    return "too small to matter" if abs(found.lag) < LEAST else "taken away"
+        return 0.0, "not shown by these flights"
+    if found.explained < MIN_EXPLAINED:
+        return 0.0, "not shown: the local linear model explains too little"
+    if abs(found.lag) < MIN_SIGNIFICANCE * found.std:
+        return 0.0, "not significant"
+    return (0.0, "negligible") if abs(found.lag) < MIN_LAG else (found.lag, "removed")
 
 
-def _given(lags, table) -> pd.DataFrame:
-    strange = [name for name in lags if name not in GROUPS and name not in table]
-    if strange:
-        raise ValueError(f"Got lags of {strange}, but expected groups {list(GROUPS)} or columns of the table.")
-    wrong = {name: lag for name, lag in lags.items() if not isinstance(lag, Real) or not np.isfinite(lag)}
+def _given(lags: dict, table: pd.DataFrame) -> pd.DataFrame:
+    unknown = [name for name in lags if name not in GROUPS and name not in table]
+    if unknown:
+        raise ValueError(f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the table.")
+    wrong = {name: lag for name, lag in lags.items() if not isinstance(lag, Real) or not np.isfinite(float(lag))}
     if wrong:
         raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
-    rows = {name: (float(lag), np.nan, np.nan, float(lag), "given") for name, lag in lags.items()}
+    return _lag_table({name: (float(lag), np.nan, np.nan, float(lag), "given") for name, lag in lags.items()})
+
+
+def _lag_table(rows: dict[str, tuple]) -> pd.DataFrame:
     columns = [*Lag._fields, "applied", "remark"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("group")
+
+
+class Segment:
+    """A gap-free segment on a uniform clock: scaled accelerations, and channels that can be shifted."""
+
+    def __init__(self, time: Vector, table: pd.DataFrame) -> None:
+        self.time = uniform_grid(time)[0]
+        self.rate_hz = (len(time) - 1) / (time[-1] - time[0])
+        self.band = BAND[0], min(BAND[1], 0.2 * self.rate_hz)
+        names = [name for name in (*FORCE, *RATE, *VANES, *SURFACES, "airspeed") if has_values(table, name)]
+        values = interpolate_missing(time, numeric(table, names))
+        self.splines = {name: CubicSpline(time, column) for name, column in zip(names, values.T, strict=True)}
+        speed = np.ones((len(time), 1))
+        if "airspeed" in names:
+            speed = self._low_pass(self.channels(["airspeed"]), STEADY)
+            speed = np.maximum(speed, 0.1 * np.median(speed))
+        rates = self.channels(RATE)
+        acceleration = CubicSpline(self.time, self._low_pass(rates, 2 * self.band[1]))(self.time, 1)
+        self.force = self.filtered(self.channels(FORCE) / speed**2)
+        self.rate = self.filtered(rates / speed)
+        self.acceleration = self.filtered(acceleration / speed**2)
+
+    def present(self, names: Sequence[str]) -> list[str]:
+        """Return the names that this segment has; elevons in place of elevator and aileron."""
+        here = [name for name in names if name in self.splines]
+        return [name for name in here if name not in MIXED] if {*ELEVONS} <= {*here} else here
+
+    def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
+        """Return channels (n, k) without their lag."""
+        later = np.clip(self.time + lag, self.time[0], self.time[-1])
+        return np.column_stack([self.splines[name](later) for name in names]) if names else np.empty((len(later), 0))
+
+    def filtered(self, columns: Matrix) -> Matrix:
+        """Return columns within the band, with zero phase."""
+        sections = signal.butter(2, self.band, "bandpass", fs=self.rate_hz, output="sos")
+        return signal.sosfiltfilt(sections, columns, axis=0) if columns.shape[1] else columns
+
+    def inner(self, columns: Matrix) -> Matrix:
+        """Return columns without the ends of the segment."""
+        cut = round(EDGE * self.rate_hz)
+        return columns[cut:-cut]
+
+    def _low_pass(self, columns: Matrix, frequency: float) -> Matrix:
+        sections = signal.butter(2, frequency, fs=self.rate_hz, output="sos")
+        padding = min(len(self.time) - 1, round(2 * self.rate_hz / frequency))
+        return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
+
+
+Flights = list[list[Segment]]
+Equation = Callable[[Segment, float], tuple[Matrix, Matrix]]
+
+
+def flights_of(table: pd.DataFrame) -> Flights:
+    """Return the segments of each flight that are long enough and have all inertial sensors."""
+    time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
+    flights = []
+    for runs in runs_by_flight(time, codes):
+        long = [run for run in runs if time[run][-1] - time[run][0] > SHORTEST]
+        whole = [run for run in long if all(has_values(table.iloc[run], name) for name in (*FORCE, *RATE))]
+        flights.append([Segment(time[run], table.iloc[run]) for run in whole])
+    return [flight for flight in flights if flight]
+
+
+def surface_lag(flights: Flights) -> Lag:
+    """Return the lag of surfaces: angular acceleration / V^2 from surfaces, rates / V and specific force / V^2."""
+
+    def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
+        surfaces = segment.filtered(segment.channels(segment.present(SURFACES), lag))
+        return segment.acceleration, np.hstack([surfaces, segment.rate, segment.force])
+
+    return _profile_estimate(flights, SURFACES, equation)
+
+
+def air_lag(flights: Flights, surfaces: float) -> Lag:
+    """Return the lag of vanes: alpha, beta from specific force / V^2, rates / V and surfaces of a known lag."""
+
+    def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
+        vanes = segment.filtered(segment.channels(segment.present(VANES), lag))
+        moved = segment.filtered(segment.channels(segment.present(SURFACES), surfaces))
+        return vanes, np.hstack([segment.force, segment.rate, moved])
+
+    return _profile_estimate(flights, VANES, equation)
+
+
+def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation) -> Lag:
+    """Return the lag that maximises -n / 2 sum_i log RSS_i over the responses i, RSS_i the residual sum of squares."""
+    flights = [[segment for segment in flight if segment.present(names)] for flight in flights]
+    flights = [flight for flight in flights if flight]
+    if not flights:
+        return UNKNOWN
+
+    def residuals(lag: float) -> list[Matrix]:
+        return [_residual([equation(segment, lag) for segment in flight], flight) for flight in flights]
+
+    def squares(columns: list[Matrix]) -> Vector:
+        return np.sum([np.sum(part**2, axis=0) for part in columns], axis=0)
+
+    lag = _minimum(lambda lag: np.log(squares(residuals(lag))).sum())
+    if lag is None:
+        return UNKNOWN
+    final = residuals(lag)
+    responses = [segment.inner(equation(segment, lag)[0]) for flight in flights for segment in flight]
+    slopes = [(b - a) / (2 * FINE) for a, b in zip(residuals(lag - FINE), residuals(lag + FINE), strict=True)]
+    blocks = [round(BLOCK * flight[0].rate_hz) for flight in flights]
+    explained = float(1 - np.mean(squares(final) / squares(responses)))
+    return Lag(lag, _standard_deviation(final, slopes, blocks), explained)
+
+
+def _residual(equations: Sequence[tuple[Matrix, Matrix]], flight: list[Segment]) -> Matrix:
+    """Return the residuals of the responses over a flight's segments, by least squares."""
+    response, predictors = (
+        np.concatenate([segment.inner(part) for segment, part in zip(flight, parts, strict=True)])
+        for parts in zip(*equations, strict=True)
+    )
+    scale = np.linalg.norm(predictors, axis=0)
+    Q, R, _ = linalg.qr(predictors / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
+    Q = Q[:, np.abs(np.diag(R)) > RANK_TOLERANCE]
+    return response - Q @ (Q.T @ response)
+
+
+def _minimum(objective: Callable[[float], float]) -> float | None:
+    """Return the lag of the least objective, by a scan and two parabolas; None at the edge of the range."""
+    steps = np.arange(-RANGE, RANGE + COARSE / 2, COARSE)
+    values = [objective(lag) for lag in steps]
+    place = int(np.argmin(values))
+    if place in (0, len(steps) - 1):
+        return None
+    lag = steps[place] + _vertex(values[place - 1 : place + 2], COARSE)
+    for _ in range(2):
+        lag += _vertex([objective(lag - FINE), objective(lag), objective(lag + FINE)], FINE)
+    return float(lag)
+
+
+def _vertex(values: Sequence[float], step: float) -> float:
+    before, here, after = values
+    curvature = before - 2 * here + after
+    return float(np.clip(step * (before - after) / (2 * curvature), -step, step)) if curvature > 0 else 0.0
+
+
+def _standard_deviation(residuals: list[Matrix], slopes: list[Matrix], blocks: list[int]) -> float:
+    """Return the standard deviation of a lag for residuals correlated within blocks: sqrt(sum_b S_b^2) / H.
+
+    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum over a block of g e / s^2 and H = sum
+    g^2 / s^2 (Liang & Zeger 1986).
+    """
+    variance = sum(np.sum(e**2, axis=0) for e in residuals) / sum(len(e) for e in residuals)
+    scores = [np.sum(g * e / variance, axis=1) for g, e in zip(slopes, residuals, strict=True)]
+    sums = [np.add.reduceat(s, np.arange(0, len(s), size)) for s, size in zip(scores, blocks, strict=True)]
+    information = sum(np.sum(g**2 / variance) for g in slopes)
+    return float(np.sqrt(sum(np.sum(s**2) for s in sums)) / information)

@@ -1,12 +1,12 @@
-"""RateNondimensionalizer: rates times span or chord over airspeed."""
+"""RateNondimensionalizer: non-dimensional rates."""
 
 from __future__ import annotations
 
 from numbers import Real
 
 import numpy as np
-from sklearn.utils._param_validation import Interval
 
+from skdgp._compute.sklearn_compat import Interval
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
@@ -26,9 +26,9 @@ class RateNondimensionalizer(TableTransformer):
         \hat{\dot p} = \frac{\dot p b^2}{4V^2}, \quad \hat{\dot q} = \frac{\dot q c^2}{4V^2}, \quad
         \hat{\dot r} = \frac{\dot r b^2}{4V^2},
 
-    the usual normalisation of stability derivatives. Each rate that the table holds gets a column named with
-    ``_hat`` at the end (``p_hat``, ``alpha_dot_hat``, ``p_dot_hat``); the named sets of :class:`RegressorSelector`
-    take these in place of the measured rates where they are there.
+    the usual normalisation of stability derivatives. Each rate in the table gets a column with the suffix ``_hat``
+    (``p_hat``, ``alpha_dot_hat``, ``p_dot_hat``). The named sets of :class:`RegressorSelector` use it in place of the
+    measured rate.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ class RateNondimensionalizer(TableTransformer):
     Attributes
     ----------
     rates_ : list of str
-        The rates found in ``fit``; ``transform`` needs them, and ``airspeed``.
+        The rates of ``fit``; ``transform`` needs them, and ``airspeed``.
     n_features_in_, feature_names_in_
         Columns seen in ``fit``.
 
     Raises
     ------
     ValueError
-        If ``airspeed`` is missing, zero or negative somewhere, or the table holds no rate.
+        If ``airspeed`` is missing or not positive, or the table has no rate.
 
     Examples
     --------
@@ -64,7 +64,7 @@ class RateNondimensionalizer(TableTransformer):
         "chord": [Interval(Real, 0, None, closed="neither")],
     }
 
-    def __init__(self, span, chord):
+    def __init__(self, span: float, chord: float) -> None:
         self.span = span
         self.chord = chord
 
@@ -72,19 +72,24 @@ class RateNondimensionalizer(TableTransformer):
         self.rates_ = [name for name in RATE_LENGTHS | ACCELERATION_LENGTHS if name in table]
         if not self.rates_:
             check_columns(table, ["p", "q", "r"])
-        self._hats(table)
+        self._non_dimensional(table)
 
     def _transform_table(self, table):
-        return with_columns(table, self._hats(table))
+        return with_columns(table, self._non_dimensional(table))
 
     def _columns_out(self, names):
         added = [name + SUFFIX for name in self.rates_]
         return names + [name for name in added if name not in names]
 
-    def _hats(self, table):
+    def _non_dimensional(self, table):
         check_columns(table, ["airspeed", *self.rates_])
         airspeed = numeric(table, ["airspeed"])[:, 0]
-        _check_flying(airspeed)
+        still = np.flatnonzero(airspeed <= 0)
+        if still.size:
+            raise ValueError(
+                f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at or below zero), but "
+                "expected positive airspeed: keep the rows in flight, such as flight[flight.airspeed > 10]."
+            )
         values = dict(zip(self.rates_, numeric(table, self.rates_).T, strict=True))
         return {name + SUFFIX: self._scale(name, airspeed) * rate for name, rate in values.items()}
 
@@ -92,12 +97,3 @@ class RateNondimensionalizer(TableTransformer):
         if name in ACCELERATION_LENGTHS:
             return (getattr(self, ACCELERATION_LENGTHS[name]) / (2 * airspeed)) ** 2
         return getattr(self, RATE_LENGTHS[name]) / (2 * airspeed)
-
-
-def _check_flying(airspeed):
-    still = np.flatnonzero(airspeed <= 0)
-    if still.size:
-        raise ValueError(
-            f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at or below zero), but "
-            "expected positive airspeed: keep the rows in flight, such as flight[flight.airspeed > 10]."
-        )

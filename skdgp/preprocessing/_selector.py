@@ -1,22 +1,25 @@
-"""RegressorSelector: the columns that coefficients are learned from."""
+"""RegressorSelector: the columns that the regressor learns from."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from difflib import get_close_matches
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from sklearn.utils._param_validation import StrOptions
 
+from skdgp._compute.sklearn_compat import StrOptions
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import TRUTH_SUFFIX
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
+from skdgp.preprocessing._elevons import ELEVONS, MIXED
 from skdgp.preprocessing._rates import SUFFIX
 from skdgp.preprocessing._table import TableTransformer, numeric
 
-SURFACES = ("elevator", "aileron", "rudder")
-ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
+SURFACES = (*MIXED, "rudder")
 OPTIONAL = ("throttle", *SURFACES)
 REGRESSOR_SETS = {
     "quasi-steady": ("alpha", "beta", "p", "q", "r", *SURFACES, "throttle"),
@@ -26,22 +29,16 @@ REGRESSOR_SETS = {
         *SURFACES,
     ),
 }
-MAKERS = {
-    "alpha_dot": "FlightSmoother()",
-    "beta_dot": "FlightSmoother()",
-    "p_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
-    "q_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
-    "r_dot": "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])",
-}
-
-
-LARGEST = 1e60  # of a regressor: squares of larger numbers overflow in what follows
-STILL = 1e-9
-"""A regressor that varies by less than this fraction of itself was not moved."""
+MAKERS = dict.fromkeys(("alpha_dot", "beta_dot"), "FlightSmoother()") | dict.fromkeys(
+    ("p_dot", "q_dot", "r_dot"), "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])"
+)
+"""The step that adds a column."""
+LARGEST = 1e60  # regressor; squares of larger numbers overflow
+STILL = 1e-9  # a regressor that varies by less than this fraction of itself is constant
 
 
 class RegressorSelector(TableTransformer):
-    """Choose the regressors from a flight table, by the name of a set or one by one.
+    """Select the regressors of a flight table, by the name of a set or by column names.
 
     ================= ========================================================================================
     ``quasi-steady``  alpha, beta, p, q, r, elevator, aileron, rudder, throttle
@@ -50,14 +47,14 @@ class RegressorSelector(TableTransformer):
                       aileron, rudder (Hemakumara & Sukkarieh 2011, eq 22)
     ================= ========================================================================================
 
-    The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar S): a model on it
-    scores well and cannot be simulated, as a simulator has no accelerations to give. In most flights alpha_dot nearly
-    equals q, and beta_dot nearly -r cos alpha: the data then hardly tell them apart (Klein & Morelli 2006, section
-    5.1), and a model of both errs where another flight does. Hence ``"quasi-steady"``, which merges them.
+    The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar S): such a model has
+    good scores, but cannot be simulated, as accelerations are outputs of a simulation. In most flights alpha_dot nearly
+    equals q, and beta_dot -r cos alpha, so data hardly separate their effects (Klein & Morelli 2006, section 5.1), and
+    a model of both is wrong in flights where they differ. Hence ``"quasi-steady"``, which merges them.
 
-    In the named sets a non-dimensional rate (``p_hat``) takes the place of the rate where the table has it, and
-    controls that the aircraft does not have (throttle, elevator, aileron, rudder; at least one surface must be there)
-    are left out and listed in ``absent_``. Everything else is needed.
+    In the named sets a non-dimensional rate (``p_hat``) replaces the rate where present. Controls that the aircraft
+    does not have (throttle, elevator, aileron, rudder, but not all surfaces) are left out and listed in ``absent_``.
+    All other columns are needed.
 
     Parameters
     ----------
@@ -69,24 +66,24 @@ class RegressorSelector(TableTransformer):
     Attributes
     ----------
     regressors_ : list of str
-        The columns chosen, in order; ``transform`` needs exactly these.
+        The selected columns, in order; ``transform`` needs these.
     absent_ : list of str
         Controls of the named set that the table does not have.
     data_min_, data_max_ : ndarray (d,)
-        Of each regressor, over the rows of ``fit`` that have a target: what was flown.
+        Range of each regressor over the rows of ``fit`` that have a target.
     n_features_in_, feature_names_in_
         Columns seen in ``fit``.
 
     Raises
     ------
     ValueError
-        If a column is missing (with the nearest name), not numeric, or in ``transform`` NaN or infinite somewhere.
+        If a column is missing (with the nearest name) or not numeric, or has NaN or infinite values in ``transform``.
 
     Warns
     -----
     FlightDataWarning
-        In ``fit`` with targets, if a regressor never moved at the rows that are learned from, or there are no more of
-        these than regressors.
+        In ``fit`` with targets, if a regressor is constant over the rows with targets, or there are no more such rows
+        than regressors.
 
     Examples
     --------
@@ -102,40 +99,35 @@ class RegressorSelector(TableTransformer):
         "extra": [list, tuple, np.ndarray],
     }
 
-    def __init__(self, regressors="quasi-steady", *, extra=()):
+    def __init__(self, regressors: Any = "quasi-steady", *, extra: Sequence[str] = ()) -> None:
         self.regressors = regressors
         self.extra = extra
 
-    def fit(self, X, y=None):
-        """Learn which columns are there.
+    def fit(self, X: Any, y: Any = None) -> Self:
+        """Select the regressors, and learn their range.
 
         Parameters
         ----------
         X : DataFrame of shape (n, n_columns)
             Flight table.
         y : array-like of shape (n,) or (n, P), optional
-            Targets, NaN where not observed: tell which rows are learned from.
-
-        Returns
-        -------
-        self
+            Targets, NaN where not observed: the range is that of the observed rows.
         """
         super().fit(X, y)
         if self._passes:
             return self
         values = numeric(X, self.regressors_)
         if y is not None and len(y) == len(X):
-            targets = np.asarray(y, dtype=float).reshape(len(X), -1)
-            _warn_of_untold(values, targets, self.regressors_)
-            values = values[np.isfinite(targets).any(axis=1)]
+            values = values[np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)]
+            _warn_of_little_information(values[np.isfinite(values).all(axis=1)], self.regressors_)
         values = values[np.isfinite(values).all(axis=1)]
-        ends = (values.min(axis=0), values.max(axis=0)) if len(values) else (None, None)
-        self.data_min_, self.data_max_ = ends
+        self.data_min_ = values.min(axis=0) if len(values) else None
+        self.data_max_ = values.max(axis=0) if len(values) else None
         return self
 
-    def _recognises(self, X):
-        named = isinstance(self.regressors, str)
-        return super()._recognises(X) or (not named and isinstance(X, pd.DataFrame))
+    def _has_known_column(self, X):
+        listed = not isinstance(self.regressors, str)
+        return super()._has_known_column(X) or (listed and isinstance(X, pd.DataFrame))
 
     def _fit_table(self, table):
         self.absent_ = []
@@ -149,14 +141,21 @@ class RegressorSelector(TableTransformer):
             raise ValueError(f"Got regressors {chosen}, but expected at least one, each once (twice: {twice}).")
         check_columns(table, chosen)
         numeric(table, chosen)
-        _warn_of_truth(chosen)
+        truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
+        if truth:
+            warnings.warn(
+                f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: use them only to "
+                "score, or to measure the effect of sensor noise.",
+                UserWarning,
+                stacklevel=3,
+            )
         self.regressors_ = chosen
 
     def _transform_table(self, table):
         _check_made(table, self.regressors_)
         check_columns(table, self.regressors_)
         values = numeric(table, self.regressors_)
-        _check_whole(values, self.regressors_, table)
+        _check_finite(values, self.regressors_, table)
         return pd.DataFrame(values, columns=self.regressors_, index=table.index)
 
     def _columns_out(self, names):
@@ -164,23 +163,23 @@ class RegressorSelector(TableTransformer):
 
     def _from_set(self, table, names):
         _check_made(table, names)
-        here = [name + SUFFIX if name + SUFFIX in table else name for name in names]
-        self.absent_ = [name for name in OPTIONAL if name in here and _absent(name, table)]
+        names = [name + SUFFIX if name + SUFFIX in table else name for name in names]
+        self.absent_ = [name for name in OPTIONAL if name in names and _absent(name, table)]
         if all(surface in self.absent_ for surface in SURFACES):
             check_columns(table, SURFACES)
-        return [name for name in here if name not in self.absent_]
+        return [name for name in names if name not in self.absent_]
 
 
-def _absent(name, table):
-    """Whether the aircraft has no such control; a misspelt one is not absent."""
+def _absent(name: str, table: pd.DataFrame) -> bool:
+    """Return whether the aircraft has no such control; a misspelt column is not absent."""
     if name in table:
         return False
     words = [str(column) for column in table.columns if not str(column).endswith(TRUTH_SUFFIX)]
     return not get_close_matches(name, words, n=1, cutoff=0.85)
 
 
-def _check_made(table, names):
-    """Point to the step that makes a missing column."""
+def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
+    """Raise ValueError, with the step that adds it, if a column is missing."""
     if all(name in table or name + SUFFIX in table for name in names):
         return
     check_columns(table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table])
@@ -190,76 +189,61 @@ def _check_made(table, names):
             f"The flight lacks {sorted(missing)}, but these regressors need them: put {set(missing.values()).pop()} "
             "before RegressorSelector in the pipeline, or name other regressors."
         )
-    if {"elevon_left", "elevon_right"} <= set(table.columns) and "elevator" in names and "elevator" not in table:
+    if set(ELEVONS) <= set(table.columns) and "elevator" in names and "elevator" not in table:
         raise ValueError(
             "The flight has elevons but no elevator and aileron: put ElevonSplitter() before RegressorSelector in "
             "the pipeline, or name elevon_left and elevon_right as regressors."
         )
 
 
-def _warn_of_truth(chosen):
-    truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
-    if truth:
-        warnings.warn(
-            f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: use them to score, or "
-            "to measure what sensor noise costs.",
-            UserWarning,
-            stacklevel=4,
-        )
-
-
-def _warn_of_untold(values, targets, names):
-    """Warn of what the rows with targets cannot tell: regressors that never moved, slopes more than rows."""
-    values = values[np.isfinite(targets.reshape(len(values), -1)).any(axis=1)]
-    known = values[np.isfinite(values).all(axis=1)]
-    if not len(known):
+def _warn_of_little_information(values: Matrix, names: list[str]) -> None:
+    """Warn if a regressor is constant, or there are no more rows than regressors."""
+    if not len(values):
         return
-    still = [name for name, v in zip(names, known.T, strict=True) if np.ptp(v) <= STILL * np.abs(v).max()]
-    if len(known) <= len(names):
+    constant = [name for name, v in zip(names, values.T, strict=True) if np.ptp(v) <= STILL * np.abs(v).max()]
+    if len(values) <= len(names):
         warnings.warn(
-            f"Got {len(known)} samples to learn from for {len(names)} regressors: too few to tell what each does (at "
-            f"least {len(names) + 1}, better hundreds): give longer flights, more samples of them, or fewer columns.",
+            f"Got {len(values)} samples to learn from for {len(names)} regressors, but expected at least "
+            f"{len(names) + 1}, better hundreds: give longer flights, more samples of them, or fewer columns.",
             FlightDataWarning,
             stacklevel=3,
         )
-    elif still:
+    elif constant:
         warnings.warn(
-            f"In the training flights {still} never change: what they do cannot be learned, and the model knows "
-            "nothing about them. Fly manoeuvres that move them, or leave them out of the regressors.",
+            f"In the training flights {constant} never change, so the model cannot learn their effects. Fly manoeuvres "
+            "that move them, or leave them out of the regressors.",
             FlightDataWarning,
             stacklevel=3,
         )
 
 
-def _check_whole(values, names, table):
-    """Raise a ValueError that tells where regressors are no numbers, by the columns that they were made from."""
+def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None:
+    """Raise ValueError, with the measured columns that cause it, if a regressor is NaN or infinite."""
     holes = ~(np.abs(values) < LARGEST)
     if not holes.any():
         return
-    measured, made = {}, {}
+    measured: dict[str, int] = {}
+    computed: dict[str, int] = {}
     for name, rows in zip(names, holes.sum(axis=0), strict=True):
         sources = _sources(name, table) if rows else {}
         measured |= sources
-        made |= {name: int(rows)} if rows and not sources else {}
+        computed |= {name: int(rows)} if rows and not sources else {}
+    remedy = "leave out isolated rows between gaps, which have no rate of change"
+    if measured:
+        remedy = (
+            "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) and of its targets, "
+            "as python -m skdgp identify does: keep = "
+            f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = flight[keep], Y[keep]. Interpolate a slow "
+            "sensor to the clock of the others, leave out an empty column"
+        )
     raise ValueError(
         f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or infinite (by rows: "
-        f"{measured or made}), but expected finite ones: {_remedy_of_holes(measured)}."
+        f"{measured or computed}), but expected finite ones: {remedy}."
     )
 
 
-def _remedy_of_holes(measured) -> str:
-    if not measured:
-        return "leave out rows that stand alone between gaps, which have no rate of change"
-    return (
-        "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) and of its targets, as "
-        "python -m skdgp identify does: keep = "
-        f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = flight[keep], Y[keep]. Interpolate a slow "
-        "sensor to the clock of the others, leave out a column that is empty"
-    )
-
-
-def _sources(name, table) -> dict[str, int]:
-    """Return the measured columns with holes that a regressor was made from, by rows."""
+def _sources(name: str, table: pd.DataFrame) -> dict[str, int]:
+    """Return the number of missing values of the measured columns that a regressor is computed from."""
     rate = name.removesuffix(SUFFIX)
     sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
     sources += ELEVONS if name in MIXED else ()

@@ -1,49 +1,45 @@
-"""Base class of the transformers of flight tables: columns by name, others pass through."""
+"""Base class of the transformers of flight tables, and operations on their columns."""
 
 from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 from sklearn import get_config
-from sklearn.base import BaseEstimator, TransformerMixin, _fit_context
-from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
+from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context, output_container, set_output_container
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import check_table
 
+WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
 
-class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None):
+
+class TableTransformer(  # type: ignore[call-arg]
+    CallbackSupportMixin, TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None
+):
     """Base of transformers that read named columns of a flight table and add or choose others.
 
-    A table may hold any other columns, in any order, and other ones at ``transform`` than at ``fit``: only those
-    that the transformer reads must be there. An array, or a table without any known name, passes through unchanged
-    with a warning, since its columns cannot be recognised.
+    Only the columns that the transformer reads must be present, in any order; others pass through, and may differ
+    between ``fit`` and ``transform``. An array, or a table without any known name, passes through unchanged, with a
+    warning.
     """
 
     _known = frozenset(CHANNELS)
 
-    @_fit_context(prefer_skip_nested_validation=True)
-    def fit(self, X, y=None):
-        """Learn which columns are there.
-
-        Parameters
-        ----------
-        X : DataFrame of shape (n, n_columns)
-            Flight table.
-        y : None
-            Ignored.
-
-        Returns
-        -------
-        self
-        """
-        task, self._passes = FitTask(self, X, y), not self._recognises(X)
+    @fit_context(prefer_skip_nested_validation=True)
+    def fit(self, X: Any, y: Any = None) -> Self:
+        """Check the columns of the flight table X, and learn from them; y is ignored."""
+        task, self._passes = FitTask(self, X, y), not self._has_known_column(X)
         if self._passes:
-            self._checked_stranger(X, reset=True)
+            self._check_other_input(X, reset=True)
             warnings.warn(
                 f"{type(self).__name__} got a table without column names that it knows, so it passes it through "
                 "unchanged. Give a DataFrame with the names of docs/notation.md (skdgp.io.read_flight makes one).",
@@ -57,56 +53,25 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
         task.end()
         return self
 
-    def transform(self, X):
-        """Return the table with this step done.
-
-        Parameters
-        ----------
-        X : DataFrame of shape (n, n_columns)
-            Flight table.
-
-        Returns
-        -------
-        DataFrame or ndarray
-            A DataFrame for a DataFrame, with its index.
-        """
+    def transform(self, X: Any) -> Any:
+        """Return the transformed flight table X, with its index; an array for an array."""
         check_is_fitted(self)
         if self._passes:
-            return self._contained(self._checked_stranger(X))
-        return self._contained(self._transform_table(self._as_table(X)))
+            return self._as_output(self._check_other_input(X))
+        return self._as_output(self._transform_table(self._as_table(X)))
 
-    def get_feature_names_out(self, input_features=None) -> np.ndarray:
-        """Return the column names that ``transform`` gives for the table seen in ``fit``.
-
-        Parameters
-        ----------
-        input_features : array-like of str, optional
-            Must equal ``feature_names_in_`` where that is known.
-
-        Returns
-        -------
-        ndarray of str objects
-        """
+    def get_feature_names_out(self, input_features: Any = None) -> np.ndarray:
+        """Return the column names of the transformed table; ``input_features`` must equal ``feature_names_in_``."""
         check_is_fitted(self)
-        names = _check_feature_names_in(self, input_features)
+        names = check_feature_names_in(self, input_features)
         return names if self._passes else np.asarray(self._columns_out(list(names)), dtype=object)
 
-    def set_output(self, *, transform=None):
-        """Choose the container of ``transform``.
-
-        Parameters
-        ----------
-        transform : {"default", "pandas", "polars"}, optional
-            None leaves the choice as it is.
-
-        Returns
-        -------
-        self
-        """
+    def set_output(self, *, transform: str | None = None) -> Self:
+        """Set the container of transformed tables: "default", "pandas" or "polars"; None changes nothing."""
         if transform not in (None, "default", "pandas", "polars"):
             raise ValueError(f"Got transform={transform!r}, but expected 'default', 'pandas' or 'polars'.")
         if transform is not None:
-            self._sklearn_output_config = {"transform": transform}
+            set_output_container(self, transform)
         return self
 
     @abstractmethod
@@ -115,28 +80,29 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
 
     @abstractmethod
     def _transform_table(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Return the new table; never writes into the given one."""
+        """Return the new table, without changing the given one."""
 
     @abstractmethod
     def _columns_out(self, names: list[str]) -> list[str]:
-        """Return the columns that come out for those that go in."""
+        """Return the columns of the transformed table for those of the input."""
 
-    def _recognises(self, X) -> bool:
+    def _has_known_column(self, X: Any) -> bool:
         return any(isinstance(name, str) and name in self._known for name in getattr(X, "columns", ()))
 
-    def _as_table(self, X) -> pd.DataFrame:
-        if self._recognises(X):
+    def _as_table(self, X: Any) -> pd.DataFrame:
+        if self._has_known_column(X):
             return check_table(X)
         array = validate_data(self, X, reset=False, ensure_all_finite=False)
         return pd.DataFrame(array, columns=self.feature_names_in_, index=getattr(X, "index", None))
 
-    def _checked_stranger(self, X, *, reset=False):
+    def _check_other_input(self, X: Any, *, reset: bool = False) -> Any:
+        """Return an array, or a table without a known name, as scikit-learn validates it."""
         named = isinstance(X, pd.DataFrame)
         checked = validate_data(self, X, reset=reset, ensure_all_finite=False, skip_check_array=named)
         return X if named else checked
 
-    def _contained(self, result):
-        choice = getattr(self, "_sklearn_output_config", {}).get("transform", get_config()["transform_output"])
+    def _as_output(self, result: Any) -> Any:
+        choice = output_container(self, get_config()["transform_output"])
         if choice == "default":
             return result
         if not isinstance(result, pd.DataFrame):
@@ -153,8 +119,8 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
         return tags
 
 
-def numeric(table: pd.DataFrame, columns) -> np.ndarray:
-    """Return columns as floats (n, k); say which one is not made of numbers."""
+def numeric(table: pd.DataFrame, columns: Iterable[str]) -> Matrix:
+    """Return columns as floats (n, k); raise ValueError with the names of those that are not numeric."""
     columns = list(columns)
     try:
         return table[columns].to_numpy(dtype=float, na_value=np.nan)
@@ -163,8 +129,40 @@ def numeric(table: pd.DataFrame, columns) -> np.ndarray:
         raise ValueError(f"Got columns of type {kinds}, but expected numbers: convert or drop them.") from None
 
 
+def has_values(table: pd.DataFrame, name: str) -> bool:
+    """Return whether the table has the column, with a finite value."""
+    return name in table and bool(np.isfinite(numeric(table, [name])).any())
+
+
+def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
+    """Return columns (n, k) with linear interpolation of values that are not finite."""
+    values = values.copy()
+    for column in values.T:
+        known = np.isfinite(column)
+        if not known.all():
+            column[~known] = np.interp(time[~known], time[known], column[known])
+    return values
+
+
+def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
+    """Return columns as floats (n, k), roll and heading without their jumps of 2 pi."""
+    names = list(names)
+    values = numeric(table, names).copy()
+    for j, name in enumerate(names):
+        if name in WRAPPED:
+            known = np.isfinite(values[:, j])
+            values[known, j] = np.unwrap(values[known, j])
+    return values
+
+
+def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
+    """Return angles shifted by multiples of 2 pi to less than pi from those of a column."""
+    other = near.to_numpy(float, na_value=np.nan)
+    return angle - 2 * np.pi * np.round((angle - np.where(np.isfinite(other), other, angle)) / (2 * np.pi))
+
+
 def with_columns(table: pd.DataFrame, new: dict[str, np.ndarray]) -> pd.DataFrame:
     """Return the table with columns replaced in their place or added at the end."""
-    kept = table.assign(**{name: values for name, values in new.items() if name in table})
+    replaced = table.assign(**{name: values for name, values in new.items() if name in table})
     added = {name: values for name, values in new.items() if name not in table}
-    return pd.concat([kept, pd.DataFrame(added, index=table.index)], axis=1) if added else kept
+    return pd.concat([replaced, pd.DataFrame(added, index=table.index)], axis=1) if added else replaced

@@ -18,7 +18,7 @@ from skdgp.metrics import (
     normalized_rmse,
 )
 from skdgp.plotting import EnvelopeDisplay
-from skdgp.plotting._arrays import check_time
+from skdgp.plotting._display import check_time
 
 METRICS = (
     "median_relative_error",

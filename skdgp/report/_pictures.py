@@ -14,7 +14,7 @@ from skdgp.plotting import (
     StateDisplay,
 )
 from skdgp.plotting._flight import START_MARKERS, named_flights, start_marker
-from skdgp.plotting._states import LATERAL_STATES, replay_rows
+from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
 from skdgp.report._content import FlightResult
 from skdgp.report._svg import WIDTH, picture, strip
 

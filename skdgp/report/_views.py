@@ -6,9 +6,9 @@ import numpy as np
 
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import FlightDisplay
-from skdgp.plotting._ground_path import ground_path
-from skdgp.plotting._states import LATERAL_STATES, replay_rows
+from skdgp.plotting._flight import ground_path
 from skdgp.plotting._style import display_unit
+from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
 from skdgp.report._charts import Chart, Panel, Series, chart, tracks
 from skdgp.report._content import FlightResult, ReportContent
 from skdgp.report._tables import state, symbol, text

@@ -143,7 +143,7 @@ class TestHeldOut:
         if isinstance(cv, BlockSplit):  # who chooses blocks needs no warning
             model.fit(table, thin_targets(Y, 60))
         else:
-            with pytest.warns(UserWarning, match=r"Got one flight, so [45] blocks of it stand for flights"):
+            with pytest.warns(UserWarning, match=r"Got one flight, so [45] blocks of it replace flights"):
                 model.fit(table, thin_targets(Y, 60))
         assert model.unit_ == "block"
         assert (model.n_units_ >= 4).all()
@@ -194,7 +194,7 @@ class TestScaling:
         table, Y = flights
         Y = Y.copy()
         Y.loc[table["flight"] == "a", "Cm"] = np.nan
-        with pytest.warns(UserWarning, match=r"3 flights guarantee no more than 0.75: the bands of \['Cm'\]"):
+        with pytest.warns(UserWarning, match=r"3 flights guarantee no more than 0.75: the intervals of \['Cm'\]"):
             model = CalibratedRegressor(pipeline(), level=0.8).fit(table, Y)
         assert model.n_units_.tolist() == [4, 3]
         assert model.guaranteed_.tolist() == [True, False]
@@ -270,7 +270,7 @@ class TestFunctions:
         assert hasattr(CalibratedRegressor(QUICK), "sample_paths")
 
 
-class TestDoor:
+class TestErrors:
     def test_no_deviation_no_calibration(self, flights):
         with pytest.raises(TypeError, match="takes no return_std"):
             CalibratedRegressor(pipeline(LinearRegression()), level=0.5).fit(flights[0], make_flights()[1])
@@ -278,7 +278,7 @@ class TestDoor:
     def test_never_observed_where_it_counts(self, flights):
         fitted = pipeline().fit(*flights)
         table, Y = make_flights("efgh")
-        with pytest.raises(ValueError, match=r"no value of the outputs \['Cm'\] in what is held out"):
+        with pytest.raises(ValueError, match=r"no value of the outputs \['Cm'\] in held-out flights"):
             CalibratedRegressor(fitted, cv="prefit").fit(table, Y.assign(Cm=np.nan))
 
     def test_says_what_it_expects(self, model, flights):

@@ -11,7 +11,7 @@ from skdgp.dynamics._equations import inverse as _inverse
 from skdgp.identification._source import read_named
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS
-from skdgp.preprocessing._reconstruction import flight_log as _flight_log
+from skdgp.preprocessing import _path_equations
 from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 SERVOS = {
@@ -44,7 +44,7 @@ class TestNeeds:
         assert self.alternatives("coefficients") == {*_inverse.NEEDED, "thrust_x", "propeller_speed"}
 
     def test_reconstruction(self):
-        assert set(NEEDS["reconstruction"]) == set(_flight_log.NEEDED)
+        assert set(NEEDS["reconstruction"]) == set(_path_equations.NEEDED)
 
     def test_regressors(self):
         made = {"airspeed", "elevon_left", "elevon_right", "reconstruction"}

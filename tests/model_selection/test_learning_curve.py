@@ -74,7 +74,7 @@ class TestPoints:
         assert one.equals(two)
 
 
-class TestDoor:
+class TestErrors:
     def test_says_what_it_needs(self, flights, linear):
         table, Y = flights()
         single, single_Y = flights(names=("a",))

@@ -55,9 +55,10 @@ def test_lines_and_bands_are_those_of_the_table_in_order(sweep):
 def test_draws_the_best_known_by_default_and_any_name(sweep):
     display = DerivativeDisplay.from_sweep(sweep, over="alpha", ax=Figure())
     assert display.names == ("CL_alpha", "CD_alpha", "Cm_alpha")
-    figure = Figure()
-    DerivativeDisplay.from_sweep(sweep, over="alpha", derivatives=["Cn_elevon_left", "CL"], ax=figure)
-    figure.canvas.draw()
+    display = DerivativeDisplay.from_sweep(sweep, over="alpha", derivatives=["Cn_elevon_left", "CL"], ax=Figure())
+    display.figure_.canvas.draw()
+    labels = [ax.get_ylabel() for ax in display.axes_.flat]
+    assert labels == [r"$C_{n_{\mathrm{elevon\_left}}}$", "$C_L$"]
 
 
 def test_without_deviations_there_is_no_band(sweep):

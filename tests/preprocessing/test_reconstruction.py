@@ -8,18 +8,21 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.frames import air_data
 from skdgp.preprocessing import FlightPathReconstruction, FlightSmoother
-from skdgp.preprocessing._reconstruction.bordered import Prior, Rows, solve
-from skdgp.preprocessing._reconstruction.flight_log import NEEDED, first_guess, flight_logs
-from skdgp.preprocessing._reconstruction.kinematics import (
+from skdgp.preprocessing._path_equations import (
     CONSTANTS,
+    NEEDED,
     PLACE,
     SENSORS,
-    air_data,
+    Equations,
     air_data_rates,
-    looks,
-    ties,
+    first_guess,
+    flight_logs,
+    measurement_equations,
+    process_equations,
 )
+from skdgp.preprocessing._path_estimate import Prior, solve
 
 GRAVITY = 9.80665
 SHEET = {
@@ -55,7 +58,7 @@ def flown(seconds=80.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, lo
     wind = mean_wind + walk - walk.mean(axis=0)
     turning = np.zeros((len(t), 3))
     turning[1:-1] = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * step)
-    air = air_data(attitude.inv().apply(velocity - wind))
+    air = np.column_stack(air_data(attitude.inv().apply(velocity - wind)))
     euler = attitude.as_euler("ZYX")[:, ::-1]
     force = attitude.inv().apply(CubicSpline(t, velocity)(t, 1) - [0, 0, GRAVITY])
     truth = np.column_stack([force, turning, np.unwrap(euler, axis=0), air, velocity, wind])
@@ -88,7 +91,9 @@ def guess(table, **constants):
 
 
 class TestEquations:
-    @pytest.mark.parametrize("rows", [looks, lambda path, log: ties(path, log, np.full(len(log.time) - 1, 0.9))])
+    @pytest.mark.parametrize(
+        "rows", [measurement_equations, lambda path, log: process_equations(path, log, np.full(len(log.time) - 1, 0.9))]
+    )
     def test_slopes_are_those_of_the_residuals(self, rows):
         log, path = guess(flown(0.5), alpha_scale=0.1, airspeed_scale=-0.05, beta_bias=0.02, p_bias=0.01, wind_east=4.0)
         base, eps = rows(path, log), 1e-6
@@ -98,10 +103,10 @@ class TestEquations:
                 moved = states.copy()
                 moved[first::2, place] = eps
                 slope = (rows(path.moved(moved, constants), log).residual - base.residual) / eps
-                np.testing.assert_allclose(slope[first::2], base.here[first::2, :, place], atol=2e-3, rtol=2e-3)
-                if base.after is not None:
+                np.testing.assert_allclose(slope[first::2], base.d_state[first::2, :, place], atol=2e-3, rtol=2e-3)
+                if base.d_next is not None:
                     np.testing.assert_allclose(
-                        slope[1 - first :: 2], base.after[1 - first :: 2, :, place], atol=2e-3, rtol=2e-3
+                        slope[1 - first :: 2], base.d_next[1 - first :: 2, :, place], atol=2e-3, rtol=2e-3
                     )
         for name, place in PLACE.items():
             if name.endswith("_lag"):
@@ -109,7 +114,7 @@ class TestEquations:
             moved = constants.copy()
             moved[place] = eps
             slope = (rows(path.moved(states, moved), log).residual - base.residual) / eps
-            np.testing.assert_allclose(slope, base.shared[:, :, place], atol=1e-3, rtol=1e-3)
+            np.testing.assert_allclose(slope, base.d_constants[:, :, place], atol=1e-3, rtol=1e-3)
 
     def test_rates_of_change_are_those_of_air_data_in_steady_air(self):
         table = flown(4.0, 400.0, noise=0.0)
@@ -122,25 +127,27 @@ class TestEquations:
     def test_the_bordered_solution_is_that_of_the_dense_problem(self):
         rng = np.random.default_rng(0)
         n, s, c, k = 6, 3, 2, 40_000
-        tied = Rows(*(rng.normal(size=shape) for shape in [(n - 1, 2), (n - 1, 2, s), (n - 1, 2, s), (n - 1, 2, c)]))
-        seen = Rows(rng.normal(size=(n, 4)), rng.normal(size=(n, 4, s)), None, rng.normal(size=(n, 4, c)))
+        process = Equations(
+            *(rng.normal(size=shape) for shape in [(n - 1, 2), (n - 1, 2, s), (n - 1, 2, s), (n - 1, 2, c)])
+        )
+        measured = Equations(rng.normal(size=(n, 4)), rng.normal(size=(n, 4, s)), None, rng.normal(size=(n, 4, c)))
         prior = Prior(np.full((n, s), 0.3), rng.normal(size=(n, s)), np.full(c, 0.5), rng.normal(size=c))
         J, r = [], []
         for i in range(n):
-            for rows in (tied, seen) if i < n - 1 else (seen,):
-                block = np.zeros((rows.here.shape[1], n * s + c))
-                block[:, i * s : (i + 1) * s] = rows.here[i]
-                if rows.after is not None:
-                    block[:, (i + 1) * s : (i + 2) * s] = rows.after[i]
-                block[:, n * s :] = rows.shared[i]
+            for rows in (process, measured) if i < n - 1 else (measured,):
+                block = np.zeros((rows.d_state.shape[1], n * s + c))
+                block[:, i * s : (i + 1) * s] = rows.d_state[i]
+                if rows.d_next is not None:
+                    block[:, (i + 1) * s : (i + 2) * s] = rows.d_next[i]
+                block[:, n * s :] = rows.d_constants[i]
                 J.append(block)
                 r.append(rows.residual[i])
         J.append(np.diag(np.sqrt(np.r_[prior.states.ravel(), prior.constants])))
-        r.append(J[-1] @ np.r_[prior.states_off.ravel(), prior.constants_off])
+        r.append(J[-1] @ np.r_[prior.states_offset.ravel(), prior.constants_offset])
         J, r = np.vstack(J), np.concatenate(r)
         covariance = np.linalg.inv(J.T @ J)
         solution = -covariance @ J.T @ r
-        found = solve([(0, tied, seen)], prior, rng.standard_normal((n * s + c, k)))
+        found = solve([(0, process, measured)], prior, rng.standard_normal((n * s + c, k)))
         np.testing.assert_allclose(np.r_[found.states.ravel(), found.constants], solution, atol=1e-10)
         np.testing.assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
         draws = np.vstack([found.state_draws.reshape(n * s, k), found.constant_draws])
@@ -239,7 +246,7 @@ class TestHonesty:
     def test_windows_leave_no_seam(self, monkeypatch):
         table = flown(20.0, lags={"alpha": 0.1, "beta": 0.1})
         whole = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
-        monkeypatch.setattr("skdgp.preprocessing._reconstruction.flight_path.WINDOW", 120)
+        monkeypatch.setattr("skdgp.preprocessing._path_estimate.WINDOW", 120)
         parts = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
         assert parts.sensors_["vane_lag"] == pytest.approx(whole.sensors_["vane_lag"], rel=1e-6)
         assert parts.error_std_ == pytest.approx(whole.error_std_, rel=1e-6)
@@ -312,7 +319,7 @@ class TestIncomplete:
         reconstruction = FlightPathReconstruction(incomplete="pass").fit(flight)
         assert reconstruction.missing_ == ["phi"]
         pd.testing.assert_frame_equal(reconstruction.transform(flight), flight)
-        with pytest.raises(ValueError, match=r"The flights of fit lack \['phi'\], so nothing was learned"):
+        with pytest.raises(ValueError, match=r"The flights of fit lack \['phi'\], so their sensors were not"):
             reconstruction.calibration(flight)
 
     def test_a_sensor_silent_in_one_of_the_flights_is_missing(self):

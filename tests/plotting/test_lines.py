@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.plotting._envelope import band_points, line_points, lonely, stretch_starts
+from skdgp.plotting._lines import band_points, isolated, line_points, segment_starts
 
 
 def noisy_record(n=30_000, seed=0):
@@ -46,7 +46,7 @@ def test_a_constant_needs_no_more_points_than_a_wiggle():
 
 def test_lines_break_at_gaps_and_where_time_goes_back():
     time = np.array([0.0, 1, 2, 3, 100, 101, 102, 0, 1, 2])
-    np.testing.assert_array_equal(stretch_starts(time), [0, 4, 7])
+    np.testing.assert_array_equal(segment_starts(time), [0, 4, 7])
     t, v = line_points(time, np.ones(10), n_bins=1000)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(v)), [4, 8])
     assert len(t) == 12
@@ -54,7 +54,7 @@ def test_lines_break_at_gaps_and_where_time_goes_back():
 
 def test_lines_break_between_windows():
     window = np.repeat([0, 1, 2], 4)
-    np.testing.assert_array_equal(stretch_starts(np.arange(12.0), window), [0, 4, 8])
+    np.testing.assert_array_equal(segment_starts(np.arange(12.0), window), [0, 4, 8])
 
 
 def test_holes_wide_enough_to_be_seen_break_the_line():
@@ -101,5 +101,5 @@ def test_a_short_band_is_left_as_it_is_and_breaks_with_its_line():
     ("values", "alone"),
     [([1.0, np.nan, 2, 3], [0]), ([np.nan, 1, np.nan], [1]), ([1.0], [0]), ([1.0, 2], []), ([np.nan], [])],
 )
-def test_lonely_values(values, alone):
-    np.testing.assert_array_equal(lonely(np.array(values)), alone)
+def test_isolated_values(values, alone):
+    np.testing.assert_array_equal(isolated(np.array(values)), alone)

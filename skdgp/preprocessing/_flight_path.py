@@ -1,38 +1,49 @@
-"""FlightPathReconstruction, the transformer."""
+"""FlightPathReconstruction: the path of each flight from all its sensors."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from numbers import Real
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
-from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.sklearn_compat import Interval, StrOptions
+from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.preprocessing._reconstruction.flight_log import (
+from skdgp._flight.frames import air_data
+from skdgp.preprocessing._path_equations import (
     AIR,
-    ATTITUDE,
+    CONSTANTS,
     FORCE,
+    INERTIAL,
     NEEDED,
     RATE,
-    VELOCITY,
+    SENSORS,
+    SPEED,
+    WIND,
+    Log,
+    Path,
+    air_data_rates,
     first_guess,
     flight_logs,
-    missing_in,
+    missing_channels,
 )
-from skdgp.preprocessing._reconstruction.flight_path import GUSTS, NOISE, estimate
-from skdgp.preprocessing._reconstruction.kinematics import CONSTANTS, INERTIAL, SENSORS, WIND, air_data, air_data_rates
+from skdgp.preprocessing._path_estimate import GUSTS, NOISE, Estimate, estimate
 from skdgp.preprocessing._smoother import FlightSmoother
-from skdgp.preprocessing._table import TableTransformer, with_columns
+from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
 WINDS = ("wind_north", "wind_east", "wind_down")
-MADE = (*AIR, "alpha_dot", "beta_dot", *RATE, *FORCE, *ATTITUDE, *VELOCITY, *WINDS)
-OBSERVABLE = 0.5
-"""A constant is observable if the flight leaves less than this of its prior standard deviation."""
+MADE = (*AIR, "alpha_dot", "beta_dot", *RATE, *FORCE, *EULER, *SPEED, *WINDS)
+OBSERVABLE = 0.5  # a constant is observable if its standard deviation is less than this share of the prior one
+
+Flights = list[tuple[Any, Indices, Log, Estimate]]
 
 
 class FlightPathReconstruction(TableTransformer):
@@ -44,53 +55,44 @@ class FlightPathReconstruction(TableTransformer):
     .. math:: \dot v = R f + g, \quad \dot R = R [\omega]_\times, \quad v_a = R^T (v - w),
     .. math:: V = |v_a|, \quad \alpha = \arctan(w_a / u_a), \quad \beta = \arcsin(v_a / V),
 
-    and gusts that wander with correlation time ``gust_time``. Accelerometers and gyros carry the path from sample to
-    sample, GPS velocity and attitude hold it, airspeed and vanes tell it from the air. How noisy each sensor is, and
-    how gusty each flight, is learned from the data by likelihood: in calm air alpha and beta are those of the inertial
-    sensors, in gusts vanes are believed as far as the air is seen to move. Without vanes alpha and beta follow from
-    the rest. This is the flight-path reconstruction (data compatibility check) of flight test (Mulder et al. 1999;
-    Klein & Morelli 2006, chapter 10; Jategaonkar 2006, chapter 10), as one sparse least-squares problem.
-
-    ``fit`` learns the sensors: their noise, and their scale factors, misalignments and lags if asked to. ``transform``
-    takes these as given; it finds the biases of inertial sensors, the wind and the strength of gusts of each flight
-    from that flight alone.
+    and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter 10; Jategaonkar 2006,
+    chapter 10), as one sparse least-squares problem. Vanes are optional. The noise of each sensor and the strength of
+    gusts are estimated by maximum likelihood. ``fit`` learns the noise and, on request, scale factors, biases and lags.
+    ``transform`` uses these, and estimates biases of inertial sensors, wind and gusts of each flight by itself.
 
     Parameters
     ----------
     calibrate : {"inertial", "all"} or list of str, default="inertial"
-        Errors to estimate and remove. "inertial": biases of accelerometers and gyros, ax_bias ... r_bias, flight by
-        flight. A list may name these and errors of the other sensors, learned in ``fit``: airspeed_scale, alpha_bias,
-        alpha_scale, beta_bias, beta_scale, airspeed_lag, vane_lag, velocity_lag, attitude_lag [s], the lags relative
-        to the inertial sensors. Measured is (1 + scale) truth + bias. "all": all of them. Scales and biases of air data
-        need calm air: an aircraft yields to gusts, which looks like a scale.
+        Errors to estimate and remove. "inertial": ax_bias, ay_bias, az_bias, p_bias, q_bias, r_bias, in each flight.
+        "all", or a list of names: also airspeed_scale, alpha_bias, alpha_scale, beta_bias, beta_scale, and, relative to
+        the inertial sensors, airspeed_lag, vane_lag, velocity_lag, attitude_lag [s], learned in ``fit``. Measured is
+        (1 + scale) truth + bias. Errors of air data need calm air, as the response to gusts resembles a scale.
     rates : {"air", "steady"}, default="air"
-        What alpha_dot and beta_dot are: "air", the slopes of the reconstructed alpha and beta, gusts and all; "steady",
-        from the kinematics in air that keeps its velocity. The latter are several times more exact where that is what
-        is asked for, and hold the measured accelerations (alpha_dot - q is about az / V, plus gravity): a model of the
-        forces then leans on them where alpha is uncertain.
+        alpha_dot and beta_dot as derivatives of the reconstructed alpha and beta, with gusts; or from the kinematics in
+        air of constant velocity. "steady" has smaller errors, but contains the measured accelerations (alpha_dot - q is
+        about az / V, plus gravity), which a model of the forces then uses where alpha is uncertain.
     gust_time : float, default=10.0
-        Correlation time of gusts [s]. The longer, the more a steady vertical wind is possible instead of a vane's bias.
+        Correlation time of gusts [s]. A longer one allows more steady vertical wind in place of a vane's bias.
     gravity : float, default=9.80665
         [m/s^2]. An error appears as bias of the accelerometers.
     incomplete : {"raise", "pass"}, default="raise"
-        What to do with flights that lack a channel that no path can be had without: raise, or let them pass. Where
-        those of ``fit`` do (``missing_``), every further table passes as it is, for the next step to smooth; where only
-        those of ``transform`` do, `FlightSmoother` makes of them what it can.
+        For flights without a needed channel: raise ValueError, or pass them on. If flights of ``fit`` lack one
+        (``missing_``), all tables pass unchanged; if only flights of ``transform`` do, `FlightSmoother` smooths them.
 
     Attributes
     ----------
     missing_ : list of str
-        Channels without which flights pass as they are; empty where they are reconstructed.
+        Missing channels of the flights of ``fit``, which then pass unchanged; empty where they are reconstructed.
     noise_std_ : dict of str to float
         Standard deviation of each sensor's noise: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt (roll and pitch), heading.
     error_std_ : dict of str to float
         Expected error of reconstructed airspeed, alpha and beta: root mean square of their standard deviations.
     gust_std_ : float
-        How much the air changes in one second [m/s], root mean square over the flights of ``fit``; of each flight it is
-        in the column ``gust`` that ``transform`` makes.
+        Change of the air's velocity in one second [m/s], root mean square over the flights of ``fit``. The column
+        ``gust`` of the transformed table holds that of each flight.
     sensors_ : dict of str to float
-        Errors of the other sensors, learned over all flights of ``fit``; zero where not estimated.
+        Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
         :meth:`calibration` of the flights of ``fit``.
     n_features_in_, feature_names_in_
@@ -105,7 +107,7 @@ class FlightPathReconstruction(TableTransformer):
     Warns
     -----
     FlightDataWarning
-        In ``transform``, where flights pass though those of ``fit`` were reconstructed.
+        In ``transform``, where flights are smoothed although those of ``fit`` were reconstructed.
 
     Examples
     --------
@@ -130,15 +132,23 @@ class FlightPathReconstruction(TableTransformer):
         "incomplete": [StrOptions({"raise", "pass"})],
     }
 
-    def __init__(self, *, calibrate="inertial", rates="air", gust_time=10.0, gravity=9.80665, incomplete="raise"):
+    def __init__(
+        self,
+        *,
+        calibrate: Any = "inertial",
+        rates: str = "air",
+        gust_time: float = 10.0,
+        gravity: float = 9.80665,
+        incomplete: str = "raise",
+    ) -> None:
         self.calibrate = calibrate
         self.rates = rates
         self.gust_time = gust_time
         self.gravity = gravity
         self.incomplete = incomplete
 
-    def calibration(self, X) -> pd.DataFrame:
-        """Return the constants of each flight, estimated from that flight alone, and which of them it shows.
+    def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
+        """Return the constants of each flight, estimated from that flight alone, and their observability.
 
         Parameters
         ----------
@@ -148,20 +158,21 @@ class FlightPathReconstruction(TableTransformer):
         Returns
         -------
         DataFrame
-            A row per flight and constant: ``estimate``, ``std`` (standard deviation), ``prior_std`` (before the
-            flight), ``observable`` (std below half of prior_std), ``confounded_with`` (the constant whose error is most
-            correlated) and ``correlation`` with it.
+            A row per flight and constant: ``estimate``, ``std`` (standard deviation), ``prior_std``, ``observable``
+            (std below half of prior_std), ``confounded_with`` (the constant whose error is most correlated) and
+            ``correlation`` with it.
         """
         check_is_fitted(self)
         table = self._as_table(X)
         if self.missing_:
-            raise ValueError(f"The flights of fit lack {self.missing_}, so nothing was learned of their sensors.")
+            raise ValueError(f"The flights of fit lack {self.missing_}, so their sensors were not estimated.")
         self._check(table)
-        return _calibration(self._estimates(table, free=self._errors(), learn=GUSTS, sensors={}), self._errors())
+        errors = self._error_names()
+        return _calibration(self._estimates(table, free=errors, learn=GUSTS, sensors={}), errors)
 
     def _fit_table(self, table):
-        errors = self._errors()
-        self.missing_ = missing_in(table) if self.incomplete == "pass" else []
+        errors = self._error_names()
+        self.missing_ = missing_channels(table) if self.incomplete == "pass" else []
         if self.missing_:
             return
         self._check(table)
@@ -176,35 +187,35 @@ class FlightPathReconstruction(TableTransformer):
         self.sensors_ = dict.fromkeys(SENSORS, 0.0) | _pooled(found, errors)
         self.calibration_ = _calibration(found, errors)
         if not isinstance(self.calibrate, str):
-            self._warn_of_hidden()
+            self._warn_unobservable()
 
     def _transform_table(self, table):
         if self.missing_:
             return table
-        missing = missing_in(table) if self.incomplete == "pass" else []
+        missing = missing_channels(table) if self.incomplete == "pass" else []
         if missing:
             warnings.warn(
-                f"Got flights without {missing}, which those of the fit had: their paths are not reconstructed, each "
-                "channel is smoothed by itself (FlightSmoother). Expect larger errors than with those sensors.",
+                f"Got flights without {missing}, which those of the fit had: they are smoothed channel by channel "
+                "(FlightSmoother), not reconstructed. Expect larger errors than with those sensors.",
                 FlightDataWarning,
                 stacklevel=3,
             )
             return FlightSmoother().fit_transform(table)
         self._check(table)
-        inertial = [name for name in self._errors() if name in INERTIAL]
+        inertial = [name for name in self._error_names() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
         for _, rows, log, found in self._estimates(table, free=inertial, learn=GUSTS, sensors=self.sensors_):
             for name, values in _channels(found.path, log, self.rates).items():
                 new[name][rows] = values
             new["gust"][rows] = _gust(found)
-        for name in ATTITUDE:
-            new[name] = _near(new[name], table[name].to_numpy(float, na_value=np.nan))
+        for name in EULER:
+            new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
 
     def _columns_out(self, names):
         return names + [name for name in (*MADE, "gust") if name not in names and not self.missing_]
 
-    def _errors(self):
+    def _error_names(self) -> list[str]:
         """Return the names of the sensors' errors to estimate."""
         known = INERTIAL | SENSORS
         if isinstance(self.calibrate, str):
@@ -218,22 +229,18 @@ class FlightPathReconstruction(TableTransformer):
         check_columns(table, ["time", *NEEDED])
         check_radians(table, ("theta", *RATE, "alpha", "beta"))  # roll and heading may have been unwrapped
 
-    def _estimates(self, table, *, free, learn, sensors):
+    def _estimates(
+        self, table: pd.DataFrame, *, free: list[str], learn: Mapping[str, float], sensors: Mapping[str, float]
+    ) -> Flights:
         """Return (name, rows, log, estimate) of every flight."""
         found = []
         constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
         for name, rows, log in flight_logs(table, self.gravity):
-            each = estimate(
-                log,
-                first_guess(log, constants),
-                self.noise_std_ | GUSTS,
-                learn=learn,
-                free=[*free, *WIND],
-                gust_time=self.gust_time,
-            )
+            start, noise = first_guess(log, constants), self.noise_std_ | GUSTS
+            each = estimate(log, start, noise, learn=learn, free=[*free, *WIND], gust_time=self.gust_time)
             if not each.converged:
                 warnings.warn(
-                    f"The reconstruction of flight {name!r} did not settle: its sensors contradict one another. Look "
+                    f"The reconstruction of flight {name!r} did not converge: its sensors contradict one another. Look "
                     "at calibration(flight), and for wrong signs, units or clocks.",
                     UserWarning,
                     stacklevel=4,
@@ -241,61 +248,55 @@ class FlightPathReconstruction(TableTransformer):
             found.append((name, rows, log, each))
         return found
 
-    def _warn_of_hidden(self):
+    def _warn_unobservable(self):
         shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(WIND))
         if not shown.all():
             warnings.warn(
-                f"The flights hardly show {', '.join(shown.index[~shown])}: estimates stay near zero, the more so "
-                "the less is seen (see calibration_). Fly turns and manoeuvres that excite them, or leave them out of "
-                "calibrate.",
+                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay near the prior, zero "
+                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out of calibrate.",
                 UserWarning,
                 stacklevel=4,
             )
 
 
-def _channels(path, log, rates):
+def _channels(path: Path, log: Log, rates: str) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
-    air = air_data(path.air_velocity())
+    air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    dots = air_data_rates(path, log) if rates == "steady" else _slopes(air, path, log)
+    dots = air_data_rates(path, log) if rates == "steady" else _derivatives(air, path, log)
     parts = [air, dots[:, 1:], path.rate(log), path.force(log), rotation, path.velocity, path.wind()]
     return dict(zip(MADE, np.column_stack(parts).T, strict=True))
 
 
-def _slopes(air, path, log):
-    """Return the slopes of the splines through air data (n, 3), stretch by stretch; of single samples in steady air."""
-    slopes = air_data_rates(path, log)
-    for stretch in np.unique(log.stretch):
-        rows = log.stretch == stretch
+def _derivatives(air: Matrix, path: Path, log: Log) -> Matrix:
+    """Return derivatives of the splines through air data (n, 3), by segment; of single samples in steady air."""
+    rates = air_data_rates(path, log)
+    for segment in np.unique(log.segment):
+        rows = log.segment == segment
         if rows.sum() > 1:
-            slopes[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
-    return slopes
+            rates[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
+    return rates
 
 
-def _near(angle, logged):
-    """Return the same angle within pi of the one that was logged."""
-    return angle - 2 * np.pi * np.round((angle - np.where(np.isfinite(logged), logged, angle)) / (2 * np.pi))
-
-
-def _gust(found) -> float:
-    """Return how much the air changes in one second, along one axis [m/s]: root mean square of the two directions."""
+def _gust(found: Estimate) -> float:
+    """Return the change of the air's velocity in one second [m/s], root mean square of the two directions."""
     return float(np.sqrt(np.mean([found.noise[name] ** 2 for name in GUSTS])))
 
 
-def _pooled(found, errors):
-    """Return the errors of sensors that all flights share: the flights' estimates by precision, the prior once."""
+def _pooled(found: Flights, errors: list[str]) -> dict[str, float]:
+    """Return the errors of sensors over all flights: estimates weighted by precision, with the prior counted once."""
     names = [name for name in errors if name in SENSORS]
     places = [errors.index(name) for name in names]
     prior = np.diag([CONSTANTS[name] ** -2 for name in names])
     precision, weighted = prior.copy(), np.zeros(len(names))
     for *_, each in found:
-        own = np.linalg.inv(each.covariance[np.ix_(places, places)])
-        weighted += own @ each.path.of(*names)
-        precision += own - prior
+        of_flight = np.linalg.inv(each.covariance[np.ix_(places, places)])
+        weighted += of_flight @ each.path.constant(*names)
+        precision += of_flight - prior
     return dict(zip(names, np.linalg.solve(precision, weighted).tolist(), strict=True))
 
 
-def _calibration(found, errors):
+def _calibration(found: Flights, errors: list[str]) -> pd.DataFrame:
     """Return a row per flight and constant."""
     names = [*errors, *WIND]
     parts = []
@@ -304,7 +305,8 @@ def _calibration(found, errors):
         correlation = each.covariance / np.outer(std, std) - np.eye(len(names))
         partner = np.abs(correlation).argmax(axis=1)
         prior = np.array([CONSTANTS[name] for name in names])
-        part = {"flight": flight, "constant": names, "estimate": each.path.of(*names), "std": std, "prior_std": prior}
-        part |= {"observable": std < OBSERVABLE * prior, "confounded_with": np.array(names)[partner]}
-        parts.append(pd.DataFrame(part | {"correlation": correlation[np.arange(len(names)), partner]}))
+        part = {"flight": flight, "constant": names, "estimate": each.path.constant(*names), "std": std}
+        part |= {"prior_std": prior, "observable": std < OBSERVABLE * prior}
+        part |= {"confounded_with": np.array(names)[partner], "correlation": correlation[range(len(names)), partner]}
+        parts.append(pd.DataFrame(part))
     return pd.concat(parts, ignore_index=True)

@@ -1,5 +1,0 @@
-"""Flight-path reconstruction."""
-
-from skdgp.preprocessing._reconstruction.reconstruction import FlightPathReconstruction
-
-__all__ = ["FlightPathReconstruction"]

@@ -16,7 +16,7 @@ from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
-from skdgp._compute.checkpoint import kept_in, record_of_fit
+from skdgp._compute.checkpoint import fit_record, run_recorded
 from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.memory import check_memory
 from skdgp._compute.parallel import check_n_jobs, fit_map
@@ -278,12 +278,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         root = input_root(self.input_noise, X, self._regressor_names())
         options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
-        record = record_of_fit(X, Z, seeds, self.get_params(deep=False))
+        record = fit_record(X, Z, seeds, self.get_params(deep=False))
         seeds = seeds if record is None else record.seeds
         kernel, found = self._choose(X, Z, options | {"random_state": int(seeds[0]), "record": record})
         names = [f"start-{k}" for k in range(len(seeds) if found is None else 1)]
         starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
-        start = partial(kept_in, record, function=partial(search, kernel, X, Z, found=found, **options))
+        start = partial(run_recorded, record, function=partial(search, kernel, X, Z, found=found, **options))
         fits = fit_map(start, starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.value)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.checkpoint import Record, kept_in
+from skdgp._compute.checkpoint import FitRecord, run_recorded
 from skdgp.inference._fit import Found, fit_exact, some_rows
 
 
@@ -24,7 +24,7 @@ class Choice(NamedTuple):
 
 
 def choose_kernel(
-    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: Record | None = None
+    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: FitRecord | None = None
 ) -> Choice:
     r"""Choose among kernels, from few hyperparameters to many, by the Bayesian information criterion.
 
@@ -45,7 +45,7 @@ def choose_kernel(
         NaN where an output was not observed. Where more than 2400 values were, rows spread over them are used.
     optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
-    record : Record or None
+    record : FitRecord or None
         Where the fits are kept, if they are.
 
     Returns
@@ -58,7 +58,7 @@ def choose_kernel(
     options = {"optimizer": optimizer, "max_iter": max_iter, "random_state": random_state, "input_noise": input_noise}
     scores, best = [], None
     for k, kernel in enumerate(kernels):
-        fit = kept_in(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
+        fit = run_recorded(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
         if fit.interrupted:
             return Choice(max(k - 1, 0), scores, (best or fit).found(interrupted=True))
         n_hyperparameters = fit.posterior.kernel.n_dims + Y.shape[1]

@@ -15,11 +15,10 @@ from sklearn.utils import check_array, check_random_state
 from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
 from skdgp._compute.checkpoint import fit_record, run_recorded
-from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
-from skdgp._compute.memory import check_memory
+from skdgp._compute.linalg import check_memory, column_scale, constant_columns, eigen_root
 from skdgp._compute.parallel import check_n_jobs, fit_map
+from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.tables import column_names
 from skdgp.inference import Data, choose_kernel, compact, fit_exact, fit_sparse, output_correlation, reach_of
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
@@ -259,7 +258,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         else:
             warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = standardized(Y, self.trend is not None, self.normalize_y)
-        best = task.heard(self._search, X, Z)
+        best = task.run(self._search, X, Z)
         warn_of_search(best, self.max_iter)
         vars(self).pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior

@@ -135,8 +135,9 @@ class TestLoss:
 
     def test_the_next_call_has_new_workers(self, tmp_path):
         state = (os.getpid(), str(tmp_path / "died"))
-        with parallel_config(**LOKY), sharing(SHARES), pytest.warns(RuntimeWarning, match=LOST):
-            share_map(deadly(), state, SHARES)
+        with parallel_config(**LOKY), sharing(SHARES):
+            with pytest.warns(RuntimeWarning, match=LOST):
+                share_map(deadly(), state, SHARES)
             again = share_map(deadly(), state, SHARES)
         assert os.getpid() not in {pid for _, pid in again}
 

@@ -2,19 +2,19 @@
 
 import pytest
 
-from skdgp._compute.progress import listening, tell
+from skdgp._compute.progress import listening, notify
 from skdgp._compute.threads import thread_map
 
 
 def test_nobody_listens():
-    tell("fit", 1, 0.0)
+    notify("fit", 1, 0.0)
 
 
 def test_listener_hears_until_the_block_ends():
     heard = []
     with listening(lambda *news: heard.append(news)):
-        tell("fit", 1, -3.0)
-    tell("fit", 2, -2.0)
+        notify("fit", 1, -3.0)
+    notify("fit", 2, -2.0)
     assert heard == [("fit", 1, -3.0)]
 
 
@@ -22,8 +22,8 @@ def test_the_inner_listener_hears_and_the_outer_one_again():
     outer, inner = [], []
     with listening(lambda *news: outer.append(news)):
         with listening(lambda *news: inner.append(news)):
-            tell("a", 1, 0.0)
-        tell("b", 2, 0.0)
+            notify("a", 1, 0.0)
+        notify("b", 2, 0.0)
     assert [stage for stage, *_ in inner] == ["a"]
     assert [stage for stage, *_ in outer] == ["b"]
 
@@ -32,14 +32,14 @@ def test_listener_goes_when_the_block_fails():
     heard = []
     with pytest.raises(ArithmeticError), listening(lambda *news: heard.append(news)):
         raise ArithmeticError
-    tell("fit", 1, 0.0)
+    notify("fit", 1, 0.0)
     assert heard == []
 
 
 def test_worker_threads_are_heard():
     heard = []
     with listening(lambda *news: heard.append(news)):
-        thread_map(lambda n: tell("tile", n, 0.0), range(5))
+        thread_map(lambda n: notify("tile", n, 0.0), range(5))
     assert sorted(n for _, n, _ in heard) == [0, 1, 2, 3, 4]
 
 
@@ -48,4 +48,4 @@ def test_what_a_listener_raises_reaches_the_fit():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), listening(refuse):
-        tell("fit", 1, 0.0)
+        notify("fit", 1, 0.0)

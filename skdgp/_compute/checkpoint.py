@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 from pickle import PicklingError
 from threading import Lock
@@ -106,12 +106,8 @@ class FitRecord:
     folder: Path
     name: str
     facts: dict[str, Any]
+    seeds: list[int]  # of the starting points: those of the fit that this one resumes
     every: float
-
-    @property
-    def seeds(self) -> list[int]:
-        """Seeds of the starting points: those of the fit that this one resumes."""
-        return self.facts["seeds"]
 
 
 def fit_record(X: Matrix, Y: Matrix, seeds: list[int], settings: dict[str, Any]) -> FitRecord | None:
@@ -119,7 +115,8 @@ def fit_record(X: Matrix, Y: Matrix, seeds: list[int], settings: dict[str, Any])
     block = _block.get()
     if block is None:
         return None
-    facts = {"format": FORMAT, "data": joblib.hash((X, Y)), "settings": _hashes(settings), "versions": _versions()}
+    versions = {name: [found.version for found in distributions(name=name)] for name in PACKAGES}
+    facts = {"format": FORMAT, "data": joblib.hash((X, Y)), "settings": _hashes(settings), "versions": versions}
     name = joblib.hash(json.dumps(facts, sort_keys=True))[:16]
     resumed = _first_content(block.folder, f"skdgp-{name}-*.npz")
     if resumed is None and block.untouched:
@@ -131,8 +128,8 @@ def fit_record(X: Matrix, Y: Matrix, seeds: list[int], settings: dict[str, Any])
             )
         _remove(block.folder)
     block.untouched = False
-    seeds = resumed["facts"]["seeds"] if resumed else [int(seed) for seed in seeds]
-    return FitRecord(block.folder, name, facts | {"seeds": seeds}, block.every)
+    seeds = resumed["seeds"] if resumed else [int(seed) for seed in seeds]
+    return FitRecord(block.folder, name, facts, seeds, block.every)
 
 
 def run_recorded(record: FitRecord | None, part: str, function: Callable, **options: Any) -> Any:
@@ -214,9 +211,9 @@ class _File:
     def write(self):
         """Write all stages; the caller holds the lock."""
         began, buffer = monotonic(), io.BytesIO()
-        header = json.dumps({"facts": self.record.facts, "done": self.done})
-        stages = {f"stage/{name}": np.array(stage.evaluations) for name, stage in self.stages.items()}
-        np.savez(buffer, header=np.array(header), **stages)
+        header = json.dumps({"facts": self.record.facts, "seeds": self.record.seeds, "done": self.done})
+        arrays: dict[str, Any] = {f"stage/{name}": stage.evaluations for name, stage in self.stages.items()}
+        np.savez(buffer, header=header, **arrays)
         data = buffer.getvalue()
         try:
             self.record.folder.mkdir(exist_ok=True)
@@ -261,16 +258,6 @@ def _remove(folder):
 
 def _checksum(data):
     return hashlib.blake2b(data, digest_size=CHECKSUM_SIZE).digest()
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # run from a folder that was never installed
-            found[name] = "unknown"
-    return found
 
 
 def _close(first, second) -> bool:

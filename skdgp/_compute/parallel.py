@@ -15,11 +15,11 @@ from asyncio import CancelledError
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import numpy as np
 from joblib import Parallel, cpu_count, delayed, effective_n_jobs
 from joblib.parallel import get_active_backend
 
@@ -34,8 +34,8 @@ _summers: ContextVar[_Summers | None] = ContextVar("skdgp_summers", default=None
 def check_n_jobs(n_jobs: object) -> None:
     """Raise ValueError if ``n_jobs`` is not None, a positive number, or counted back from all processors."""
     cpus = cpu_count()
-    valid = isinstance(n_jobs, Integral) and not isinstance(n_jobs, bool) and n_jobs != 0 and n_jobs >= -cpus
-    if n_jobs is not None and not valid:
+    whole = isinstance(n_jobs, (int, np.integer)) and not isinstance(n_jobs, bool)
+    if n_jobs is not None and not (whole and (n_jobs > 0 or -cpus <= n_jobs < 0)):
         raise ValueError(
             f"Got n_jobs={n_jobs!r}, but expected None (what joblib.parallel_config says, else one process), a number "
             f"of processes from 1 on, or counted from all processors: -1 is all {cpus} of this machine, -2 all but one."
@@ -76,7 +76,8 @@ class _Summers:
         self.failures, self.warned = 0, False
 
     def map(self, function: Callable, state: tuple) -> list:
-        n, error = min(self._count(), len(self.shares)), "no worker is left"
+        n_workers = effective_n_jobs() if self.client is None else _n_cores(self.client)
+        n, error = min(n_workers, len(self.shares)), "no worker is left"
         if n and self.failures < MAX_FAILURES:
             try:
                 parts = self._compute(function, state, n)
@@ -91,9 +92,6 @@ class _Summers:
             self.warned = True
             _warn_of_loss(error)
         return thread_map(lambda share: function(*state, share), self.shares)
-
-    def _count(self) -> int:
-        return effective_n_jobs(None) if self.client is None else _n_cores(self.client)
 
     def _compute(self, function, state, n):
         if self.client is None:
@@ -198,9 +196,9 @@ def _stop_at_interrupt(stop_name: str, client: Any) -> Iterator[threading.Event]
     def stop(*_):
         signal.signal(signal.SIGINT, former)
         stopped.set()
-        _create_stop_file(stop_name)
+        _ask_to_stop(stop_name, True)
         # In another thread: the interrupted one may hold a lock that the client needs.
-        threading.Thread(target=_run_everywhere, args=(client, _create_stop_file, stop_name), daemon=True).start()
+        threading.Thread(target=_run_everywhere, args=(client, _ask_to_stop, stop_name, True), daemon=True).start()
 
     signal.signal(signal.SIGINT, stop)
     try:
@@ -209,20 +207,16 @@ def _stop_at_interrupt(stop_name: str, client: Any) -> Iterator[threading.Event]
     finally:
         signal.signal(signal.SIGINT, former)
         _run_everywhere(client, _ignore_interrupt, False)
-        _run_everywhere(client, _remove_stop_file, stop_name)
-        _remove_stop_file(stop_name)
+        _run_everywhere(client, _ask_to_stop, stop_name, False)
+        _ask_to_stop(stop_name, False)
 
 
 def _stop_file(name):
     return Path(tempfile.gettempdir(), name)
 
 
-def _create_stop_file(name):
-    _stop_file(name).touch()
-
-
-def _remove_stop_file(name):
-    _stop_file(name).unlink(missing_ok=True)
+def _ask_to_stop(name, ask):
+    _stop_file(name).touch() if ask else _stop_file(name).unlink(missing_ok=True)
 
 
 def _ignore_interrupt(ignore):

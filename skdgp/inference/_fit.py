@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import cluster_centres, column_scale, output_scale
-from skdgp._compute.memory import check_memory
+from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from skdgp._compute.checkpoint import stage_record
-from skdgp._compute.progress import tell
+from skdgp._compute.progress import notify
 
 
 class Optimum(NamedTuple):
@@ -44,7 +44,7 @@ class _Objective:
             self.theta, self.value = np.array(theta), value
         self.values.append(self.value)
         if known is None:
-            tell(self.stage, self.n_evaluations, self.value)
+            notify(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
 
     def _evaluate(self, theta):

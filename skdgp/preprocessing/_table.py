@@ -11,7 +11,7 @@ from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin, _fit_context
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
-from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
+from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import check_table
 

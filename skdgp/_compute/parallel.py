@@ -31,7 +31,7 @@ MAX_FAILURES = 3  # failed calls in a row after which workers are asked no more
 _summers: ContextVar[_Summers | None] = ContextVar("skdgp_summers", default=None)
 
 
-def check_n_jobs(n_jobs: object) -> None:
+def check_n_jobs(n_jobs: Any) -> None:
     """Raise ValueError if ``n_jobs`` is not None, a positive number, or counted back from all processors."""
     cpus = cpu_count()
     whole = isinstance(n_jobs, (int, np.integer)) and not isinstance(n_jobs, bool)

@@ -13,8 +13,7 @@ import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._errors import FlightReadError
-from skdgp.io._limits import check_width
+from skdgp.io._errors import FlightReadError, check_width
 from skdgp.io._units import base_name, check_names, known_unit, to_si
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")

@@ -11,12 +11,10 @@ import numpy as np
 
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS
-from skdgp.io._autopilot.autopilot import READERS, on_one_clock, read_log
-from skdgp.io._autopilot.columns import gaps
-from skdgp.io._autopilot.resample import sampling_rate
-from skdgp.io._autopilot.segments import no_flight_because
-from skdgp.io._autopilot.servo_template import template
-from skdgp.io._autopilot.topics import Topic
+from skdgp.io._autopilot.autopilot import AUTOPILOTS, no_flight_because, on_one_clock, read_log
+from skdgp.io._autopilot.clock import gaps, sampling_rate
+from skdgp.io._autopilot.formats import Topic
+from skdgp.io._autopilot.servos import template
 from skdgp.io._errors import FlightReadError
 from skdgp.io._read import read_flight
 
@@ -193,7 +191,7 @@ def inspect_log(path, *, servos=None) -> LogSummary:
     ('table', ('phi', 'theta', 'psi', 'v_north or u', 'v_east or v', 'v_down or w'))
     """
     path = Path(path)
-    if path.suffix.lower() not in READERS:
+    if path.suffix.lower() not in AUTOPILOTS:
         return _of_table(path, read_flight(path))
     flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
@@ -226,8 +224,8 @@ def servo_template(path) -> str:
         If the file cannot be read, is no log of an autopilot, or holds nothing that was sent to servos.
     """
     path = Path(path)
-    if path.suffix.lower() not in READERS:
-        raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(READERS)}.")
+    if path.suffix.lower() not in AUTOPILOTS:
+        raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}.")
     return template(read_log(path))
 
 

@@ -10,8 +10,7 @@ import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._errors import FlightReadError
-from skdgp.io._limits import check_room, check_width, room_for
+from skdgp.io._errors import FlightReadError, check_room, check_width, room_for
 from skdgp.io._units import base_name, check_names
 
 INDEX = "__index_level_"

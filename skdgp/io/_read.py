@@ -13,8 +13,7 @@ import pandas as pd
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.clock import flight_codes, part_restarts, rows_back
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._autopilot.autopilot import READERS as AUTOPILOTS
-from skdgp.io._autopilot.autopilot import flight_table, on_one_clock
+from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
 from skdgp.io._mat import read_mat

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,20 +11,25 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.smoothing import differentiate
-from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, gaps, to_table
+from skdgp.io._autopilot.clock import clock_parts, gaps
+from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to_table
 from skdgp.io._autopilot.dataflash import read_dataflash
-from skdgp.io._autopilot.rules import RULES
-from skdgp.io._autopilot.segments import find_segments, no_flight_because, threshold, trimmed
+from skdgp.io._autopilot.formats import Log, Topic
 from skdgp.io._autopilot.servos import read_servos
-from skdgp.io._autopilot.stamps import clock_parts
-from skdgp.io._autopilot.topics import Log, Topic
 from skdgp.io._autopilot.ulog import read_ulog
 from skdgp.io._errors import FlightReadError
 
-READERS = {".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash}
-"""By suffix: add a reader of another format here, and its rules in ``_rules``."""
+AUTOPILOTS: dict[str, Callable[[Path], Log]] = {".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash}
+"""Readers of logs by suffix; another format is one more entry."""
 RATE_CUTOFF = 0.2
 """Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
+SHARE, USUAL = 0.7, 8.0
+"""Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
+DIP, SHORTEST = 2.0, 5.0
+"""Slower for less than this is still flight [s]; faster for less than this is none [s]."""
+EDGE = 1.0
+"""Channels begin and end within this of each other [s]."""
+NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,7 @@ def read_log(path: Path) -> Log:
     """
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    return READERS[path.suffix.lower()](path)
+    return AUTOPILOTS[path.suffix.lower()](path)
 
 
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
@@ -77,7 +83,7 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
         parts, origin, useless = [], {}, []
-        found = [(some, *find_sources(log, some, RULES[log.kind], servos)) for some in topics]
+        found = [(some, *find_sources(log, some, servos)) for some in topics]
         for some, sources, unused in [each for each in found if each[1]] or found[:1]:
             useless += unused
             clock, chosen = follow(sources, rate)
@@ -86,7 +92,7 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
             if imu_position is not None:
                 table = at_centre_of_gravity(table, imu_position, chosen)
             parts.append(Part(some, sources, table, find_segments(table, log, some, speed)))
-    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_told_gaps(parts)]
+    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_gap_remarks(parts)]
     return FlightLog(log, parts, origin, speed, remarks)
 
 
@@ -134,7 +140,84 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
     return table.assign(**dict(zip(names, (table[names].to_numpy() - extra).T, strict=True)))
 
 
-def _told_gaps(parts):
+def threshold(log: Log, airborne: bool | float) -> float:
+    """Return the airspeed [m/s] above which the aircraft is airborne."""
+    if airborne is not True:
+        return float(airborne)
+    return SHARE * log.slowest_airspeed if 0 < log.slowest_airspeed < 200 else USUAL
+
+
+def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
+    """Return the rows of each flight: airspeed above a speed, and not on the ground where the autopilot tells.
+
+    Without an airspeed the speed over ground is taken, unless the vehicle has no wings.
+    """
+    fast = _speed(table, log) > speed
+    landed = _landed(table["time"].to_numpy(), log, topics)
+    if landed is not None:
+        fast &= ~landed
+    time = table["time"].to_numpy()
+    runs = _runs(fast, time)
+    joined = runs[:1]
+    for a, b in runs[1:]:
+        if time[a] - time[joined[-1][1] - 1] < DIP:
+            joined[-1][1] = b
+        else:
+            joined.append([a, b])
+    return [slice(a, b) for a, b in joined if time[b - 1] - time[a] >= SHORTEST]
+
+
+def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight without rows at its ends, up to a second of them, where slow channels have no value."""
+    time, known = flight["time"].to_numpy(), flight.notna().to_numpy()
+    known = known[:, known.any(axis=0)]
+    begins, ends = time[known.argmax(axis=0)], time[len(time) - 1 - known[::-1].argmax(axis=0)]
+    begin = begins[begins <= time[0] + EDGE].max()
+    end = ends[ends >= time[-1] - EDGE].min()
+    return flight[(time >= begin) & (time <= end)]
+
+
+def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
+    """Return why a log holds no flight."""
+    reasons = []
+    if log.vehicle in NOT_FLYING_ON_WINGS:
+        reasons.append(f"the vehicle is a {log.vehicle}")
+    if "airspeed" not in table:
+        reasons.append("there is no valid airspeed")
+    highest = np.nanmax(_speed(table, log), initial=-np.inf)
+    if np.isfinite(highest):
+        what = "airspeed" if "airspeed" in table else "ground speed"
+        reasons.append(f"{what} never stays above {speed:.3g} m/s in the air (highest {highest:.3g} m/s)")
+    return ", ".join(reasons)
+
+
+def _speed(table, log):
+    if "airspeed" in table:
+        return table["airspeed"].to_numpy()
+    velocity = [name for name in ("v_north", "v_east") if name in table]
+    if len(velocity) < 2 or log.vehicle in NOT_FLYING_ON_WINGS:
+        return np.full(len(table), np.nan)
+    return np.hypot(*table[velocity].to_numpy().T)
+
+
+def _landed(time, log, topics):
+    """Return whether the autopilot took itself for landed, (n,), or None where it does not tell."""
+    name, field, value = log.landed or ("", "", 0.0)
+    topic = topics.get(name)
+    if topic is None or field not in topic:
+        return None
+    last = np.searchsorted(topic.time, time, side="right") - 1
+    return (topic[field] == value)[np.maximum(last, 0)]
+
+
+def _runs(fast, time):
+    """Return first and past-last rows of runs without a leap of time."""
+    begins = fast & ~np.r_[False, fast[:-1] & (np.diff(time) < DIP)]
+    ends = fast & np.r_[begins[1:] | ~fast[1:], True]
+    return [[int(a), int(b) + 1] for a, b in zip(np.flatnonzero(begins), np.flatnonzero(ends), strict=True)]
+
+
+def _gap_remarks(parts):
     """Say the longest gap of each topic that has some."""
     for part in parts:
         for source in {source.name.split(".")[0]: source for source in part.sources}.values():

@@ -1,7 +1,8 @@
-"""Reader of ArduPilot DataFlash logs: messages behind two fixed bytes and a type, whose formats are messages.
+"""Logs of ArduPilot (DataFlash): messages behind two fixed bytes and a type, whose formats are messages.
 
 The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. No length in the file
-is trusted: where no message begins, reading goes on at the next two fixed bytes.
+is trusted: where no message begins, reading goes on at the next two fixed bytes. The messages are those of
+https://ardupilot.org/plane/docs/logmessages.html.
 """
 
 from __future__ import annotations
@@ -11,7 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from skdgp.io._autopilot.topics import Log, Topic, instance_name
+from skdgp._flight.frames import euler_to_quaternion
+from skdgp.io._autopilot.formats import (
+    EQUIVALENT,
+    QUATERNION,
+    Log,
+    Rule,
+    ServoChannel,
+    Topic,
+    density_at,
+    instance_name,
+    whole,
+)
 from skdgp.io._errors import FlightReadError
 
 MARK, HEAD = b"\xa3\x95", 3
@@ -30,6 +42,58 @@ VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
 }  # fmt: skip
+
+
+def _ground_course(values):
+    """Return velocity north, east, down of ground speed, course [deg], velocity down."""
+    speed, course, down = values.T
+    return np.column_stack([speed * np.cos(np.deg2rad(course)), speed * np.sin(np.deg2rad(course)), down])
+
+
+def _attitude(degrees):
+    return euler_to_quaternion(*np.deg2rad(degrees).T)
+
+
+def _rpm(values):
+    return values * (np.pi / 30)
+
+
+def _percent(values):
+    return 0.01 * values
+
+
+MODELLED = "estimated on board, not measured by a vane"
+RULES = (
+    Rule(("p", "q", "r"), "IMU", ("GyrX", "GyrY", "GyrZ")),
+    Rule(("ax", "ay", "az"), "IMU", ("AccX", "AccY", "AccZ")),
+    Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
+    Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
+    Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health")),
+    Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
+    Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
+    Rule(("v_north", "v_east", "v_down"), "XKF1", ("VN", "VE", "VD")),
+    Rule(("v_north", "v_east", "v_down"), "NKF1", ("VN", "VE", "VD")),
+    Rule(("v_north", "v_east", "v_down"), "GPS", ("Spd", "GCrs", "VZ"), _ground_course),
+    Rule(("north", "east", "down"), "XKF1", ("PN", "PE", "PD")),
+    Rule(("north", "east", "down"), "NKF1", ("PN", "PE", "PD")),
+    Rule(("altitude",), "POS", ("Alt",)),
+    Rule(("altitude",), "GPS", ("Alt",)),
+    Rule(("density",), "BARO", ("Press",), density_at, note="standard atmosphere at the measured pressure"),
+    Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE")),
+    Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE")),
+    Rule(("throttle",), "CTUN", ("ThO",), _percent),
+    Rule(("throttle",), "CTUN", ("ThrOut",), _percent),
+    Rule(("throttle",), "AETR", ("Thr",), _percent),
+    Rule(("propeller_speed",), "RPM", ("rpm1",), _rpm),
+    Rule(("propeller_speed",), "RPM", ("RPM",), _rpm),
+    Rule(("propeller_speed",), "ESC", ("RPM",), _rpm),
+)
+
+SERVOS = {
+    4: ("aileron", False), 19: ("elevator", True), 21: ("rudder", True),
+    77: ("elevon_left", True), 78: ("elevon_right", True),
+}  # fmt: skip
+"""By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign."""
 
 
 def read_dataflash(path: Path) -> Log:
@@ -59,7 +123,20 @@ def read_dataflash(path: Path) -> Log:
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
         vehicle = "VTOL"
-    return Log("ArduPilot DataFlash", topics, parameters, firmware, vehicle, tuple(reader.remarks()))
+    speeds = [parameters.get(name, np.nan) for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN")]
+    return Log(
+        kind="ArduPilot DataFlash",
+        topics=topics,
+        rules=RULES,
+        parameters=parameters,
+        firmware=firmware,
+        vehicle=vehicle,
+        remarks=tuple(reader.remarks()),
+        slowest_airspeed=next((speed for speed in speeds if 0 < speed < 200), np.nan),
+        landed=("STAT", "isFlying", 0.0),
+        outputs=("RCOU",),
+        servos=_servos(topics.get("RCOU", ()), parameters),
+    )
 
 
 class _Format:
@@ -155,7 +232,7 @@ class _Reader:
                 continue
             numbers = records[instance]
             for number in np.unique(numbers).tolist():
-                found.setdefault(instance_name(of.name, int(number)), topic.taken(numbers == number))
+                found.setdefault(instance_name(of.name, int(number)), topic.select(numbers == number))
         return dict(sorted(found.items()))
 
     def _numbered(self) -> dict[int, str | None]:
@@ -177,3 +254,14 @@ class _Reader:
             yield f"{self.skipped} bytes could not be read and were skipped"
         if self.cut:
             yield "the file ends within a message: it was cut off"
+
+
+def _servos(outputs, parameters) -> dict[str, ServoChannel]:
+    found = {}
+    for n in range(1, 15):
+        surface, turned = SERVOS.get(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), (None, False))
+        if surface is not None and f"C{n}" in outputs:
+            keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
+            low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
+            found.setdefault(surface, ServoChannel(f"RCOU.C{n}", low, trim, high, turned != bool(back)))
+    return found

@@ -1,4 +1,4 @@
-"""Servo calibration: from pulse widths to surface angles, by files in TOML."""
+"""Servo calibration: from pulse widths to surface angles, by files in TOML, and templates of such files."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.files import read_toml
+from skdgp.io._autopilot.formats import Log
 from skdgp.io._errors import FlightReadError
 
 SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle")
@@ -16,6 +17,12 @@ HUGE = 1e300
 """Whole numbers beyond this are no floats."""
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
+TEMPLATE = """\
+# Angles of the surfaces: fill in each deflection [rad], the angle at max, measured at the surface.
+# elevator and elevons > 0: trailing edge down. aileron > 0: rolls right. rudder > 0: yaws left.
+# Signs follow the autopilot's own: move each stick, look, and set reversed where the sign above does not hold.
+# Instead of min, trim, max, deflection: points = [[1100, -0.35], [1500, 0.0], [1900, 0.30]].
+"""
 
 
 class Servo(NamedTuple):
@@ -134,3 +141,23 @@ def _ends(name, entry):
 
 def _is_number(value):
     return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > HUGE
+
+
+def template(log: Log) -> str:
+    """Return a calibration file for a log, with everything but the angles.
+
+    Raises
+    ------
+    FlightReadError
+        If the log holds no outputs to servos, or its format does not say which surface they move.
+    """
+    if not log.servos:
+        raise FlightReadError(
+            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
+            "one of them: log it, or write the servo file by hand."
+        )
+    return TEMPLATE + "".join(
+        f'\n[{surface}]\nchannel = "{servo.channel}"\nmin = {servo.low:g}\ntrim = {servo.trim:g}\n'
+        f"max = {servo.high:g}\ndeflection = nan\nreversed = {str(servo.turned).lower()}\n"
+        for surface, servo in log.servos.items()
+    )

@@ -9,8 +9,8 @@ import pandas as pd
 
 from skdgp._flight.channels import LATERAL, LONGITUDINAL
 from skdgp.plotting._style import CYCLE, PALETTE
+from skdgp.report import _charts as charts
 from skdgp.report import _pictures as pictures
-from skdgp.report import _views as views
 from skdgp.report._content import FlightResult, ModelSummary, ReportContent
 from skdgp.report._tables import (
     THIN,
@@ -181,7 +181,7 @@ def _coefficients(result: FlightResult, span, detail: Detail) -> str:
             f" First the {length} in which the estimates move most, where a wrong model shows first; then the whole "
             "flight."
         )
-    chart = views.coefficient_chart(result, band, span, detail.every)
+    chart = charts.coefficient_chart(result, band, span, detail.every)
     return f"<h3>Coefficients</h3>{_columns(columns, key, caption, chart)}"
 
 
@@ -211,7 +211,7 @@ def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
     caption += _still(" Marks at the upper edge show where.")
     if span is not None:
         caption += _still(" First the same seconds as of the coefficients, then the whole flight.")
-    return _columns(columns, key, caption, views.state_chart(result, horizon, span, detail.every))
+    return _columns(columns, key, caption, charts.state_chart(result, horizon, span, detail.every))
 
 
 def _calibration(result: FlightResult) -> str:
@@ -259,7 +259,7 @@ def flown(content: ReportContent, detail: Detail) -> str:
     for k, name in enumerate(flights):
         key = [(_color(k), name, "")]
         panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
-        chart = views.input_chart(flights[name], name, links[name], _color(k), detail.every)
+        chart = charts.input_chart(flights[name], name, links[name], _color(k), detail.every)
         parts.append(_figure(panels, f"Inputs of {text(name)}.", key, chart))
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:
@@ -270,7 +270,7 @@ def flown(content: ReportContent, detail: Detail) -> str:
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
         figure = _columns({head: [panel] for head, panel in panels.items()}, key, caption)
-        parts.append(f'<div class="map">{figure}{views.flight_tracks(tracked, links)}</div>')
+        parts.append(f'<div class="map">{figure}{charts.flight_tracks(tracked, links)}</div>')
     return "".join([*parts, "</section>"])
 
 

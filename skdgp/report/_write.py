@@ -1,22 +1,56 @@
-"""Writing of the report file."""
+"""The report as one HTML file: its frame, style and script."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
 from datetime import datetime
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 from skdgp._compute.files import write_atomically
 from skdgp.plotting._style import check_matplotlib
 from skdgp.report import _sections as sections
-from skdgp.report._charts import POLICY, SCRIPT
-from skdgp.report._charts import STYLE as CHART_STYLE
+from skdgp.report._charts import thinning
 from skdgp.report._content import ReportContent
-from skdgp.report._page import PAGE, STYLE
 from skdgp.report._pictures import time_slices
 from skdgp.report._sections import Detail
 from skdgp.report._tables import text
-from skdgp.report._views import thinning
+
+_HERE = files("skdgp.report")
+STYLE = _HERE.joinpath("report.css").read_text(encoding="utf-8")
+SCRIPT = _HERE.joinpath("chart.js").read_text(encoding="utf-8")
+_DIGEST = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+POLICY = f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{_DIGEST}'"
+"""What the browser is told to allow: this script and nothing else, no other file, no network."""
+PAGE = Template("""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="$policy">
+<meta name="generator" content="skdgp">
+<title>$title</title>
+<style>$style</style>
+</head>
+<body>
+<main>
+<header>
+<p class="kind">Aerodynamic identification report</p>
+<h1>$title</h1>
+<p class="meta">$meta</p>
+</header>
+$body
+<footer>
+<p class="colophon">$colophon</p>
+</footer>
+</main>
+<script>$script</script>
+</body>
+</html>
+""")
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
@@ -72,7 +106,7 @@ def render_report(content: ReportContent) -> str:
     return PAGE.substitute(
         title=title,
         policy=POLICY,
-        style=STYLE + CHART_STYLE,
+        style=STYLE,
         meta=_meta(content),
         body=_body(content),
         colophon=_colophon(content),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from skdgp.io import AUTOPILOTS, EQUIVALENT, QUATERNION
+from skdgp.io import EQUIVALENT, QUATERNION
 from skdgp.io._autopilot import dataflash, ulog
 from skdgp.io._autopilot.servos import read_servos
 
@@ -30,7 +30,6 @@ def test_the_code_runs(tmp_path, monkeypatch, ulog, flight):
     log.topic("rpm", t, indicated_frequency_rpm=("float", flight["propeller_speed"](t)))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sortie.ulg").write_bytes(bytes(log))
-    monkeypatch.setitem(AUTOPILOTS, ".lines", None)  # removed after the test
     names = {}
     for block in blocks("python"):
         exec(compile(block, "autopilot_logs.md", "exec"), names)

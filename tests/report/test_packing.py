@@ -7,8 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from skdgp.report._charts import Chart, Panel, Series, chart
-from skdgp.report._packing import LEVELS, pack, thinned
+from skdgp.report._charts import LEVELS, Panel, Series, chart, pack, thinned
 
 
 def unpacked(low, step, data):
@@ -58,9 +57,9 @@ def test_thinning_keeps_every_extreme(every, n):
             assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(group), np.nanmax(group))
 
 
-def one_panel(time, **series):
-    panel = Panel(title="", label="a", unit="", series=[Series(name="a", color="blue", **series)])
-    return Chart(title="a", link="</script>", time=time, panels=[panel])
+def one_panel(time, every=1, **series):
+    panel = Panel("", "a", "", [Series("a", "blue", **series)])
+    return chart("a", "</script>", time, [panel], every=every)
 
 
 def spec_of(html):
@@ -72,7 +71,7 @@ def test_every_column_of_a_chart_is_as_long_as_its_time(every):
     n = 1003
     time = np.arange(n) / 40.0
     values = np.sin(time)
-    spec = spec_of(chart(one_panel(time, values=values, std=0.1 + 0 * time), every=every))
+    spec = spec_of(one_panel(time, every, values=values, std=0.1 + 0 * time))
     data = zlib.decompress(base64.b64decode(spec["data"]))
     assert len(data) == 4 * spec["n"] * len(spec["columns"])
     columns = [unpacked(*scale, data[4 * k * spec["n"] :][: 4 * spec["n"]]) for k, scale in enumerate(spec["columns"])]
@@ -83,11 +82,11 @@ def test_every_column_of_a_chart_is_as_long_as_its_time(every):
 
 
 def test_names_do_not_end_the_element():
-    html = chart(one_panel(np.arange(3.0), values=np.zeros(3)))
+    html = one_panel(np.arange(3.0), values=np.zeros(3))
     assert html.count("</script>") == 1
     assert spec_of(html)["link"] == "</script>"
 
 
 @pytest.mark.parametrize("time", [[0.0], [0.0, 1.0, 1.0], [0.0, 2.0, 1.0]])
 def test_no_chart_where_time_does_not_go_on(time):
-    assert chart(one_panel(np.array(time), values=np.zeros(len(time)))) == ""
+    assert one_panel(np.array(time), values=np.zeros(len(time))) == ""

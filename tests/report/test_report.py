@@ -17,10 +17,10 @@ from skdgp.metrics import interval_coverage, median_relative_error, normalized_r
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
 from skdgp.report import _write as write_module
+from skdgp.report._charts import thinning
 from skdgp.report._pictures import time_slices
 from skdgp.report._sections import Detail, flown_tables
 from skdgp.report._sections import flight as flight_section
-from skdgp.report._views import thinning
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 

@@ -10,23 +10,11 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Array, ArrayLike
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.metrics import (
-    interval_coverage,
-    median_relative_error,
-    negative_log_predictive_density,
-    normalized_rmse,
-)
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._arrays import check_time
-
-METRICS = (
-    "median_relative_error",
-    "normalized_rmse",
-    "negative_log_predictive_density",
-    "interval_coverage",
-)
-"""Names of the scores, those of the functions in skdgp.metrics."""
+from skdgp.report._tables import SCORES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +58,8 @@ class FlightResult:
     replay_errors : DataFrame, optional
         What `skdgp.dynamics.replay_errors` returned: columns state, horizon, median, at_end, coverage.
     metrics : mapping, optional
-        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers a
-        sequence, or a mapping by coefficient. Default: computed here with skdgp.metrics.
+        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers are a
+        sequence, or a mapping by coefficient. Default: computed with skdgp.metrics.
 
     Raises
     ------
@@ -120,22 +108,15 @@ class FlightResult:
             against: pd.DataFrame(dict(of), index=list(COEFFICIENTS))
             for against, of in {"measured": {}, **given}.items()
         }
-        return {against: table.reindex(columns=list(METRICS)) for against, table in tables.items()}
+        return {against: table.reindex(columns=list(SCORES)) for against, table in tables.items()}
 
 
-def score(y_true, y_pred, y_std) -> dict[str, np.ndarray]:
-    """Return the four scores of skdgp.metrics, one number per output."""
+def score(y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike) -> dict[str, Array]:
+    """Return the scores of the report, one number per output."""
     y_true, y_pred, y_std = (np.asarray(values, dtype=float) for values in (y_true, y_pred, y_std))
-    functions = (
-        median_relative_error,
-        normalized_rmse,
-        negative_log_predictive_density,
-        interval_coverage,
-    )
-    arguments = ((y_true, y_pred),) * 2 + ((y_true, y_pred, y_std),) * 2
     return {
-        name: function(*args, multioutput="raw_values")
-        for name, function, args in zip(METRICS, functions, arguments, strict=True)
+        name: one.function(y_true, y_pred, *([y_std] if one.of_band else []), multioutput="raw_values")
+        for name, one in SCORES.items()
     }
 
 

@@ -32,14 +32,7 @@ DEEPEST = 8
 
 
 def read_mat(path: Path) -> pd.DataFrame:
-    """Read a MATLAB file of version 5 to 7.
-
-    Raises
-    ------
-    FlightReadError
-        If it is damaged, far larger unpacked, of another version, holds no vector ``time``, or vectors of the
-        vocabulary differ in length.
-    """
+    """Return the table of a MATLAB file; raise FlightReadError if it is damaged or holds no table with ``time``."""
     data = path.read_bytes()
     if data.startswith(HDF5):
         raise FlightReadError(
@@ -90,16 +83,9 @@ def _vector(value):
 
 
 def parse_mat5(data: bytes) -> dict[str, object]:
-    """Return the variables of a file: numbers as arrays, texts as lists of str, structs as dicts.
+    """Return the variables of a file: numbers as arrays, texts as lists of str, structs as dicts, others as None.
 
-    What a flight table cannot hold (complex numbers, sparse matrices, objects, arrays of structs) is None.
-
-    Raises
-    ------
-    FlightReadError
-        If there are too many variables, or they take far more memory than the file.
-    ValueError
-        If an element does not fit into the file or into itself.
+    Raise FlightReadError if they are too many or take far more memory than the file, ValueError if one is damaged.
     """
     mark = data[126:128]
     if mark not in (b"IM", b"MI"):
@@ -109,11 +95,11 @@ def parse_mat5(data: bytes) -> dict[str, object]:
 
 class _Reader:
     def __init__(self, n_bytes, order):
-        self.order, self.room, self.taken = order, room_for(n_bytes), 0
+        self.order, self.room, self.used = order, room_for(n_bytes), 0
 
-    def _take(self, n_bytes):
-        self.taken += n_bytes
-        check_room(self.taken, self.room)
+    def _use(self, n_bytes):
+        self.used += n_bytes
+        check_room(self.used, self.room)
 
     def variables(self, data) -> dict[str, object]:
         found = {}
@@ -127,11 +113,11 @@ class _Reader:
         return found
 
     def _unpacked(self, content):
-        """Return what was compressed: an element, whose size stands in its first bytes and is asked for first."""
+        """Return a compressed element; its size stands in its first bytes and is checked first."""
         try:
             head = zlib.decompressobj().decompress(content, 8)
             size = 8 + int(np.frombuffer(head, f"{self.order}u4")[1]) if len(head) == 8 else 8
-            self._take(size)
+            self._use(size)
             unpacking = zlib.decompressobj()
             unpacked = unpacking.decompress(content, size + 8)
         except zlib.error as error:
@@ -212,7 +198,7 @@ class _Reader:
         dtype = np.dtype(self.order + NUMBERS[kind])
         if len(content) % dtype.itemsize:
             raise ValueError(f"{len(content)} bytes are no numbers of {dtype.itemsize}")
-        self._take(8 * (len(content) // dtype.itemsize))
+        self._use(8 * (len(content) // dtype.itemsize))
         return np.frombuffer(content, dtype).astype(dtype.newbyteorder("="))
 
     def _texts(self, part, shape):

@@ -312,9 +312,7 @@ class TestRefusals:
 
 
 class TestRules:
-    @pytest.mark.parametrize(
-        "rule", [*ulog.RULES, *dataflash.RULES], ids=lambda r: f"{r.topic}-{r.columns[0]}"
-    )
+    @pytest.mark.parametrize("rule", [*ulog.RULES, *dataflash.RULES], ids=lambda r: f"{r.topic}-{r.columns[0]}")
     def test_columns_are_words_of_the_vocabulary(self, rule):
         assert set(rule.columns) <= {*CHANNELS, *QUATERNION, EQUIVALENT}
         assert np.shape(rule.convert(np.ones((3, len(rule.fields))))) == (3, len(rule.columns))

@@ -34,7 +34,7 @@ NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tra
 
 @dataclass(frozen=True)
 class Part:
-    """What stands between two restarts of the clock."""
+    """Part of a log between two restarts of its clock."""
 
     topics: dict[str, Topic]
     sources: list[Source]
@@ -44,7 +44,7 @@ class Part:
 
 @dataclass(frozen=True)
 class FlightLog:
-    """A log, its parts, where columns come from, and what was wrong."""
+    """A log on one clock: its parts, the origin of each column, and remarks."""
 
     log: Log
     parts: list[Part]
@@ -54,35 +54,23 @@ class FlightLog:
 
 
 def read_log(path: Path) -> Log:
-    """Read a log of an autopilot as it is.
-
-    Raises
-    ------
-    FlightReadError
-        If the file cannot be read as what its suffix says.
-    FileNotFoundError
-        If there is no such file.
-    """
+    """Return a log of an autopilot as it is."""
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
     return AUTOPILOTS[path.suffix.lower()](path)
 
 
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
-    """Read a log onto one clock.
-
-    Raises
-    ------
-    FlightReadError
-        If an option makes no sense, the file cannot be read, or it tells nothing of a flight.
-    """
+    """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     _check_options(rate, airborne, imu_position)
     servos = read_servos(servos)
     with np.errstate(all="ignore"):  # what is damaged may hold any number
         log = read_log(path)
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
-        parts, origin, useless = [], {}, []
+        parts: list[Part] = []
+        origin: dict[str, Origin] = {}
+        useless: list[str] = []
         found = [(some, *find_sources(log, some, servos)) for some in topics]
         for some, sources, unused in [each for each in found if each[1]] or found[:1]:
             useless += unused
@@ -97,13 +85,7 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
 
 
 def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
-    """Return the flights of a log one after another, named apart: name, name#2, ...
-
-    Raises
-    ------
-    FlightReadError
-        If there is none.
-    """
+    """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
     if airborne is False:
         pieces = [part.table for part in flown.parts if len(part.table)]
     else:
@@ -218,7 +200,7 @@ def _runs(fast, time):
 
 
 def _gap_remarks(parts):
-    """Say the longest gap of each topic that has some."""
+    """Yield a remark on the longest gap of each topic that has some."""
     for part in parts:
         for source in {source.name.split(".")[0]: source for source in part.sources}.values():
             found = gaps(source.time)

@@ -95,7 +95,7 @@ def _restarts(time, centres) -> list[int]:
     """Return the messages with which a clock that was set back begins."""
     steady = _without_outliers(centres)
     found = []
-    for block in np.flatnonzero(np.diff(steady) < -BACK):
+    for block in np.flatnonzero(np.diff(steady) < -BACK).tolist():
         window = slice(max(block - 3, 0) * BLOCK, (block + 5) * BLOCK)
         later = np.where(time[window] > (steady[block] + steady[block + 1]) / 2, 1, -1)
         found.append(window.start + int(np.argmax(np.cumsum(later))) + 1)
@@ -118,8 +118,9 @@ def sampling_rate(time: Vector) -> float:
 def gaps(time: Vector) -> list[tuple[float, float]]:
     """Return beginnings and lengths [s] of the gaps between increasing times that are worth a remark."""
     step = np.diff(time)
-    long = np.flatnonzero(step > max(LONG, GAP * np.median(step))) if len(step) else []
-    return [(float(time[i]), float(step[i])) for i in long]
+    if not len(step):
+        return []
+    return [(float(time[i]), float(step[i])) for i in np.flatnonzero(step > max(LONG, GAP * np.median(step)))]
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:

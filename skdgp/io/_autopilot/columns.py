@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
@@ -33,7 +34,7 @@ FASTEST = 50.0
 
 
 class Origin(NamedTuple):
-    """Where a column is from, in words, and how often that was sampled [Hz]."""
+    """The source of a column, in words, and its sampling rate [Hz]."""
 
     words: str
     rate: float
@@ -44,8 +45,8 @@ class Source(NamedTuple):
 
     columns: tuple[str, ...]
     name: str
-    time: np.ndarray
-    values: np.ndarray
+    time: Vector
+    values: Matrix
     note: str = ""
 
     @property
@@ -80,14 +81,8 @@ def find_sources(log: Log, topics: dict[str, Topic], servos: dict[str, Servo]) -
     return found + [each for each in surfaces if each.alive], list(dict.fromkeys(useless))
 
 
-def follow(sources: list[Source], rate: float | None) -> tuple[np.ndarray, float]:
-    """Return the clock that the table gets, and its rate [Hz].
-
-    Raises
-    ------
-    FlightReadError
-        If nothing was sampled often enough to follow.
-    """
+def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
+    """Return the clock of the table and its rate [Hz]: those of the gyros, or the next best source."""
     by_column = {name: source for source in sources for name in source.columns}
     leader = next((by_column[name] for name in ("p", "ax", "qw") if name in by_column), None)
     leader = leader or max(sources, key=lambda source: source.rate, default=None)
@@ -104,9 +99,10 @@ def follow(sources: list[Source], rate: float | None) -> tuple[np.ndarray, float
     return clock, rate
 
 
-def to_table(sources: list[Source], clock: np.ndarray, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
+def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
-    columns, origin = {"time": clock}, {}
+    columns: dict[str, Vector] = {"time": clock}
+    origin: dict[str, Origin] = {}
     for source in sources:
         values = source.values
         if source.columns == QUATERNION:
@@ -126,7 +122,7 @@ def to_table(sources: list[Source], clock: np.ndarray, rate: float) -> tuple[pd.
 
 
 def _complete(columns, origin):
-    """Derive density and true airspeed where they were not logged."""
+    """Add density and true airspeed where they were not logged."""
     if "density" not in columns and "altitude" in columns:
         lapse = np.maximum(1 - 0.0065 * columns["altitude"] / 288.15, 0.0)  # of the temperature, ISO 2533
         columns["density"] = density_at(PRESSURE * lapse**5.25588)

@@ -97,13 +97,7 @@ SERVOS = {
 
 
 def read_dataflash(path: Path) -> Log:
-    """Read a DataFlash log (``.bin``).
-
-    Raises
-    ------
-    FlightReadError
-        If it is none, or holds no message with a time.
-    """
+    """Return a DataFlash log; raise FlightReadError if it is none or holds no message with a time."""
     data = path.read_bytes()
     if not data.startswith(MARK):
         raise FlightReadError(
@@ -140,12 +134,13 @@ def read_dataflash(path: Path) -> Log:
 
 
 class _Format:
-    """One type of message, and where its messages stand."""
+    """Layout of one type of message, and the places of its messages."""
 
     def __init__(self, name, length, codes, columns):
         self.name, self.length = name, length
         layout = [(column, TYPES[code]) for column, code in zip(columns, codes, strict=True)]
         self.dtype = np.dtype([(name, *((kind,) if isinstance(kind, str) else kind)) for name, kind in layout])
+        self.names = self.dtype.names or ()
         if self.dtype.itemsize != length - HEAD:
             raise ValueError(f"Got {name} of {length} bytes, whose fields take {self.dtype.itemsize}.")
         self.scale = {column: SCALE[code] for column, code in zip(columns, codes, strict=True) if code in SCALE}
@@ -161,7 +156,7 @@ class _Reader:
         self.skipped, self.cut = 0, False
 
     def read(self):
-        """Go through the file."""
+        """Collect definitions and the places of all messages."""
         data, formats, position, n = self.data, self.formats, 0, len(self.data)
         while position + HEAD <= n:
             of = formats.get(data[position + 2]) if data.startswith(MARK, position) else None
@@ -202,25 +197,26 @@ class _Reader:
     def texts(self, name, column) -> list[str]:
         """Return a column of texts."""
         of, records = self.records(name)
-        if of is None or column not in of.dtype.names or of.dtype[column].kind != "S":
+        if of is None or column not in of.names or of.dtype[column].kind != "S":
             return []
         return [text.decode("utf-8", "replace").strip("\x00 ") for text in records[column].tolist()]
 
     def parameters(self) -> dict[str, float]:
         """Return what was set on the autopilot."""
         of, records = self.records("PARM")
-        if of is None or "Value" not in of.dtype.names:
+        if of is None or "Value" not in of.names:
             return {}
         return dict(zip(self.texts("PARM", "Name"), records["Value"].astype(float).tolist(), strict=False))
 
     def topics(self) -> dict[str, Topic]:
         """Return what has a time, by instance."""
-        numbered, found = self._numbered(), {}
+        numbered = self._numbered()
+        found: dict[str, Topic] = {}
         for kind, of in self.formats.items():
             if (
                 of.name in DEFINITIONS
                 or not of.starts
-                or "TimeUS" not in (of.dtype.names or ())
+                or "TimeUS" not in of.names
                 or of.dtype["TimeUS"].kind not in "iu"
             ):
                 continue
@@ -238,18 +234,18 @@ class _Reader:
     def _numbered(self) -> dict[int, str | None]:
         """Return by type the field that numbers instances, where the log says so: unit "#" of an FMTU message."""
         of, records = self.records("FMTU")
-        if of is None or not {"FmtType", "UnitIds"} <= set(of.dtype.names):
+        if of is None or not {"FmtType", "UnitIds"} <= set(of.names):
             return {}
         found = {}
         for kind, units in zip(records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True):
-            names = self.formats[kind].dtype.names if kind in self.formats else ()
+            names = self.formats[kind].names if kind in self.formats else ()
             place = units.find("#")
             field = names[place] if 0 <= place < len(names) else None
             found[kind] = field if field and self.formats[kind].dtype[field].kind in "iu" else None
         return found
 
     def remarks(self):
-        """Say what was wrong with the file."""
+        """Yield remarks on damage."""
         if self.skipped:
             yield f"{self.skipped} bytes could not be read and were skipped"
         if self.cut:
@@ -257,7 +253,7 @@ class _Reader:
 
 
 def _servos(outputs, parameters) -> dict[str, ServoChannel]:
-    found = {}
+    found: dict[str, ServoChannel] = {}
     for n in range(1, 15):
         surface, turned = SERVOS.get(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), (None, False))
         if surface is not None and f"C{n}" in outputs:

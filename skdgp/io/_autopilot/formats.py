@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
+from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
 
 PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
 ATTITUDE = ("phi", "theta", "psi")
@@ -87,7 +87,7 @@ class Topic:
         """Return fields side by side, (n, k)."""
         return np.column_stack([self[name] for name in names])
 
-    def select(self, rows: Array | slice) -> Topic:
+    def select(self, rows: Indices | Mask) -> Topic:
         """Return the messages of some rows."""
         return Topic(self.time[rows], self.order[rows], self.records[rows], self.scale)
 
@@ -203,7 +203,7 @@ def instance_name(name: str, instance: int) -> str:
 
 
 def _leaves(dtype: np.dtype) -> Iterator[str]:
-    for name in dtype.names:
+    for name in dtype.names or ():
         inner, shape = dtype[name].base, dtype[name].shape
         elements = [name] if not shape else [f"{name}[{i}]" for i in range(shape[0])]
         if inner.names is None:

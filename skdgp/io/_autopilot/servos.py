@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from skdgp._compute.files import read_toml
+from skdgp._compute.typing import Vector
 from skdgp.io._autopilot.formats import Log
 from skdgp.io._errors import FlightReadError
 
 SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle")
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
-HUGE = 1e300
-"""Whole numbers beyond this are no floats."""
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
 TEMPLATE = """\
@@ -26,7 +26,7 @@ TEMPLATE = """\
 
 
 class Servo(NamedTuple):
-    """Which channel moves a surface, and the surface's angle at some of its values.
+    """The channel that moves a surface, and the surface's angle at some values of it.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Servo(NamedTuple):
     inputs: tuple[float, ...]
     angles: tuple[float, ...]
 
-    def deflection(self, values: np.ndarray) -> np.ndarray:
+    def deflection(self, values: Vector) -> Vector:
         """Return angles [rad] of values of the channel.
 
         Examples
@@ -58,7 +58,7 @@ class Servo(NamedTuple):
         return angles[piece] + slope[piece] * (values - inputs[piece])
 
 
-def read_servos(servos) -> dict[str, Servo]:
+def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo]:
     r"""Read a calibration: one table for each surface.
 
     Parameters
@@ -140,17 +140,11 @@ def _ends(name, entry):
 
 
 def _is_number(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > HUGE
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > 1e300  # no float
 
 
 def template(log: Log) -> str:
-    """Return a calibration file for a log, with everything but the angles.
-
-    Raises
-    ------
-    FlightReadError
-        If the log holds no outputs to servos, or its format does not say which surface they move.
-    """
+    """Return a calibration file without the angles; raise FlightReadError if the log does not name the servos."""
     if not log.servos:
         raise FlightReadError(
             f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "

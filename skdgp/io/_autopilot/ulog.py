@@ -97,13 +97,7 @@ CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
 
 
 def read_ulog(path: Path) -> Log:
-    """Read a ULog.
-
-    Raises
-    ------
-    FlightReadError
-        If it is no ULog, of a later incompatible format, or holds no message.
-    """
+    """Return a ULog; raise FlightReadError if it is none, of a later incompatible format, or holds no message."""
     data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
@@ -133,7 +127,7 @@ def read_ulog(path: Path) -> Log:
 
 
 class _Subscription:
-    """Where the messages of one topic stand."""
+    """Layout of one topic, and the places of its messages."""
 
     def __init__(self, name, instance, layout):
         self.name, self.instance = name, instance
@@ -154,7 +148,7 @@ class _Reader:
         self.handlers = {ord(kind): method for kind, method in by_kind.items()}
 
     def read(self):
-        """Go through the file."""
+        """Collect definitions and the places of all messages."""
         data, position = self.data, HEADER_SIZE
         while position + HEAD.size <= len(data):
             size, kind = HEAD.unpack_from(data, position)
@@ -315,7 +309,7 @@ class _Reader:
 
     def topics(self) -> dict[str, Topic]:
         """Return the topics by name; of two of one name the longer."""
-        found = {}
+        found: dict[str, Topic] = {}
         for each in [*self.subscriptions.values(), *self.finished]:
             name = instance_name(each.name, each.instance)
             if each.starts and len(each.starts) > len(found.get(name, ())):
@@ -369,7 +363,8 @@ def _vehicle(topics, parameters) -> str | None:
 
 def _servos(topics, parameters) -> dict[str, ServoChannel]:
     """Return the servos of control allocation, else those of a plane mixed by fixed rules."""
-    outputs, found = topics.get("actuator_servos"), {}
+    outputs = topics.get("actuator_servos")
+    found: dict[str, ServoChannel] = {}
     for n in range(8):
         surface = SURFACES.get(whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)))
         if surface is not None and outputs is not None and f"control[{n}]" in outputs:

@@ -69,8 +69,8 @@ def to_floats(column: pd.Series) -> np.ndarray:
     if bad.size:
         raise FlightReadError(
             f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} rows are not numbers), "
-            f"but expected numbers [{CHANNELS[base_name(str(column.name))].unit}]: leave missing values empty, and write "
-            "no separators of thousands."
+            f"but expected numbers [{CHANNELS[base_name(str(column.name))].unit}]: leave missing values empty, and "
+            "write no separators of thousands."
         )
     return values
 

@@ -193,7 +193,7 @@ def path_panels(flights: dict) -> dict[str, str]:
 
 
 def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
-    """Return the SVG of a low panel against time; only the ``bottom`` one of a column names the axis."""
+    """Return the SVG of a low panel against time; only the ``bottom`` panel of a column names the axis."""
     below = 0.4 if bottom else 0.23
     height = 1.1 + 0.08 + below
     edges = (0.145, 0.985, below / height, 1 - 0.08 / height)
@@ -210,18 +210,8 @@ def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
 def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: tuple, located: bool = False) -> str:
     """Return the SVG of what ``draw(ax)`` draws into one Axes.
 
-    Parameters
-    ----------
-    draw : callable
-        Gets an Axes.
-    label : str
-        What a reader who does not see the picture is told.
-    size : (width, height)
-        Inches.
-    margins : (left, right, bottom, top)
-        Edges of the Axes as parts of the picture: equal ones keep panels aligned.
-    located : bool
-        Whether to say in the attribute ``data-map`` where in the picture data are: x = a + b X, y = c + d Y, "a b c d".
+    ``label`` is read aloud; ``size`` is width and height [in], ``margins`` are left, right, bottom and top of the Axes
+    as parts of these. With ``located`` the attribute ``data-map`` holds "a b c d": data (X, Y) are at a + b X, c + d Y.
     """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -264,7 +254,7 @@ def _themed(match: re.Match) -> str:
 
 
 def _shortened(match: re.Match) -> str:
-    """Round coordinates to what a screen resolves, and leave out letters that SVG implies."""
+    """Return an attribute with coordinates rounded to what a screen resolves, without letters that SVG implies."""
     name, value = match.groups()
     digits = 1 if len(value) > 1000 else 2
     value = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.{digits}f}".rstrip("0").rstrip("."), value)
@@ -276,7 +266,7 @@ def _shortened(match: re.Match) -> str:
 
 
 def _renamed(body: str) -> str:
-    """Drop the names nobody refers to, and keep the others apart from those of the page's other pictures."""
+    """Return a body without unused names, the others different from those of other pictures of the page."""
     used = set(re.findall(r"(?:url\(|href=\")#([^\")]+)", body))
     prefix = f"s{zlib.crc32(body.encode()):08x}"
     names = {name: f"{prefix}-{k}" for k, name in enumerate(sorted(used))}
@@ -285,7 +275,7 @@ def _renamed(body: str) -> str:
 
 
 def _gathered(body: str) -> str:
-    """Say once what many marks of one look share."""
+    """Return a body in which neighbouring marks share their style."""
     several = (
         r'((?:<use href="#[^"]*" x="[^"]*" y="[^"]*")( style="[^"]*")/>(?:<use href="#[^"]*" x="[^"]*" y="[^"]*"\2/>)+)'
     )

@@ -71,7 +71,7 @@ def messages(content: ReportContent) -> str:
 
 
 def _likelihood(model) -> str:
-    """Return what the likelihood is called: a sparse model's is a bound, not to be compared with an exact one."""
+    """Return the name of the likelihood: a sparse model's is a bound, not comparable with an exact one."""
     return "Log likelihood, lower bound" if "sparse" in (model.inference or "") else "Log likelihood"
 
 
@@ -322,12 +322,12 @@ def _key(entries) -> str:
 
 
 def _sample(kind: str) -> str:
-    """Return what stands before a name: a line (""), an area, a hatched one, or a marker's sign."""
+    """Return the sample before a name: a line (""), an area, a hatched area, or the sign of a marker."""
     return f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
 
 
 def _still(words: str) -> str:
-    """Return words about the pictures that stand where no chart is."""
+    """Return words on the pictures, shown where no chart is."""
     return f'<span class="still">{words}</span>'
 
 
@@ -344,7 +344,7 @@ def _columns(columns: dict[str, list[str]], key, caption: str, chart: str = "") 
 
 
 def _framed(still: str, caption: str, chart: str) -> str:
-    """Return a figure: what stands still, and the samples that a script makes a chart of in its place."""
+    """Return a figure: pictures, and the samples of which a script makes a chart in their place."""
     if chart:
         return (
             f'<figure class="chart"><div class="static">{still}</div>{chart}<figcaption>{caption}</figcaption></figure>'

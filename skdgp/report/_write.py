@@ -24,7 +24,7 @@ STYLE = _HERE.joinpath("report.css").read_text(encoding="utf-8")
 SCRIPT = _HERE.joinpath("chart.js").read_text(encoding="utf-8")
 _DIGEST = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
 POLICY = f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{_DIGEST}'"
-"""What the browser is told to allow: this script and nothing else, no other file, no network."""
+"""The browser allows this script and nothing else: no other file, no network."""
 PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -56,8 +56,8 @@ $body
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
     """Write a report as one HTML file that needs nothing else: no network, no other file.
 
-    The file appears whole or not at all. Its pictures stand in it as they are printed; on a screen a script of its own
-    makes charts of them, to zoom and to read values. Without matplotlib the report has no pictures and says so.
+    The file appears whole or not at all. It holds pictures as they are printed; on a screen its script makes charts of
+    them, to zoom and to read values. Without matplotlib the report has no pictures and says so.
 
     Parameters
     ----------
@@ -90,18 +90,7 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
 
 
 def render_report(content: ReportContent) -> str:
-    """Return the report as HTML.
-
-    Parameters
-    ----------
-    content : ReportContent
-        What to show.
-
-    Returns
-    -------
-    str
-        A whole document.
-    """
+    """Return the report as one HTML document."""
     title = text(content.title)
     return PAGE.substitute(
         title=title,
@@ -138,14 +127,11 @@ def _can_draw() -> bool:
     return True
 
 
-def _created(content: ReportContent) -> datetime:
-    return datetime.now().astimezone() if content.created is None else content.created
-
-
 def _meta(content: ReportContent) -> str:
     aircraft = content.aircraft if isinstance(content.aircraft, str) else content.aircraft.get("Aircraft", "")
     flights = f"{len(content.train)} training, {len(content.test)} test"
-    parts = [aircraft, f"flights: {flights}", f"{_created(content):%d %B %Y, %H:%M}"]
+    created = datetime.now().astimezone() if content.created is None else content.created
+    parts = [aircraft, f"flights: {flights}", f"{created:%d %B %Y, %H:%M}"]
     return " · ".join(text(part) for part in parts if part)
 
 

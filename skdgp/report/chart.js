@@ -199,8 +199,8 @@ class Chart {
     ];
     this.clock = element("span", { class: "clock" });
     const names = new Map(spec.panels.flatMap((panel) => panel.series.map((one) => [one.name, one])));
-    const toggles = [...names.values()].map((one) => this.toggle(one));
-    if (spec.panels.every((panel) => panel.base !== null)) toggles.push(this.difference());
+    const toggles = [...names.values()].map((one) => this.seriesToggle(one));
+    if (spec.panels.every((panel) => panel.base !== null)) toggles.push(this.differenceToggle());
     this.panels = spec.panels.map((panel) => this.panel(panel));
     this.thumb = element("div", { class: "thumb" });
     this.track = element("div", { class: "track", "aria-hidden": "true" }, this.thumb);
@@ -226,28 +226,26 @@ class Chart {
     figure.classList.add("on");
   }
 
-  toggle(one) {
-    const mark = element("i", { class: one.std === null ? "" : "area", style: `color: var(--${one.color})` });
-    const made = element("button", { type: "button", "aria-pressed": "true" }, mark, one.name);
+  // A button that stays pressed; act changes what is shown and returns whether it is pressed.
+  toggle(attributes, act, ...label) {
+    const made = element("button", { type: "button", ...attributes }, ...label);
     made.addEventListener("click", () => {
-      const shown = this.hidden.delete(one.name);
-      if (!shown) this.hidden.add(one.name);
-      made.setAttribute("aria-pressed", String(shown));
+      made.setAttribute("aria-pressed", String(act()));
       this.stale();
     });
     return made;
   }
 
-  // What is left over when the estimate is taken away: the clearer picture of a long record.
-  difference() {
-    const made = button("less estimate", "Show everything relative to the estimate", () => {
-      this.relative = !this.relative;
-      made.setAttribute("aria-pressed", String(this.relative));
-      this.stale();
-    });
-    made.setAttribute("aria-pressed", "false");
-    made.classList.add("way");
-    return made;
+  seriesToggle(one) {
+    const mark = element("i", { class: one.std === null ? "" : "area", style: `color: var(--${one.color})` });
+    const flip = () => this.hidden.delete(one.name) || !this.hidden.add(one.name);
+    return this.toggle({ "aria-pressed": "true" }, flip, mark, one.name);
+  }
+
+  // Shows the residuals: clearer on a long record.
+  differenceToggle() {
+    const attributes = { "aria-pressed": "false", class: "way", title: "Show everything relative to the estimate" };
+    return this.toggle(attributes, () => (this.relative = !this.relative), "less estimate");
   }
 
   // The i-th value of a series as it is shown.
@@ -442,9 +440,9 @@ class Chart {
   }
 
   speak() {
-    const told = this.panels.map((panel) => `${panel.box.querySelector("b").textContent}: ` +
+    const lines = this.panels.map((panel) => `${panel.box.querySelector("b").textContent}: ` +
       [...panel.value.children].map((one) => one.textContent).join(", "));
-    this.spoken.textContent = this.clock.textContent ? `${this.clock.textContent}. ${told.join(". ")}` : "";
+    this.spoken.textContent = this.clock.textContent ? `${this.clock.textContent}. ${lines.join(". ")}` : "";
   }
 
   // ---- hands ----

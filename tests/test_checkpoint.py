@@ -35,16 +35,16 @@ def quick(**parameters):
 
 def evaluated(function, at=None, error=Killed):
     """Return what the function returns and how many evaluations it took; or raise the error at one of them."""
-    told = []
+    calls = []
 
     def listen(*news):
-        told.append(news)
-        if len(told) == at:
+        calls.append(news)
+        if len(calls) == at:
             raise error
 
     with listening(listen):
         result = function()
-    return result, len(told)
+    return result, len(calls)
 
 
 def fit(folder, model=None, at=None, *, every=0.0, targets=Y[:, 0]):
@@ -156,17 +156,17 @@ def test_ctrl_c_in_a_restart_that_just_began_loses_nothing_of_those_before(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("targets", "parameters", "said"),
+    ("targets", "parameters", "remark"),
     [
         (Y[:, 0] + 1e-6 * X[:, 0], {}, "other data"),
         (Y[:, 0], {"n_latent": 2, "max_iter": 4}, r"other settings \(max_iter, n_latent\)"),
     ],
 )
-def test_a_checkpoint_of_something_else_is_told_and_removed(targets, parameters, said, tmp_path):
+def test_a_checkpoint_of_something_else_is_named_and_removed(targets, parameters, remark, tmp_path):
     folder = tmp_path / "checkpoint"
     killed(folder, 8)
     plain, n = evaluated(lambda: quick(**parameters).fit(X, targets))
-    with pytest.warns(UserWarning, match=said):
+    with pytest.warns(UserWarning, match=remark):
         model, evaluations = fit(folder, quick(**parameters), targets=targets)
     assert evaluations == n
     np.testing.assert_array_equal(model.predict(X), plain.predict(X))
@@ -288,10 +288,10 @@ for moment in {moments.tolist()!r}:
             from skdgp import checkpointing, listening
 
             def work(begun):
-                heard = []
-                with checkpointing("checkpoint", every=0.0), listening(lambda *_: heard.append(begun())):
+                calls = []
+                with checkpointing("checkpoint", every=0.0), listening(lambda *_: calls.append(begun())):
                     model = quick().fit(X, Y)
-                return len(heard), float(model.log_marginal_likelihood_value_)
+                return len(calls), float(model.log_marginal_likelihood_value_)
 
             def check():
                 pass
@@ -316,5 +316,5 @@ for moment in {moments.tolist()!r}:
             def check():
                 print(*np.unique(joblib.load("model.joblib")))
         """
-        said = self.killed(work, np.random.default_rng(3).uniform(0.0, 0.1, 10), tmp_path)
-        assert [len(line.split()) for line in said.splitlines()] == [1] * 10
+        printed = self.killed(work, np.random.default_rng(3).uniform(0.0, 0.1, 10), tmp_path)
+        assert [len(line.split()) for line in printed.splitlines()] == [1] * 10

@@ -141,7 +141,7 @@ class TestLoss:
             again = share_map(deadly(), state, SHARES)
         assert os.getpid() not in {pid for _, pid in again}
 
-    def test_what_cannot_travel_is_done_here_and_told_once(self):
+    def test_what_cannot_travel_is_done_here_with_one_warning(self):
         lock = Lock()
 
         def at_home(share):
@@ -151,8 +151,8 @@ class TestLoss:
         with warnings.catch_warnings(record=True) as caught, parallel_config(**LOKY), sharing(SHARES):
             warnings.simplefilter("always")
             assert [values(share_map(at_home, (), SHARES)) for _ in range(5)] == [SUMS] * 5
-        (told,) = caught
-        assert "pickle" in str(told.message)
+        (warning,) = caught
+        assert "pickle" in str(warning.message)
 
     @pytest.mark.parametrize("error", [np.linalg.LinAlgError("not positive definite"), ArithmeticError("in the work")])
     def test_an_error_of_the_work_itself_comes_through(self, error):
@@ -227,7 +227,7 @@ class TestJobs:
             check_n_jobs(n_jobs)
 
     @pytest.mark.parametrize("n_jobs", [0, "two", 1.5, -1000, True])
-    def test_nonsense_stops_at_the_door(self, n_jobs):
+    def test_fit_refuses_nonsense(self, n_jobs):
         with pytest.raises(ValueError, match="n_jobs"):
             quick(n_jobs=n_jobs).fit(*data(10))
 

@@ -278,7 +278,7 @@ class TestRefusals:
 
     def test_nothing_of_a_flight(self, write, ulog):
         log = ulog().topic("cpuload", np.arange(0, 30, 0.02), load=("float", np.zeros(1500)))
-        with pytest.raises(FlightReadError, match=r"no message that tells of a flight.*log these topics"):
+        with pytest.raises(FlightReadError, match=r"no message of a flight.*log these topics"):
             read_flight(write("log.ulg", log))
 
     @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Scikit-learn's callbacks on a fit alone, in a pipeline, in a search: they get the likelihood and may stop the search."""
+"""Scikit-learn's callbacks on a fit alone, in a pipeline, in a search: they get the likelihood, and may stop it."""
 
 import io
 from contextlib import redirect_stdout

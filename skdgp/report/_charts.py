@@ -170,8 +170,8 @@ def chart(
             }
             for panel in panels
         ],
-        "columns": [[low, step] for low, step, _ in packs],
-        "data": base64.b64encode(zlib.compress(b"".join(data for *_, data in packs), 9)).decode(),
+        "columns": [scale for scale, _ in packs],
+        "data": base64.b64encode(zlib.compress(b"".join(data for _, data in packs), 9)).decode(),
     }
     return _data(spec)
 
@@ -181,26 +181,26 @@ def _data(content: Any) -> str:
     return f'<script type="application/json">{json.dumps(content).replace("<", chr(92) + "u003c")}</script>'
 
 
-def pack(values: ArrayLike, *, step: float | None = None) -> tuple[float, float, bytes]:
-    """Return the smallest value, the step, and the column as bytes that compress well.
+def pack(values: ArrayLike, *, step: float | None = None) -> tuple[list[float], bytes]:
+    """Return the smallest value, the step and the bytes of a count; and a column as bytes that compress well.
 
-    Values are counted in steps from the smallest, 1 on; 0 is a hole. Of the differences d between neighbours
-    2 |d| - [d < 0] is stored, little-endian, all first bytes first: those that hardly change stand together.
+    Values are counted in steps from the smallest, 1 on; 0 is a hole. Differences of neighbouring counts are stored,
+    little-endian, modulo 2^16 (2^32 where the step is given), all first bytes first.
 
     Examples
     --------
-    >>> low, step, data = pack(np.array([1.0, np.nan, 3.0]), step=0.5)
-    >>> low, list(data)
-    (1.0, [2, 1, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0])
+    >>> scale, data = pack(np.array([1.0, np.nan, 3.0]), step=0.5)
+    >>> scale, list(data)
+    ([1.0, 0.5, 4], [1, 255, 5, 0, 255, 0, 0, 255, 0, 0, 255, 0])
     """
     values = np.asarray(values, dtype=float)
     known = np.isfinite(values)
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
+    dtype = np.dtype("<u2" if step is None else "<u4")
     step = step or (high - low) / LEVELS or 1.0
-    count = np.where(known, np.rint((np.where(known, values, low) - low) / step) + 1, 0).astype(np.int64)
-    change = np.diff(count, prepend=0)
-    folded = np.where(change < 0, -2 * change - 1, 2 * change).astype("<u4")
-    return float(low), float(step), folded.view(np.uint8).reshape(-1, 4).T.tobytes()
+    count = np.where(known, np.rint((np.where(known, values, low) - low) / step) + 1, 0).astype(dtype)
+    change = np.diff(count, prepend=dtype.type(0)).astype(dtype)
+    return [float(low), float(step), dtype.itemsize], change.view(np.uint8).reshape(-1, dtype.itemsize).T.tobytes()
 
 
 def thinned(values: Array, every: int) -> Array:

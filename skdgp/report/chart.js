@@ -15,15 +15,16 @@ async function unpack(spec) {
   const packed = Uint8Array.from(atob(spec.data), (letter) => letter.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
-  return spec.columns.map(([low, step], k) => column(bytes, 4 * k * spec.n, spec.n, low, step));
+  let at = 0;
+  return spec.columns.map(([low, step, size]) => column(bytes.subarray(at, (at += spec.n * size)), spec.n, low, step));
 }
 
-function column(bytes, at, n, low, step) {
-  const values = new Float64Array(n);
+// Differences of counts, all first bytes first; a count of 0 is a hole.
+function column(bytes, n, low, step) {
+  const values = new Float64Array(n), size = bytes.length / n;
   for (let i = 0, count = 0; i < n; i++) {
-    const [a, b, c, d] = [bytes[at + i], bytes[at + n + i], bytes[at + 2 * n + i], bytes[at + 3 * n + i]];
-    const folded = a + b * 256 + c * 65536 + d * 16777216;
-    count += folded % 2 ? -(folded + 1) / 2 : folded / 2;
+    for (let k = 0; k < size; k++) count += bytes[k * n + i] * 256 ** k;
+    count %= 256 ** size;
     values[i] = count ? low + (count - 1) * step : NaN;
   }
   return values;

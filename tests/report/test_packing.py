@@ -10,11 +10,11 @@ import pytest
 from skdgp.report._charts import LEVELS, Panel, Series, chart, pack, thinned
 
 
-def unpacked(low, step, data):
+def unpacked(scale, data):
     """Undo the packing, from its description."""
-    folded = np.frombuffer(data, np.uint8).reshape(4, -1).astype(np.int64)
-    folded = folded[0] + 256 * folded[1] + 65536 * folded[2] + 16777216 * folded[3]
-    count = np.cumsum(np.where(folded % 2, -(folded + 1) // 2, folded // 2))
+    low, step, size = scale
+    planes = np.frombuffer(data, np.uint8).reshape(size, -1).astype(np.int64)
+    count = np.cumsum(256 ** np.arange(size) @ planes) % 256**size
     return np.where(count == 0, np.nan, low + (count - 1) * step)
 
 
@@ -73,8 +73,12 @@ def test_every_column_of_a_chart_is_as_long_as_its_time(every):
     values = np.sin(time)
     spec = spec_of(one_panel(time, every, values=values, std=0.1 + 0 * time))
     data = zlib.decompress(base64.b64decode(spec["data"]))
-    assert len(data) == 4 * spec["n"] * len(spec["columns"])
-    columns = [unpacked(*scale, data[4 * k * spec["n"] :][: 4 * spec["n"]]) for k, scale in enumerate(spec["columns"])]
+    ends = np.cumsum([spec["n"] * size for *_, size in spec["columns"]])
+    assert len(data) == ends[-1]
+    columns = [
+        unpacked(scale, data[end - spec["n"] * scale[2] : end])
+        for scale, end in zip(spec["columns"], ends, strict=True)
+    ]
     assert spec["n"] == pytest.approx(n / every, abs=2)
     assert np.abs(columns[0] - time[::every][: spec["n"]]).max() < 1e-4
     # A thinned value is one of its neighbourhood.

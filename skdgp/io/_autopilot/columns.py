@@ -88,8 +88,7 @@ def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
     leader = leader or max(sources, key=lambda source: source.rate, default=None)
     if leader is None:
         raise FlightReadError(
-            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log "
-            "these topics."
+            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log these topics."
         )
     rate = rate or float(f"{min(FASTEST, leader.rate):.3g}")
     try:

@@ -62,19 +62,19 @@ def thinning(content: ReportContent) -> int:
 
 def coefficient_chart(result: FlightResult, band: str, span, every: int) -> str:
     """Return the chart of the six coefficients."""
-    columns = {"measured": result.measured, "mean": result.mean, "truth": result.truth, "std": result.noisy_std}
-    columns = {name: None if values is None else np.asarray(values, dtype=float) for name, values in columns.items()}
+    measured, means = np.asarray(result.measured, dtype=float), np.asarray(result.mean, dtype=float)
+    truth = None if result.truth is None else np.asarray(result.truth, dtype=float)
     panels = []
     for k, name in enumerate(COEFFICIENTS):
-        mean = columns["mean"][:, k]
+        mean = means[:, k]
         # What is thin lies over what is broad: so all are seen where they agree.
         series = [
-            Series(band, "sky", mean, std=columns["std"][:, k]),
+            Series(band, "sky", mean, std=result.noisy_std[:, k]),
             Series("estimated", "blue", mean, width=2.5),
         ]
-        if columns["truth"] is not None:
-            series.append(Series("truth", "vermillion", columns["truth"][:, k], dashed=True))
-        series.append(Series("measured", "measured", columns["measured"][:, k], width=0.8))
+        if truth is not None:
+            series.append(Series("truth", "vermillion", truth[:, k], dashed=True))
+        series.append(Series("measured", "measured", measured[:, k], width=0.8))
         title = f"{name} against time: {', '.join(one.name for one in series)}"
         panels.append(Panel(title, symbol(name), "", series, base=mean))
     return chart("Coefficients", result.name, result.time, panels, span=span, every=every)
@@ -142,7 +142,8 @@ def chart(
     n = len(time[rows])
     if n < 2 or not (np.diff(time) > 0).all():
         return ""
-    packs, numbers = [pack(time[rows], step=max(TICK, np.ptp(time) / 2**30))], {}
+    packs = [pack(time[rows], step=max(TICK, np.ptp(time) / 2**30))]
+    numbers: dict[int, int] = {}
 
     def column(values: Array | None) -> int | None:
         """Pack a column once, however many series refer to it, and return its number."""

@@ -24,7 +24,6 @@ from skdgp.plotting._states import LATERAL_STATES, replay_rows
 from skdgp.plotting._style import PALETTE, QUIET, ROLES
 from skdgp.report._content import FlightResult
 
-SQUARE = {"size": (4.0, 3.85), "margins": (0.14, 0.97, 0.13, 0.97)}
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
 
@@ -127,7 +126,8 @@ def calibration_panel(values, mean, std, against: str) -> str:
     return picture(
         lambda ax: CalibrationDisplay.from_predictions(values, mean, std, output_names=COEFFICIENTS, ax=ax),
         label=f"Observed against nominal coverage of {against} coefficients",
-        **SQUARE,
+        size=(4.0, 3.85),
+        margins=(0.14, 0.97, 0.13, 0.97),
     )
 
 
@@ -234,7 +234,7 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: t
 
 def adapt(svg: str, label: str, attributes: str = "") -> str:
     """Return an SVG document as an element of a page: no prolog, variables for colours, unique names."""
-    width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg).groups()
+    ((width, height),) = re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
     body = svg[svg.index(">", svg.index("<svg")) + 1 : svg.rindex("</svg>")]
     body = re.sub(r"<!--.*?-->|<style.*?</style>", "", body, flags=re.DOTALL)
     body = re.sub(r" font-family: [^;\"]*;?", "", body)

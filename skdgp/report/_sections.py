@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import LATERAL, LONGITUDINAL
+from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _charts as charts
 from skdgp.report import _pictures as pictures
@@ -78,7 +79,7 @@ def _likelihood(model) -> str:
 def what_was_done(content: ReportContent) -> str:
     """Return samples, regressors, model, time and versions."""
     model, aircraft = content.model, content.aircraft
-    pairs = [] if isinstance(aircraft, str) else list(aircraft.items())
+    pairs: list[tuple[str, object]] = [] if isinstance(aircraft, str) else list(aircraft.items())
     pairs += [
         ("Learned from", ", ".join(_flown(record.name, record.table["time"]) for record in content.train)),
         ("Tested on", ", ".join(_flown(result.name, result.time) for result in content.test)),
@@ -118,8 +119,9 @@ def _flown(name: str, time) -> str:
 
 
 def _iterations(model: ModelSummary) -> str | None:
-    at_limit = None not in (model.n_iter, model.max_iter) and model.n_iter >= model.max_iter
-    return f"{_grouped(model.n_iter)} (limit reached)" if at_limit else _grouped(model.n_iter)
+    n_iter, most = model.n_iter, model.max_iter
+    at_limit = n_iter is not None and most is not None and n_iter >= most
+    return f"{_grouped(n_iter)} (limit reached)" if at_limit else _grouped(n_iter)
 
 
 def _latents(model: ModelSummary) -> str:
@@ -172,8 +174,7 @@ def _coefficients(result: FlightResult, span, detail: Detail) -> str:
     band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
     key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", band, "area")]
     key += [] if result.truth is None else [("vermillion", "truth", "")]
-    columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, detail.n_bins)}
-    columns["Whole flight"] = pictures.coefficient_panels(result, None, detail.n_bins)
+    columns = _close_and_whole(span, lambda span: pictures.coefficient_panels(result, span, detail.n_bins))
     caption = "Measured and estimated coefficients."
     if span is not None:
         length = f"{number(span[1] - span[0], 'g')}{THIN}s"
@@ -202,8 +203,7 @@ def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
     key = [("measured", "measured", ""), ("blue", "replayed", "")]
     key += [("sky", "95 % band", "area")] if f"{names[0]}_std" in rows else []
     span = span if span is not None and rows["time"].between(*span).any() else None
-    columns = {} if span is None else {_seconds(span): pictures.state_panels(result, horizon, span, detail.n_bins)}
-    columns["Whole flight"] = pictures.state_panels(result, horizon, None, detail.n_bins)
+    columns = _close_and_whole(span, lambda span: pictures.state_panels(result, horizon, span, detail.n_bins))
     caption = (
         f"States integrated from the estimated coefficients, restarted from the measured state every "
         f"{number(horizon, 'g')}{THIN}s; lines break there."
@@ -234,9 +234,8 @@ def coupling(content: ReportContent) -> str:
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
 
 
-def envelope(content: ReportContent) -> str:
-    """Return where the samples are, and what the model does not know around them."""
-    display = content.envelope
+def envelope(display: EnvelopeDisplay) -> str:
+    """Return where the samples are, and where around them the model is uncertain."""
     key = [("grey", "95 % and half of the samples learned from", "area"), ("blue", "relative uncertainty", "")]
     key += [("grey", "above 0.5: hardly known", "hatch")]
     key += [("vermillion", "test flights", "•")] if display.path is not None else []
@@ -264,12 +263,12 @@ def flown(content: ReportContent, detail: Detail) -> str:
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:
         key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
-        panels = pictures.path_panels(tracked)
+        paths = pictures.path_panels(tracked)
         caption = "Path over the ground, north up; the flight's marker shows where it begins."
-        caption += " First coloured by flight, then by altitude [m], on the same axes." if len(panels) > 1 else ""
+        caption += " First coloured by flight, then by altitude [m], on the same axes." if len(paths) > 1 else ""
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
-        figure = _columns({head: [panel] for head, panel in panels.items()}, key, caption)
+        figure = _columns({head: [panel] for head, panel in paths.items()}, key, caption)
         parts.append(f'<div class="map">{figure}{charts.flight_tracks(tracked, links)}</div>')
     return "".join([*parts, "</section>"])
 
@@ -278,7 +277,7 @@ def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
     pairs = [(f"{record.name} (train)", record.table) for record in content.train]
     pairs += [(f"{result.name} (test)", result.table) for result in content.test if result.table is not None]
-    tables = {}
+    tables: dict[str, pd.DataFrame] = {}
     for name, table in pairs:
         twins = sum(other == name or other.startswith(f"{name} no. ") for other in tables)
         tables[f"{name} no. {twins + 1}" if twins else name] = table
@@ -309,8 +308,10 @@ def _color(k: int) -> str:
     return _FLIGHT_COLORS[k % len(_FLIGHT_COLORS)]
 
 
-def _seconds(span) -> str:
-    return f"{number(span[0], '.0f')} to {number(span[1], '.0f')}{THIN}s"
+def _close_and_whole(span, panels) -> dict[str, list[str]]:
+    """Return the panels of the span, if there is one, and of the whole flight, by their headings."""
+    close = {} if span is None else {f"{number(span[0], '.0f')} to {number(span[1], '.0f')}{THIN}s": panels(span)}
+    return close | {"Whole flight": panels(None)}
 
 
 def _key(entries) -> str:

@@ -128,9 +128,9 @@ def replay_table(errors: pd.DataFrame) -> str:
     """Return the errors of the replayed states by horizon, in the units shown."""
     columns = {name: column for name, column in _REPLAY_COLUMNS.items() if name in errors}
     rows = []
-    for horizon, of_one in errors.groupby("horizon"):
+    for horizon in np.unique(errors["horizon"]):
         rows.append([f"Restarted every {number(horizon, 'g')}{THIN}s"])
-        for _, row in of_one.iterrows():
+        for _, row in errors[errors["horizon"] == horizon].iterrows():
             factor, unit = display_unit(row["state"])
             rows.append([state(row["state"]), unit, *(show(row[name], factor) for name, (_, show) in columns.items())])
     head = ["", "unit", *(head for head, _ in columns.values())]

@@ -113,7 +113,7 @@ def _body(content: ReportContent) -> str:
     if draw and content.model.correlation is not None:
         parts.append(sections.coupling(content))
     if draw and content.envelope is not None:
-        parts.append(sections.envelope(content))
+        parts.append(sections.envelope(content.envelope))
     if draw and sections.flown_tables(content):
         parts.append(sections.flown(content, detail))
     return "\n".join([*parts, sections.how_to_read()])

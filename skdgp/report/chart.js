@@ -77,20 +77,14 @@ function written(value, step) {
 
 // Fit the vertical axis to the lines; a band wider than that runs out of the picture.
 function limits(shown) {
-  const range = (some, room) => {
-    let low = Infinity, high = -Infinity;
-    for (const { strokes } of some) for (const cell of strokes.flat()) {
-      low = Math.min(low, cell.low);
-      high = Math.max(high, cell.high);
-    }
-    return [low - room * (high - low), high + room * (high - low)];
+  const range = (some) => {
+    const cells = some.flatMap((one) => one.strokes.flat());
+    return [Math.min(...cells.map((cell) => cell.low)), Math.max(...cells.map((cell) => cell.high))];
   };
   const lines = shown.filter((one) => one.std === null), bands = shown.filter((one) => one.std !== null);
-  let [low, high] = range(lines.length ? lines : bands, 0);
-  if (lines.length && bands.length) {
-    const room = range(lines, BAND_ROOM), wide = range(bands, 0);
-    [low, high] = [Math.min(low, Math.max(room[0], wide[0])), Math.max(high, Math.min(room[1], wide[1]))];
-  }
+  let [low, high] = range(lines.length ? lines : bands);
+  const room = BAND_ROOM * (high - low), [below, above] = range(bands);
+  [low, high] = [Math.min(low, Math.max(low - room, below)), Math.max(high, Math.min(high + room, above))];
   if (!(low <= high)) [low, high] = [0, 1];
   const margin = 0.05 * (high - low) || Math.abs(high) * 1e-3 || 1;
   return [low - margin, high + margin];
@@ -119,12 +113,16 @@ function drawLine(pen, one, x, y) {
   pen.setLineDash([]);
 }
 
+// Draw along one edge of a stroke's cells, "low" or "high".
+function follow(pen, cells, edge, x, y, join = false) {
+  cells.forEach((cell, k) => (k || join ? pen.lineTo(x(cell.t), y(cell[edge])) : pen.moveTo(x(cell.t), y(cell[edge]))));
+}
+
 function drawEdges(pen, one, x, y) {
   pen.strokeStyle = color(one.color);
   pen.lineWidth = 1.2;
   pen.beginPath();
-  for (const stroke of one.strokes) for (const edge of ["high", "low"])
-    stroke.forEach((cell, k) => (k ? pen.lineTo(x(cell.t), y(cell[edge])) : pen.moveTo(x(cell.t), y(cell[edge]))));
+  for (const stroke of one.strokes) for (const edge of ["high", "low"]) follow(pen, stroke, edge, x, y);
   pen.stroke();
 }
 
@@ -133,8 +131,8 @@ function drawBand(pen, one, x, y) {
   pen.globalAlpha = 0.45;
   pen.beginPath();
   for (const stroke of one.strokes) {
-    stroke.forEach(({ t, high }, k) => (k ? pen.lineTo(x(t), y(high)) : pen.moveTo(x(t), y(high))));
-    for (let k = stroke.length - 1; k >= 0; k--) pen.lineTo(x(stroke[k].t), y(stroke[k].low));
+    follow(pen, stroke, "high", x, y);
+    follow(pen, [...stroke].reverse(), "low", x, y, true);
     pen.closePath();
   }
   pen.fill();
@@ -206,25 +204,29 @@ class Chart {
     this.thumb = element("div", { class: "thumb" });
     this.track = element("div", { class: "track", "aria-hidden": "true" }, this.thumb);
     this.grid = element("div", {
-      class: "grid", tabindex: "0", role: "group", "aria-label": `${spec.title}: interactive chart`,
-      style: `--rows: ${Math.ceil(spec.panels.length / 2)}`,
+      class: spec.panels.length < 4 ? "grid one" : "grid", tabindex: "0", role: "group",
+      "aria-label": `${spec.title}: interactive chart`, style: `--rows: ${Math.ceil(spec.panels.length / 2)}`,
     }, ...this.panels.map((panel) => panel.box));
-    if (spec.panels.length < 4) this.grid.classList.add("one");
     this.spoken = element("p", { class: "unseen", "aria-live": "polite" });
-    const touch = matchMedia("(hover: none)").matches;
-    this.hint = element("p", { class: "hint" }, touch
+    this.live = element("div", { class: "live" },
+      element("div", { class: "tools" }, element("div", { class: "spans" }, ...this.spans.map((one) => one.made)),
+        element("div", { class: "steps" }, ...steps), this.clock));
+    if (spec.panels.some((panel) => panel.series.length > 1))
+      this.live.append(element("div", { class: "toggles", role: "group", "aria-label": "What is drawn" }, ...toggles));
+    this.live.append(this.grid, this.track);
+    if (figure === document.querySelector("figure.chart")) this.live.append(this.hint());
+    this.live.append(this.spoken);
+    figure.prepend(this.live);
+    figure.classList.add("on");
+  }
+
+  hint() {
+    const { every } = this.spec;
+    return element("p", { class: "hint" }, matchMedia("(hover: none)").matches
       ? "Touch to read values, swipe sideways to move, pinch to zoom."
       : "Point to read values. Drag over the seconds to see closer, drag the bar or turn the wheel with Ctrl to move "
         + "on and zoom, double-click for the whole flight; keys: ← → + − 0.",
-      spec.every > 1 ? ` Of each ${2 * spec.every} samples the lowest and the highest are kept.` : "");
-    this.live = element("div", { class: "live" },
-      element("div", { class: "tools" }, element("div", { class: "spans" }, ...this.spans.map((one) => one.made)),
-        element("div", { class: "steps" }, ...steps), this.clock),
-      ...(spec.panels.some((panel) => panel.series.length > 1) ? [element("div", { class: "toggles", role: "group", "aria-label": "What is drawn" },
-        ...toggles)] : []),
-      this.grid, this.track, ...(figure === document.querySelector("figure.chart") ? [this.hint] : []), this.spoken);
-    figure.prepend(this.live);
-    figure.classList.add("on");
+      every > 1 ? ` Of each ${2 * every} samples the lowest and the highest are kept.` : "");
   }
 
   // A button that stays pressed; act changes what is shown and returns whether it is pressed.

@@ -23,11 +23,11 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {".ulg": read_ulog, ".ulog": read
 """Readers of logs by suffix; another format is one more entry."""
 RATE_CUTOFF = 0.2
 """Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
-SHARE, USUAL = 0.7, 8.0
+AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0
 """Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
-DIP, SHORTEST = 2.0, 5.0
+LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0
 """Slower for less than this is still flight [s]; faster for less than this is none [s]."""
-EDGE = 1.0
+LONGEST_EDGE = 1.0
 """Channels begin and end within this of each other [s]."""
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
 
@@ -126,13 +126,13 @@ def threshold(log: Log, airborne: bool | float) -> float:
     """Return the airspeed [m/s] above which the aircraft is airborne."""
     if airborne is not True:
         return float(airborne)
-    return SHARE * log.slowest_airspeed if 0 < log.slowest_airspeed < 200 else USUAL
+    return AIRBORNE_SHARE * log.slowest_airspeed if 0 < log.slowest_airspeed < 200 else AIRBORNE_SPEED
 
 
 def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
-    """Return the rows of each flight: airspeed above a speed, and not on the ground where the autopilot tells.
+    """Return the rows of each flight: airspeed above a speed, and not reported as landed.
 
-    Without an airspeed the speed over ground is taken, unless the vehicle has no wings.
+    Without an airspeed the speed over ground is used, unless the vehicle has no wings.
     """
     fast = _speed(table, log) > speed
     landed = _landed(table["time"].to_numpy(), log, topics)
@@ -142,11 +142,11 @@ def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed
     runs = _runs(fast, time)
     joined = runs[:1]
     for a, b in runs[1:]:
-        if time[a] - time[joined[-1][1] - 1] < DIP:
+        if time[a] - time[joined[-1][1] - 1] < LONGEST_DIP:
             joined[-1][1] = b
         else:
             joined.append([a, b])
-    return [slice(a, b) for a, b in joined if time[b - 1] - time[a] >= SHORTEST]
+    return [slice(a, b) for a, b in joined if time[b - 1] - time[a] >= SHORTEST_FLIGHT]
 
 
 def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
@@ -154,8 +154,8 @@ def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     time, known = flight["time"].to_numpy(), flight.notna().to_numpy()
     known = known[:, known.any(axis=0)]
     begins, ends = time[known.argmax(axis=0)], time[len(time) - 1 - known[::-1].argmax(axis=0)]
-    begin = begins[begins <= time[0] + EDGE].max()
-    end = ends[ends >= time[-1] - EDGE].min()
+    begin = begins[begins <= time[0] + LONGEST_EDGE].max()
+    end = ends[ends >= time[-1] - LONGEST_EDGE].min()
     return flight[(time >= begin) & (time <= end)]
 
 
@@ -183,7 +183,7 @@ def _speed(table, log):
 
 
 def _landed(time, log, topics):
-    """Return whether the autopilot took itself for landed, (n,), or None where it does not tell."""
+    """Return whether the autopilot reported to be landed, (n,), or None where it does not say."""
     name, field, value = log.landed or ("", "", 0.0)
     topic = topics.get(name)
     if topic is None or field not in topic:
@@ -194,7 +194,7 @@ def _landed(time, log, topics):
 
 def _runs(fast, time):
     """Return first and past-last rows of runs without a leap of time."""
-    begins = fast & ~np.r_[False, fast[:-1] & (np.diff(time) < DIP)]
+    begins = fast & ~np.r_[False, fast[:-1] & (np.diff(time) < LONGEST_DIP)]
     ends = fast & np.r_[begins[1:] | ~fast[1:], True]
     return [[int(a), int(b) + 1] for a, b in zip(np.flatnonzero(begins), np.flatnonzero(ends), strict=True)]
 

@@ -15,25 +15,25 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.clock import GAP
 from skdgp.io._autopilot.formats import Topic
 
-BLOCK = 25
+BLOCK_SIZE = 25
 """Messages whose median time is compared with that of the next."""
-BACK = 5.0
-"""A clock that goes back by more than this was set back or restarted [s]; messages out of order are not so late."""
-MARGIN = 5.0
-"""Stamps may lie this far outside of the medians of a part [s]."""
-STEP = 60.0
+RESTART_STEP = 5.0
+"""A clock that goes back by more than this was restarted [s]; messages out of order are less late."""
+STAMP_MARGIN = 5.0
+"""Distance of valid stamps from the medians of a part [s]."""
+LARGEST_STEP = 60.0
 """Longest step between medians that widens this margin [s]."""
-ORDER = 4
-PASSED = 0.4
+FILTER_ORDER = 4
+CUTOFF = 0.4
 """Corner of the low-pass in parts of the new rate: gain 1/2 there."""
-NEARLY = 1.2
-"""A channel that is faster than the new rate by less than this is not low-passed."""
-PAUSE = (5.0, 50.0)
-"""Where the log stands still for longer than this [s] and [usual steps], the clock has no rows."""
-SPARSE = 20.0
-"""Rows of the clock per sample of the channel that it follows; a clock with more is none."""
-LONG = 0.5
-"""Seconds from which a gap is worth a remark."""
+LEAST_RATIO = 1.2
+"""Ratio of rates from which a channel is low-passed."""
+LONGEST_PAUSE = (5.0, 50.0)
+"""In longer pauses, [s] and [usual steps], the clock has no rows."""
+MOST_ROWS_PER_SAMPLE = 20.0
+"""Of the clock, per sample of the channel that it follows."""
+LEAST_GAP = 0.5
+"""Seconds of a gap that is worth a remark."""
 
 
 def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
@@ -53,11 +53,11 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
         part = {}
         for name, topic in topics.items():
             inside = (topic.order >= place[0]) & (topic.order <= place[1])
-            believed = inside & (topic.time >= low) & (topic.time <= high)
-            here = topic.select(believed)
+            valid = inside & (topic.time >= low) & (topic.time <= high)
+            here = topic.select(valid)
             disordered += int((np.diff(here.time) < 0).sum())
             here = here.select(np.unique(here.time, return_index=True)[1])
-            dropped[name] = dropped.get(name, 0) + int(inside.sum() - believed.sum())
+            dropped[name] = dropped.get(name, 0) + int(inside.sum() - valid.sum())
             if len(here):
                 part[name] = here
         parts.append(part)
@@ -76,10 +76,10 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
 
 def _medians(time):
     """Return the median of each block of messages, (m,)."""
-    whole = len(time) // BLOCK * BLOCK
+    whole = len(time) // BLOCK_SIZE * BLOCK_SIZE
     if not whole:
         return np.array([np.median(time)])
-    return np.median(time[:whole].reshape(-1, BLOCK), axis=1)
+    return np.median(time[:whole].reshape(-1, BLOCK_SIZE), axis=1)
 
 
 def _without_outliers(centres):
@@ -95,18 +95,18 @@ def _restarts(time, centres) -> list[int]:
     """Return the messages with which a clock that was set back begins."""
     steady = _without_outliers(centres)
     found = []
-    for block in np.flatnonzero(np.diff(steady) < -BACK).tolist():
-        window = slice(max(block - 3, 0) * BLOCK, (block + 5) * BLOCK)
+    for block in np.flatnonzero(np.diff(steady) < -RESTART_STEP).tolist():
+        window = slice(max(block - 3, 0) * BLOCK_SIZE, (block + 5) * BLOCK_SIZE)
         later = np.where(time[window] > (steady[block] + steady[block + 1]) / 2, 1, -1)
         found.append(window.start + int(np.argmax(np.cumsum(later))) + 1)
     return sorted(set(found) - {len(time)})
 
 
 def _span(centres):
-    """Return the least and the greatest time that is believed."""
+    """Return the least and the greatest valid time."""
     steady = _without_outliers(centres)
     step = np.abs(np.diff(steady)).max(initial=0.0)
-    margin = MARGIN + min(step, STEP)
+    margin = STAMP_MARGIN + min(step, LARGEST_STEP)
     return steady.min() - margin, steady.max() + margin
 
 
@@ -120,7 +120,7 @@ def gaps(time: Vector) -> list[tuple[float, float]]:
     step = np.diff(time)
     if not len(step):
         return []
-    return [(float(time[i]), float(step[i])) for i in np.flatnonzero(step > max(LONG, GAP * np.median(step)))]
+    return [(float(time[i]), float(step[i])) for i in np.flatnonzero(step > max(LEAST_GAP, GAP * np.median(step)))]
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
@@ -132,11 +132,11 @@ def uniform_clock(time: Vector, rate: float) -> Vector:
         If there would be far more of them than samples.
     """
     step = np.diff(time)
-    edges = np.flatnonzero(step > max(PAUSE[0], PAUSE[1] * np.median(step))) + 1
+    edges = np.flatnonzero(step > max(LONGEST_PAUSE[0], LONGEST_PAUSE[1] * np.median(step))) + 1
     starts, ends = time[np.r_[0, edges]], time[np.r_[edges, len(time)] - 1]
     first, last = np.ceil(starts * rate - 1e-6), np.floor(ends * rate + 1e-6)
     counts = np.maximum(last - first + 1, 0).astype(int)
-    if counts.sum() > SPARSE * len(time) * max(1.0, rate / sampling_rate(time)):
+    if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate / sampling_rate(time)):
         raise ValueError(
             f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock without so many gaps."
         )
@@ -187,10 +187,10 @@ def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix
 def _low_passed(time, values, rate):
     """Return a run without the frequencies that the new rate cannot carry."""
     n, old_rate = len(time), (len(time) - 1) / (time[-1] - time[0])
-    if old_rate < NEARLY * rate:
+    if old_rate < LEAST_RATIO * rate:
         return values
     even = np.linspace(time[0], time[-1], n)
-    sections = butter(ORDER, PASSED * rate, fs=old_rate, output="sos")
+    sections = butter(FILTER_ORDER, CUTOFF * rate, fs=old_rate, output="sos")
     padding = min(n - 1, round(4 * old_rate / rate) + 27)
     columns = [np.interp(even, time, column) for column in values.T]
     passed = sosfiltfilt(sections, np.column_stack(columns), axis=0, padlen=padding)

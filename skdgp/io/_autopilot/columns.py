@@ -27,9 +27,9 @@ from skdgp.io._autopilot.formats import (
 from skdgp.io._autopilot.servos import Servo
 from skdgp.io._errors import FlightReadError
 
-SLOW = 5.0
+LEAST_RATE = 5.0
 """A source slower than this [Hz] gives way to a faster one further down."""
-FASTEST = 50.0
+HIGHEST_RATE = 50.0
 """The clock follows the gyros, but not beyond this [Hz]: rigid aircraft and surfaces move slower than 20 Hz."""
 
 
@@ -90,7 +90,7 @@ def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
         raise FlightReadError(
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log these topics."
         )
-    rate = rate or float(f"{min(FASTEST, leader.rate):.3g}")
+    rate = rate or float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
     try:
         clock = uniform_clock(leader.time, rate)
     except ValueError as error:
@@ -170,7 +170,7 @@ def _surface(log, name, servo: Servo) -> Source:
 
 def _preferred(sources):
     """Return the first source that is fast enough, or the first of all."""
-    return next((source for source in sources if source.rate >= SLOW), sources[0])
+    return next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
 
 
 def _joined(fields) -> str:

@@ -16,9 +16,9 @@ from skdgp._compute.typing import Array, ArrayLike
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import FlightDisplay
 from skdgp.plotting._ground_path import ground_path
-from skdgp.plotting._states import LATERAL_STATES, replay_rows
+from skdgp.plotting._states import replay_rows
 from skdgp.plotting._style import display_unit
-from skdgp.report._content import FlightResult, ReportContent
+from skdgp.report._content import FlightResult, ReportContent, measured_states
 from skdgp.report._tables import state, symbol, text
 
 TICK = 1e-4
@@ -84,12 +84,12 @@ def state_chart(result: FlightResult, horizon: float, span, every: int) -> str:
     """Return the chart of the lateral states that were replayed and measured."""
     rows = replay_rows(result.replay, horizon)
     panels = []
-    for name in (name for name in LATERAL_STATES if name in rows and name in result.table):
+    for name, measured in measured_states(result).items():
         factor, unit = display_unit(name)
         replayed = factor * rows[name].to_numpy(dtype=float)
         series = [
             Series("replayed", "blue", replayed, width=2.5),
-            Series("measured", "measured", factor * result.table[name].to_numpy(dtype=float), width=0.8),
+            Series("measured", "measured", factor * measured, width=0.8),
         ]
         if f"{name}_std" in rows:
             std = factor * rows[f"{name}_std"].to_numpy(dtype=float)

@@ -10,10 +10,11 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Array, ArrayLike
+from skdgp._compute.typing import Array, ArrayLike, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._arrays import check_time
+from skdgp.plotting._states import LATERAL_STATES
 from skdgp.report._tables import SCORES
 
 
@@ -109,6 +110,14 @@ class FlightResult:
             for against, of in {"measured": {}, **given}.items()
         }
         return {against: table.reindex(columns=list(SCORES)) for against, table in tables.items()}
+
+
+def measured_states(result: FlightResult) -> dict[str, Vector]:
+    """Return the measured values of the lateral states that were replayed, by name."""
+    replay, table = result.replay, result.table
+    if replay is None or table is None:
+        return {}
+    return {name: table[name].to_numpy(dtype=float) for name in LATERAL_STATES if name in replay and name in table}
 
 
 def score(y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike) -> dict[str, Array]:

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Callable
 from html import escape
 from io import StringIO
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +21,9 @@ from skdgp.plotting import (
     StateDisplay,
 )
 from skdgp.plotting._flight import START_MARKERS, named_flights, start_marker
-from skdgp.plotting._states import LATERAL_STATES, replay_rows
+from skdgp.plotting._states import replay_rows
 from skdgp.plotting._style import PALETTE, QUIET, ROLES
-from skdgp.report._content import FlightResult
+from skdgp.report._content import FlightResult, measured_states
 
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
@@ -35,7 +36,7 @@ WIDTH = 4.6
 POINTS = 72
 """Units of an SVG in an inch."""
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "skdgp",
     "font.size": 8,
@@ -105,8 +106,7 @@ def coefficient_panels(result: FlightResult, span, n_bins: int) -> list[str]:
 
 def state_panels(result: FlightResult, horizon: float, span, n_bins: int) -> list[str]:
     """Return one panel for each lateral state that was replayed and measured."""
-    states = [name for name in LATERAL_STATES if name in result.replay and name in result.table]
-    rows = replay_rows(result.replay, horizon)
+    states, rows = list(measured_states(result)), replay_rows(result.replay, horizon)
 
     def draw(ax, name):
         StateDisplay.from_replay(rows, result.table, states=[name], ax=ax, time_span=span, n_bins=n_bins, legend=False)

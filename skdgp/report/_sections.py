@@ -9,10 +9,11 @@ import pandas as pd
 
 from skdgp._flight.channels import LATERAL, LONGITUDINAL
 from skdgp.plotting import EnvelopeDisplay
+from skdgp.plotting._states import replay_rows
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _charts as charts
 from skdgp.report import _pictures as pictures
-from skdgp.report._content import FlightResult, ModelSummary, ReportContent
+from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
 from skdgp.report._tables import (
     THIN,
     coverage,
@@ -196,8 +197,7 @@ def _replays(result: FlightResult, span, detail: Detail, draw: bool) -> str:
 
 
 def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
-    rows = pictures.replay_rows(result.replay, horizon)
-    names = [name for name in pictures.LATERAL_STATES if name in rows and name in result.table]
+    rows, names = replay_rows(result.replay, horizon), list(measured_states(result))
     if not names:
         return ""
     key = [("measured", "measured", ""), ("blue", "replayed", "")]

@@ -62,19 +62,17 @@ def thinning(content: ReportContent) -> int:
 
 def coefficient_chart(result: FlightResult, band: str, span, every: int) -> str:
     """Return the chart of the six coefficients."""
-    measured, means = np.asarray(result.measured, dtype=float), np.asarray(result.mean, dtype=float)
-    truth = None if result.truth is None else np.asarray(result.truth, dtype=float)
     panels = []
     for k, name in enumerate(COEFFICIENTS):
-        mean = means[:, k]
+        mean = result.mean[:, k]
         # What is thin lies over what is broad: so all are seen where they agree.
         series = [
             Series(band, "sky", mean, std=result.noisy_std[:, k]),
             Series("estimated", "blue", mean, width=2.5),
         ]
-        if truth is not None:
-            series.append(Series("truth", "vermillion", truth[:, k], dashed=True))
-        series.append(Series("measured", "measured", measured[:, k], width=0.8))
+        if result.truth is not None:
+            series.append(Series("truth", "vermillion", result.truth[:, k], dashed=True))
+        series.append(Series("measured", "measured", result.measured[:, k], width=0.8))
         title = f"{name} against time: {', '.join(one.name for one in series)}"
         panels.append(Panel(title, symbol(name), "", series, base=mean))
     return chart("Coefficients", result.name, result.time, panels, span=span, every=every)
@@ -137,7 +135,6 @@ def chart(
     Charts of one ``link`` show the same seconds. A button leads to ``span``, begin and end [s]; lines break where
     ``window`` changes. Of each ``2 * every`` samples the lowest and the highest are kept (`thinned`).
     """
-    time = np.asarray(time, dtype=float)
     rows = slice(0, len(time) // every * every, every)
     n = len(time[rows])
     if n < 2 or not (np.diff(time) > 0).all():
@@ -149,7 +146,6 @@ def chart(
         """Pack a column once, however many series refer to it, and return its number."""
         if values is not None and id(values) not in numbers:
             numbers[id(values)] = len(numbers)
-            values = np.asarray(values, dtype=float)
             packs.append(pack(values[rows] if values is window else thinned(values, every)[:n]))
         return None if values is None else numbers[id(values)]
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import (
     CalibrationDisplay,
@@ -66,12 +67,11 @@ def time_slices(n_flights: int) -> int:
     return int(np.clip(600 // max(n_flights, 1), 120, 350))
 
 
-def busiest_span(time, values, length: float = EXCERPT) -> tuple[float, float] | None:
+def busiest_span(time: Vector, values: Matrix, length: float = EXCERPT) -> tuple[float, float] | None:
     """Return begin and end of the ``length`` seconds in which ``values`` move most; None for a short record.
 
     Movement is the sum of squared steps, each column in units of its standard deviation.
     """
-    time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
     if np.any(np.diff(time) <= 0) or time[-1] - time[0] < 1.5 * length:
         return None
     spread = np.nanstd(values, axis=0)
@@ -86,12 +86,12 @@ def busiest_span(time, values, length: float = EXCERPT) -> tuple[float, float] |
 def coefficient_panels(result: FlightResult, span, n_bins: int) -> list[str]:
     """Return six panels: measured, estimated with band, truth."""
     display = CoefficientDisplay(
-        time=np.asarray(result.time, dtype=float),
-        measured=np.asarray(result.measured, dtype=float),
-        mean=np.asarray(result.mean, dtype=float),
+        time=result.time,
+        measured=result.measured,
+        mean=result.mean,
         std=result.noisy_std,
         # Over a whole flight a third line would only hide the other two.
-        truth=None if result.truth is None or span is None else np.asarray(result.truth, dtype=float),
+        truth=None if span is None else result.truth,
         output_names=COEFFICIENTS,
     )
     return [

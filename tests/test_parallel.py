@@ -206,6 +206,25 @@ class TestFits:
             found = fit_map(fit, [{"k": k} for k in range(4)], 2)
         assert [end.value for end in found] == [0, 1, 2, 3]
 
+    def test_finished_fits_stay_when_a_worker_is_killed(self):
+        home = os.getpid()
+
+        def fit(k):
+            import os
+            import signal
+            import time
+            from collections import namedtuple
+
+            if k == 3 and os.getpid() != home:
+                time.sleep(1.0)
+                os.kill(os.getpid(), signal.SIGKILL)
+            return namedtuple("Ended", "pid interrupted")(os.getpid(), False)
+
+        with pytest.warns(RuntimeWarning, match=LOST):
+            found = fit_map(fit, [{"k": k} for k in range(4)], 2)
+        assert home not in {end.pid for end in found[:2]}
+        assert found[3].pid == home
+
     def test_an_interrupted_fit_is_the_last_one(self):
         assert fit_map(lambda k: Ended(k, k == 1), [{"k": k} for k in range(4)]) == [Ended(0), Ended(1, True)]
 

@@ -135,7 +135,8 @@ def _fit_elsewhere(fit, starts, n_jobs, client):
     found, error, stop_name = {}, "interrupted there", f"skdgp-stop-{uuid4().hex}"
     with _stop_at_interrupt(stop_name, client) as stopped:
         try:
-            found.update(_results(fit, starts, n_jobs, client, stop_name))
+            for k, result in _results(fit, starts, n_jobs, client, stop_name):
+                found[k] = result
         except (Exception, CancelledError) as caught:
             error = _first_line(caught)
     _raise_first_error(found.values())
@@ -186,7 +187,7 @@ def _fit(fit, k, start, stop_name, one_core):
 def _stop_at_interrupt(stop_name: str, client: Any) -> Iterator[threading.Event]:
     """Let the first Ctrl-C set the event and write a file on each machine, at which the fits there stop.
 
-    In a terminal Ctrl-C reaches the workers too: those of Dask would end, so they ignore it meanwhile.
+    In a terminal Ctrl-C reaches the workers too, and would end those of Dask: they ignore it meanwhile.
     """
     stopped, former = threading.Event(), signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(former):
@@ -229,7 +230,7 @@ def _workers(n_jobs, threads=False):
     backend, _ = get_active_backend()
     client = getattr(backend, "client", None)
     if n_jobs == 1 or backend.nesting_level or _inside_task_of_dask(client):
-        return False, None  # the outermost loop is the one that is spread
+        return False, None  # the outermost loop is the one that is distributed
     if getattr(backend, "supports_sharedmem", False) and not threads:
         return False, None
     try:

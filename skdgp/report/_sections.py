@@ -7,23 +7,14 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import LATERAL, LONGITUDINAL
+from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._states import replay_rows
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _charts as charts
 from skdgp.report import _pictures as pictures
 from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
-from skdgp.report._tables import (
-    THIN,
-    coverage,
-    error_table,
-    facts,
-    number,
-    percent,
-    replay_table,
-    text,
-)
+from skdgp.report._tables import SCORES, THIN, error_table, facts, number, replay_table, text
 
 _FLIGHT_COLORS = [name for color in CYCLE for name, value in PALETTE.items() if value == color]
 
@@ -43,25 +34,21 @@ def _headline(result: FlightResult) -> str:
     scores = result.scores
     measured, truth = scores["measured"], scores.get("truth")
     tiles = [
-        _tile(measured, truth, "normalized_rmse", LATERAL, "", "normalised RMSE, lateral", _three_decimals),
-        _tile(measured, truth, "normalized_rmse", LONGITUDINAL, "", "normalised RMSE, longitudinal", _three_decimals),
-        _tile(measured, truth, "median_relative_error", None, "%", "median relative error, mean of six", percent),
-        _tile(measured, None, "interval_coverage", None, "%", "of measured values inside the 95 % band", coverage),
+        _tile(measured, truth, "normalized_rmse", LATERAL, "", "normalised RMSE, lateral"),
+        _tile(measured, truth, "normalized_rmse", LONGITUDINAL, "", "normalised RMSE, longitudinal"),
+        _tile(measured, truth, "median_relative_error", COEFFICIENTS, "%", "median relative error, mean of six"),
+        _tile(measured, None, "interval_coverage", COEFFICIENTS, "%", "of measured values inside the 95 % band"),
     ]
     return f'<h3>{text(result.name)}</h3><div class="head">{"".join(tiles)}</div>'
 
 
-def _tile(measured, truth, metric, members, unit, words, form) -> str:
+def _tile(measured, truth, metric, members, unit, words) -> str:
     def value(scores):
-        return form(scores[metric].loc[list(members or scores.index)].mean())
+        return SCORES[metric].show(scores[metric].loc[list(members)].mean())
 
     unit = f"<small>{unit}</small>" if unit else ""
     against = "" if truth is None else f"<span>against truth {value(truth)}{unit and THIN + '%'}</span>"
     return f"<div><b>{value(measured)}{unit}</b><span>{words}</span>{against}</div>"
-
-
-def _three_decimals(value: float) -> str:
-    return number(value, ".3f")
 
 
 def messages(content: ReportContent) -> str:

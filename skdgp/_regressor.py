@@ -14,11 +14,10 @@ from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
-from skdgp._compute.checkpoint import kept_in, record_of_fit
-from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
-from skdgp._compute.memory import check_memory
+from skdgp._compute.checkpoint import fit_record, run_recorded
+from skdgp._compute.linalg import check_memory, column_scale, constant_columns, eigen_root
 from skdgp._compute.parallel import check_n_jobs, fit_map
+from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.tables import column_names
 from skdgp.inference import (
@@ -291,7 +290,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         else:
             warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = standardized(Y, self.trend is not None, self.normalize_y)
-        best = task.heard(self._search, X, Z, clock)
+        best = task.run(self._search, X, Z, clock)
         warn_of_search(best, self.max_iter)
         self.__dict__.pop("compaction_", None)  # of what was known before
         self.posterior_ = best.posterior
@@ -314,12 +313,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root, "clock": clock}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
         facts = X if clock is None else np.column_stack([X, clock])
-        record = record_of_fit(facts, Z, seeds, self.get_params(deep=False))
+        record = fit_record(facts, Z, seeds, self.get_params(deep=False))
         seeds = seeds if record is None else record.seeds
         kernel, found = self._choose(X, Z, options | {"random_state": int(seeds[0]), "record": record})
         names = [f"start-{k}" for k in range(len(seeds) if found is None else 1)]
         starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
-        start = partial(kept_in, record, function=partial(search, kernel, X, Z, found=found, **options))
+        start = partial(run_recorded, record, function=partial(search, kernel, X, Z, found=found, **options))
         fits = fit_map(start, starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.value)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))

@@ -1,4 +1,4 @@
-"""Scikit-learn's callbacks on a fit alone, in a pipeline, in a search: they hear the likelihood and may stop it."""
+"""Scikit-learn's callbacks on a fit alone, in a pipeline, in a search: they get the likelihood, and may stop it."""
 
 import io
 from contextlib import redirect_stdout
@@ -25,7 +25,7 @@ Y = np.column_stack([np.sin(X[:, 0]) * X[:, 1], np.cos(X[:, 0])]) + 0.1 * RNG.no
 
 
 class Recorder:
-    """Keeps what it was told of, and answers True at one evaluation."""
+    """Keeps its calls, and returns True at one evaluation."""
 
     def __init__(self, stop_at=None, max_propagation_depth=None):
         self.stop_at, self.max_propagation_depth = stop_at, max_propagation_depth
@@ -78,7 +78,7 @@ def test_a_fit_alone():
     np.testing.assert_array_equal(model.predict(X), plain.predict(X))
 
 
-def test_sparse_inference_tells_of_its_bound():
+def test_sparse_inference_reports_its_bound():
     recorder = Recorder()
     quick(inference="sparse", n_inducing=10).set_callbacks(recorder).fit(X, Y)
     check_news(recorder.news)
@@ -116,9 +116,9 @@ def test_clones_keep_callbacks_and_parameters_know_nothing_of_them():
     clone(model).fit(X, Y)
     check_news(recorder.news)
     model.set_callbacks()
-    heard = len(recorder.news)
+    before = len(recorder.news)
     model.fit(X, Y)
-    assert len(recorder.news) == heard
+    assert len(recorder.news) == before
 
 
 @pytest.mark.usefixtures("one_thread")
@@ -131,11 +131,11 @@ def test_a_callback_may_stop_the_search():
     assert np.isfinite(model.predict(X, return_std=True)).all()
 
 
-def test_listeners_hear_beside_callbacks():
-    recorder, told = Recorder(), []
-    with listening(lambda *news: told.append(news)):
+def test_listeners_are_called_beside_callbacks():
+    recorder, calls = Recorder(), []
+    with listening(lambda *news: calls.append(news)):
         quick().set_callbacks(recorder).fit(X, Y)
-    assert len(told) == len(recorder.news)
+    assert len(calls) == len(recorder.news)
 
 
 @pytest.mark.parametrize("where", ["alone", "pipeline", "search"])

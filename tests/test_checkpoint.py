@@ -1,12 +1,11 @@
 """Checkpoints: a fit killed at any moment goes on where it was and ends where it would have; nothing is left behind."""
 
-import json
+import io
 import os
 import shutil
 import subprocess
 import sys
 import textwrap
-import warnings
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, checkpointing, listening
-from skdgp._compute.checkpoint import FILES, _hash_of_arrays, _load
+from skdgp._compute.checkpoint import CHECKSUM_SIZE, FILES, _checksum, _read
 
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -36,16 +35,16 @@ def quick(**parameters):
 
 def evaluated(function, at=None, error=Killed):
     """Return what the function returns and how many evaluations it took; or raise the error at one of them."""
-    told = []
+    calls = []
 
     def listen(*news):
-        told.append(news)
-        if len(told) == at:
+        calls.append(news)
+        if len(calls) == at:
             raise error
 
     with listening(listen):
         result = function()
-    return result, len(told)
+    return result, len(calls)
 
 
 def fit(folder, model=None, at=None, *, every=0.0, targets=Y[:, 0]):
@@ -61,15 +60,6 @@ def fit(folder, model=None, at=None, *, every=0.0, targets=Y[:, 0]):
 def killed(folder, at, model=None, **options):
     with pytest.raises(Killed):
         fit(folder, model, at, **options)
-
-
-def facts(folder):
-    """Return what each file says of its fit, and whether its part is done."""
-    found = {}
-    for path in sorted(folder.glob(FILES)):
-        with np.load(path) as file:
-            found[path.name] = json.loads(str(file["facts"])), bool(file["done"])
-    return found
 
 
 @pytest.mark.usefixtures("one_thread")
@@ -128,7 +118,7 @@ def test_restarts_in_other_processes_are_kept_too(tmp_path):
     with pytest.raises(Killed), checkpointing(tmp_path / "checkpoint"):  # noqa: PT012
         model.set_params(n_jobs=2).fit(X, Y[:, 0])
         raise Killed
-    assert [done for _, done in facts(tmp_path / "checkpoint").values()] == [True, True]
+    assert len(list((tmp_path / "checkpoint").iterdir())) == 2
     again, n = fit(tmp_path / "checkpoint", model.set_params(n_jobs=None))
     assert n == 0
     np.testing.assert_array_equal(again.predict(X), model.predict(X))
@@ -166,17 +156,17 @@ def test_ctrl_c_in_a_restart_that_just_began_loses_nothing_of_those_before(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("targets", "parameters", "said"),
+    ("targets", "parameters", "remark"),
     [
         (Y[:, 0] + 1e-6 * X[:, 0], {}, "other data"),
         (Y[:, 0], {"n_latent": 2, "max_iter": 4}, r"other settings \(max_iter, n_latent\)"),
     ],
 )
-def test_a_checkpoint_of_something_else_is_told_and_removed(targets, parameters, said, tmp_path):
+def test_a_checkpoint_of_something_else_is_named_and_removed(targets, parameters, remark, tmp_path):
     folder = tmp_path / "checkpoint"
     killed(folder, 8)
     plain, n = evaluated(lambda: quick(**parameters).fit(X, targets))
-    with pytest.warns(UserWarning, match=said):
+    with pytest.warns(UserWarning, match=remark):
         model, evaluations = fit(folder, quick(**parameters), targets=targets)
     assert evaluations == n
     np.testing.assert_array_equal(model.predict(X), plain.predict(X))
@@ -185,63 +175,44 @@ def test_a_checkpoint_of_something_else_is_told_and_removed(targets, parameters,
 
 def test_a_start_that_is_another_begins_at_the_best_that_is_known(tmp_path):
     """As where another machine rounds otherwise: never behind where it was."""
-    told = []
+    progress = []
     folder = tmp_path / "checkpoint"
     killed(folder, 8)
     (path,) = folder.glob(FILES)
-    with np.load(path) as file:
+    with np.load(io.BytesIO(path.read_bytes()[:-CHECKSUM_SIZE])) as file:
         arrays = dict(file)
-    (stage,) = [name.removesuffix("/thetas") for name in arrays if name.endswith("/thetas")]
-    arrays[f"{stage}/thetas"][0] += 0.1
-    del arrays["checksum"]
-    np.savez(path, checksum=_hash_of_arrays(**arrays), **arrays)
-    with checkpointing(folder), listening(lambda *news: told.append(news)):
+    (stage,) = arrays.keys() - {"header"}
+    arrays[stage][0] += 0.1
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    path.write_bytes(buffer.getvalue() + _checksum(buffer.getvalue()))
+    with checkpointing(folder), listening(lambda *news: progress.append(news)):
         quick().fit(X, Y[:, 0])
-    assert told[0][-1] == pytest.approx(arrays[f"{stage}/values"].max())
+    assert progress[0][-1] == pytest.approx(arrays[stage][:, 0].max())
 
 
-def test_a_file_that_cannot_be_read_is_left_aside(tmp_path):
+@pytest.mark.parametrize("damage", [lambda data: data[:-100], lambda data: b"", lambda data: b"PK" + data])
+def test_a_damaged_file_is_ignored(damage, tmp_path):
     folder = tmp_path / "checkpoint"
     killed(folder, 8)
     (path,) = folder.glob(FILES)
-    path.write_bytes(path.read_bytes()[:-100])
+    path.write_bytes(damage(path.read_bytes()))
     with pytest.warns(UserWarning, match="cannot be read as a checkpoint"):
         model, _ = fit(folder)
     np.testing.assert_array_equal(model.predict(X), quick().fit(X, Y[:, 0]).predict(X))
+    assert not folder.exists()
 
 
-def test_a_flipped_bit_changes_nothing_unnoticed(tmp_path):
-    """What is loaded is what was kept; else it is left aside, with a warning."""
+def test_a_flipped_bit_is_noticed(tmp_path):
     killed(tmp_path, 8)
     (path,) = tmp_path.glob(FILES)
-    data, kept = path.read_bytes(), _load(path)
-    noticed = 0
-    for place in np.random.default_rng(0).choice(8 * len(data), 1000, replace=False):
+    data = path.read_bytes()
+    for place in np.random.default_rng(0).choice(8 * len(data), 300, replace=False):
         flipped = bytearray(data)
         flipped[place // 8] ^= 1 << place % 8
         path.write_bytes(flipped)
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            found = _load(path)
-        if found is None:
-            noticed += "cannot be read as a checkpoint" in str(said[0].message)
-        else:  # a bit that nothing is read from, as the time of a member of the archive
-            np.testing.assert_equal(found, kept)
-    assert noticed > 900
-
-
-def test_other_values_in_a_sound_archive_are_noticed(tmp_path):
-    folder = tmp_path / "checkpoint"
-    killed(folder, 8)
-    (path,) = folder.glob(FILES)
-    with np.load(path) as file:
-        arrays = dict(file)
-    (values,) = (name for name in arrays if name.endswith("/values"))
-    arrays[values][0] += 1e-12
-    np.savez(path, **arrays)
-    with pytest.warns(UserWarning, match="its checksum does not fit"):
-        model, _ = fit(folder)
-    np.testing.assert_array_equal(model.predict(X), quick().fit(X, Y[:, 0]).predict(X))
+        with pytest.warns(UserWarning, match="its checksum does not fit"):
+            assert _read(path) is None
 
 
 def test_a_folder_that_cannot_be_written_does_not_end_the_fit(tmp_path):
@@ -317,10 +288,10 @@ for moment in {moments.tolist()!r}:
             from skdgp import checkpointing, listening
 
             def work(begun):
-                heard = []
-                with checkpointing("checkpoint", every=0.0), listening(lambda *_: heard.append(begun())):
+                calls = []
+                with checkpointing("checkpoint", every=0.0), listening(lambda *_: calls.append(begun())):
                     model = quick().fit(X, Y)
-                return len(heard), float(model.log_marginal_likelihood_value_)
+                return len(calls), float(model.log_marginal_likelihood_value_)
 
             def check():
                 pass
@@ -345,5 +316,5 @@ for moment in {moments.tolist()!r}:
             def check():
                 print(*np.unique(joblib.load("model.joblib")))
         """
-        said = self.killed(work, np.random.default_rng(3).uniform(0.0, 0.1, 10), tmp_path)
-        assert [len(line.split()) for line in said.splitlines()] == [1] * 10
+        printed = self.killed(work, np.random.default_rng(3).uniform(0.0, 0.1, 10), tmp_path)
+        assert [len(line.split()) for line in printed.splitlines()] == [1] * 10

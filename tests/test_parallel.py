@@ -7,7 +7,7 @@ import sys
 import textwrap
 import time
 import warnings
-from threading import Event, Lock
+from threading import Lock, Thread
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from joblib import Parallel, cpu_count, delayed, parallel_config
 from sklearn.model_selection import GridSearchCV
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.parallel import _first_interrupt, check_n_jobs, fit_map, share_map, sharing
+from skdgp._compute.parallel import check_n_jobs, fit_map, share_map, sharing
 from skdgp._compute.threads import n_threads
 
 SHARES = [np.full(3, float(k)) for k in range(7)]
@@ -121,22 +121,27 @@ class TestWhoWorks:
         assert n_threads() == before
 
 
-class TestLoss:
-    def test_a_killed_worker_loses_nothing(self, tmp_path):
-        with parallel_config(**LOKY), sharing(SHARES):
-            found = share_map(deadly(), (os.getpid(), str(tmp_path / "died")), SHARES)
-        assert (tmp_path / "died").exists()
-        assert values(found) == SUMS
+LOST = r"did not come back \(TerminatedWorkerError.*It is done in this process"
 
-    def test_where_all_die_the_work_is_done_here(self, tmp_path):
+
+class TestLoss:
+    @pytest.mark.parametrize("always", [False, True], ids=["one dies", "all die"])
+    def test_what_a_killed_worker_had_is_done_here(self, always, tmp_path):
         state = (os.getpid(), str(tmp_path / "died"))
-        told = r"did not come back \(TerminatedWorkerError.*\)\. Nothing is lost"
-        with parallel_config(**LOKY), sharing(SHARES), pytest.warns(RuntimeWarning, match=told):
-            found = share_map(deadly(always=True), state, SHARES)
+        with parallel_config(**LOKY), sharing(SHARES), pytest.warns(RuntimeWarning, match=LOST):
+            found = share_map(deadly(always), state, SHARES)
         assert values(found) == SUMS
         assert {pid for _, pid in found} == {os.getpid()}
 
-    def test_what_cannot_travel_is_done_here_and_told_once(self):
+    def test_the_next_call_has_new_workers(self, tmp_path):
+        state = (os.getpid(), str(tmp_path / "died"))
+        with parallel_config(**LOKY), sharing(SHARES):
+            with pytest.warns(RuntimeWarning, match=LOST):
+                share_map(deadly(), state, SHARES)
+            again = share_map(deadly(), state, SHARES)
+        assert os.getpid() not in {pid for _, pid in again}
+
+    def test_what_cannot_travel_is_done_here_with_one_warning(self):
         lock = Lock()
 
         def at_home(share):
@@ -146,8 +151,8 @@ class TestLoss:
         with warnings.catch_warnings(record=True) as caught, parallel_config(**LOKY), sharing(SHARES):
             warnings.simplefilter("always")
             assert [values(share_map(at_home, (), SHARES)) for _ in range(5)] == [SUMS] * 5
-        (told,) = caught
-        assert "pickle" in str(told.message)
+        (warning,) = caught
+        assert "pickle" in str(warning.message)
 
     @pytest.mark.parametrize("error", [np.linalg.LinAlgError("not positive definite"), ArithmeticError("in the work")])
     def test_an_error_of_the_work_itself_comes_through(self, error):
@@ -186,9 +191,10 @@ class TestFits:
             there = model.fit(X, Y).theta_
         np.testing.assert_allclose(there, here, rtol=1e-6)
 
-    def test_a_killed_restart_is_done_again(self, tmp_path):
+    @pytest.mark.parametrize("always", [False, True], ids=["one dies", "all die"])
+    def test_fits_of_a_killed_worker_are_done_here(self, always, tmp_path):
         home, died = os.getpid(), str(tmp_path / "died")
-        kill = deadly()
+        kill = deadly(always)
 
         def fit(k):
             from collections import namedtuple
@@ -196,20 +202,28 @@ class TestFits:
             kill(home, died, np.zeros(1))
             return namedtuple("Ended", "value interrupted")(k, False)
 
-        found = fit_map(fit, [{"k": k} for k in range(4)], 2)
-        assert (tmp_path / "died").exists()
+        with pytest.warns(RuntimeWarning, match=LOST):
+            found = fit_map(fit, [{"k": k} for k in range(4)], 2)
         assert [end.value for end in found] == [0, 1, 2, 3]
 
-    def test_fits_on_deadly_workers_are_done_here(self, tmp_path):
-        home, died = os.getpid(), str(tmp_path / "died")
-        kill = deadly(always=True)
+    def test_finished_fits_stay_when_a_worker_is_killed(self):
+        home = os.getpid()
 
         def fit(k):
-            kill(home, died, np.zeros(1))
-            return Ended(k)
+            import os
+            import signal
+            import time
+            from collections import namedtuple
 
-        with pytest.warns(RuntimeWarning, match="did not come back"):
-            assert fit_map(fit, [{"k": 0}, {"k": 1}], 2) == [Ended(0), Ended(1)]
+            if k == 3 and os.getpid() != home:
+                time.sleep(1.0)
+                os.kill(os.getpid(), signal.SIGKILL)
+            return namedtuple("Ended", "pid interrupted")(os.getpid(), False)
+
+        with pytest.warns(RuntimeWarning, match=LOST):
+            found = fit_map(fit, [{"k": k} for k in range(4)], 2)
+        assert home not in {end.pid for end in found[:2]}
+        assert found[3].pid == home
 
     def test_an_interrupted_fit_is_the_last_one(self):
         assert fit_map(lambda k: Ended(k, k == 1), [{"k": k} for k in range(4)]) == [Ended(0), Ended(1, True)]
@@ -232,7 +246,7 @@ class TestJobs:
             check_n_jobs(n_jobs)
 
     @pytest.mark.parametrize("n_jobs", [0, "two", 1.5, -1000, True])
-    def test_nonsense_stops_at_the_door(self, n_jobs):
+    def test_fit_refuses_nonsense(self, n_jobs):
         with pytest.raises(ValueError, match="n_jobs"):
             quick(n_jobs=n_jobs).fit(*data(10))
 
@@ -288,13 +302,18 @@ class TestInterrupt:
         assert "best hyperparameters so far are kept" in " ".join(out.split())
 
 
-def test_the_second_ctrl_c_interrupts_as_ever(tmp_path):
-    stop, name, former = Event(), tmp_path / "stop", signal.getsignal(signal.SIGINT)
-    with _first_interrupt(stop, str(name)):
-        signal.raise_signal(signal.SIGINT)
-        assert stop.is_set()
-        assert name.exists()
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
+def test_the_second_ctrl_c_interrupts_as_ever():
+    """The first one, of a fit in a thread, is heeded when the fit next evaluates its likelihood: here it never does."""
+    former = signal.getsignal(signal.SIGINT)
+
+    def press():
+        for _ in range(2):
+            time.sleep(0.5)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    finger = Thread(target=press)
+    finger.start()
+    with parallel_config(backend="threading", n_jobs=2), pytest.raises(KeyboardInterrupt):
+        fit_map(lambda k: time.sleep(2), [{"k": 0}, {"k": 1}])
+    finger.join()
     assert signal.getsignal(signal.SIGINT) is former
-    assert not name.exists()

@@ -2,45 +2,41 @@
 
 import pytest
 
-from skdgp._compute.progress import listening, tell
+from skdgp._compute.progress import listening, notify
 from skdgp._compute.threads import thread_map
 
 
-def test_nobody_listens():
-    tell("fit", 1, 0.0)
+def test_listener_is_called_until_the_block_ends():
+    calls = []
+    with listening(lambda *news: calls.append(news)):
+        notify("fit", 1, -3.0)
+    notify("fit", 2, -2.0)  # without a listener nothing happens
+    assert calls == [("fit", 1, -3.0)]
 
 
-def test_listener_hears_until_the_block_ends():
-    heard = []
-    with listening(lambda *news: heard.append(news)):
-        tell("fit", 1, -3.0)
-    tell("fit", 2, -2.0)
-    assert heard == [("fit", 1, -3.0)]
-
-
-def test_the_inner_listener_hears_and_the_outer_one_again():
+def test_the_inner_listener_replaces_the_outer_one():
     outer, inner = [], []
     with listening(lambda *news: outer.append(news)):
         with listening(lambda *news: inner.append(news)):
-            tell("a", 1, 0.0)
-        tell("b", 2, 0.0)
+            notify("a", 1, 0.0)
+        notify("b", 2, 0.0)
     assert [stage for stage, *_ in inner] == ["a"]
     assert [stage for stage, *_ in outer] == ["b"]
 
 
 def test_listener_goes_when_the_block_fails():
-    heard = []
-    with pytest.raises(ArithmeticError), listening(lambda *news: heard.append(news)):
+    calls = []
+    with pytest.raises(ArithmeticError), listening(lambda *news: calls.append(news)):
         raise ArithmeticError
-    tell("fit", 1, 0.0)
-    assert heard == []
+    notify("fit", 1, 0.0)
+    assert calls == []
 
 
-def test_worker_threads_are_heard():
-    heard = []
-    with listening(lambda *news: heard.append(news)):
-        thread_map(lambda n: tell("tile", n, 0.0), range(5))
-    assert sorted(n for _, n, _ in heard) == [0, 1, 2, 3, 4]
+def test_threads_call_the_listener():
+    calls = []
+    with listening(lambda *news: calls.append(news)):
+        thread_map(lambda n: notify("tile", n, 0.0), range(5))
+    assert sorted(n for _, n, _ in calls) == [0, 1, 2, 3, 4]
 
 
 def test_what_a_listener_raises_reaches_the_fit():
@@ -48,4 +44,4 @@ def test_what_a_listener_raises_reaches_the_fit():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), listening(refuse):
-        tell("fit", 1, 0.0)
+        notify("fit", 1, 0.0)

@@ -11,7 +11,7 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.utils._param_validation import InvalidParameterError
 
 from skdgp import DependentGPRegressor, _regressor
-from skdgp._compute import memory
+from skdgp._compute import linalg
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 # Fits cut short to be quick say so.
@@ -362,7 +362,7 @@ class TestMemory:
                 call()
 
     def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
-        monkeypatch.setattr(memory, "_physical_memory", lambda: 6e4)
+        monkeypatch.setattr(linalg, "_physical_memory", lambda: 6e4)
         with pytest.raises(ValueError, match="Exact inference on 60 values"):
             quick(inference="exact").fit(X, Y)
         quick(inference="sparse", n_inducing=3).fit(X, Y)

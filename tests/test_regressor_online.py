@@ -10,7 +10,7 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 
 from skdgp import DependentGPRegressor
-from skdgp._compute import memory
+from skdgp._compute import linalg
 from skdgp.inference import Data, ExactPosterior
 
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -155,7 +155,7 @@ class TestPartialFit:
         np.testing.assert_array_equal(model.predict(NEW), before)
 
     def test_memory_is_looked_at_first(self, data, models, monkeypatch):
-        monkeypatch.setattr(memory, "_physical_memory", lambda: 8 * 2 * 80**2)
+        monkeypatch.setattr(linalg, "_physical_memory", lambda: 8 * 2 * 80**2)
         with pytest.raises(ValueError, match=r"Exact inference on .*GiB.*Compact the model first"):
             models["exact"].partial_fit(*data)
         pickle.loads(pickle.dumps(models["compact"])).partial_fit(*data)
@@ -263,7 +263,7 @@ class TestCompact:
             models["compact"].compact(5)
 
     def test_memory_is_looked_at_first(self, models, monkeypatch):
-        monkeypatch.setattr(memory, "_physical_memory", lambda: 1000)
+        monkeypatch.setattr(linalg, "_physical_memory", lambda: 1000)
         with pytest.raises(ValueError, match=r"A compact model of 26 values needs.*fewer n_inducing"):
             models["exact"].compact(20)
 

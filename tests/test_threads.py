@@ -68,9 +68,9 @@ def test_errors_come_through_and_blas_is_given_back(threads):
 
 
 def test_context_goes_along(threads):
-    token = word.set("said")
+    token = word.set("set")
     try:
-        assert thread_map(lambda _: word.get(), range(3)) == ["said"] * 3
+        assert thread_map(lambda _: word.get(), range(3)) == ["set"] * 3
     finally:
         word.reset(token)
 

@@ -1,68 +1,69 @@
 """Checkpoints: evaluations of the likelihood kept in files, so that a killed fit resumes.
 
-Where a search asks for the likelihood next follows from the answers it got. So the answers of stages under way are
-kept, and of stages that are done their ends: a fit that begins again gets them back instead of computing them, goes
-the same way, and from there on.
+Where a search asks for the likelihood next follows from the values it got. So a file holds the evaluations of every
+stage: a fit that begins again reads them instead of computing them, takes the same way, and goes on from there.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 from pickle import PicklingError
 from threading import Lock
 from time import monotonic
+from typing import Any
 
 import joblib
 import numpy as np
 
 from skdgp._compute.files import write_atomically
+from skdgp._compute.typing import Matrix, Vector
 
-FORMAT = 2
-SHARE = 0.05  # of the time, at most, goes into writing, however slow the disk
-FILES = "skdgp-*.npz"
-LEFT_OVER = ".skdgp-*.part.npz"
-VERSIONS = ("skdgp", "numpy", "scipy", "scikit-learn")
-ELSEWHERE = ("n_jobs",)  # settings that do not change what is found
+FORMAT = 3
+FILES, LEFT_OVER = "skdgp-*.npz", ".skdgp-*.part.npz"
+CHECKSUM_SIZE = 16  # bytes at the end of a file
+WRITING_SHARE = 0.05  # largest share of the time that goes into writing, however slow the disk
+PACKAGES = ("skdgp", "numpy", "scipy", "scikit-learn")  # whose versions must be the same
 
 _block: ContextVar[_Block | None] = ContextVar("skdgp_checkpoints", default=None)
-_part: ContextVar[_Part | None] = ContextVar("skdgp_checkpoint_of_part", default=None)
+_file: ContextVar[_File | None] = ContextVar("skdgp_checkpoint_file", default=None)
 
 
 @contextmanager
 def checkpointing(folder, *, every: float = 5.0) -> Iterator[None]:
-    """Let every fit of ``DependentGPRegressor`` inside the ``with`` block go on where a killed one was.
+    """Let every fit of ``DependentGPRegressor`` inside the ``with`` block resume where a killed one was.
 
     What a fit has evaluated is written into the folder every few seconds, each file whole or not at all. When the
-    process is killed, run the same lines again: a fit of the same data with the same settings and versions takes up
-    what the files hold, and ends where it would have ended. Fits that were done by then are not done again, so put
-    what shall be safe, saving the model or a whole search, into the block. At its end the files are removed; they stay
-    when it ends with an exception, or when Ctrl-C made a fit stop early, which then goes on the next time.
+    process is killed, run the same lines again: a fit of the same data with the same settings and versions reads the
+    files and ends where it would have ended. Fits that were finished are not evaluated again, so put what must be safe
+    (saving the model, a whole search) into the block. At its end the files are removed; they stay after an exception,
+    and after a Ctrl-C that made a fit stop early, which resumes the next time.
 
     Parameters
     ----------
     folder : path-like
-        Made when there is something to keep; the folder that it stands in must exist. It holds arrays without code.
+        Created when there is something to keep, in a folder that exists. It holds arrays without code.
     every : float
         Seconds between two states of a fit; longer where the disk is slow.
 
     Raises
     ------
     ValueError
-        When ``every`` is negative; in ``fit``, when a setting cannot be recognised later (a lambda as ``optimizer``).
+        If ``every`` is negative; in ``fit``, if a setting cannot be recognised later (a lambda as ``optimizer``).
 
     Warns
     -----
     UserWarning
-        In ``fit``, when the folder holds a checkpoint of other data or settings: it is removed, and the fit starts
-        anew. When a file cannot be read or written: the fit goes on without.
+        In ``fit``, if the folder holds a checkpoint of other data or settings, which is removed, or if a file cannot be
+        read or written: the fit goes on without.
 
     Examples
     --------
@@ -79,261 +80,209 @@ def checkpointing(folder, *, every: float = 5.0) -> Iterator[None]:
     """
     if not every >= 0:
         raise ValueError(f"Got every={every!r}, but expected seconds between two states of a fit, from 0 on.")
-    block = _Block(Path(folder).resolve(), every)
-    token = _block.set(block)
+    folder = Path(folder).resolve()
+    token = _block.set(_Block(folder, every, untouched=any(folder.glob(FILES))))
     try:
         yield
     finally:
         _block.reset(token)
-    block.end()
+    if all(content is None or content["done"] for content in map(_read, folder.glob(FILES))):
+        _remove(folder)
 
 
-def record_of_fit(X, Y, seeds, settings: dict) -> Record | None:
-    """Return the record of a fit, with the seeds of what it goes on from; None where nothing is recorded."""
-    block = _block.get()
-    return None if block is None else block.record(X, Y, [int(seed) for seed in seeds], settings)
-
-
-def kept_in(record: Record | None, part: str, function, **options):
-    """Return ``function(**options)``, what it evaluates kept as one part of the fit, if the fit is recorded.
-
-    A part is what one process does, in a file of its own. What the function returns says in ``interrupted`` whether it
-    was ended early.
-    """
-    if record is None:
-        return function(**options)
-    kept = _Part(record, part)
-    token = _part.set(kept)
-    try:
-        result = function(**options)
-        kept.done = not result.interrupted
-        return result
-    finally:
-        _part.reset(token)
-        kept.end()
-
-
-def answers_of(stage: str) -> Answers:
-    """Return what is known of a stage of the search: nothing, where nothing is recorded."""
-    part = _part.get()
-    return Answers() if part is None else part.answers(stage)
-
-
-class Answers:
-    """Value and gradient at the places where one stage asked for them, and where it ended.
-
-    Attributes
-    ----------
-    end : tuple or None
-        What the stage found, once it is done.
-    """
-
-    def __init__(self, part: _Part | None = None, end: tuple | None = None, past=()):
-        self.part, self.end, self.past = part, end, list(past)
-
-    def start(self, theta):
-        """Return where the search began, so that it goes the same way; from other places, the best that is known."""
-        if not self.past:
-            return theta
-        first = self.past[0][0]
-        if _alike(first, theta):
-            return first
-        best = max(self.past, key=lambda answer: answer[1])[0]
-        self.past = []
-        return best if best.shape == theta.shape else theta
-
-    def recall(self, k, theta):
-        """Return value and gradient of the k-th question, if it was asked before and was this one."""
-        if k < len(self.past) and _alike(self.past[k][0], theta):
-            return self.past[k][1:]
-        return None
-
-    def add(self, k, theta, value, gradient):
-        """Keep the answer to the k-th question."""
-        if self.part is not None:
-            with self.part.lock:
-                self.past[k:] = [(np.array(theta), float(value), np.array(gradient))]
-            self.part.write_if_due()
-
-    def finish(self, end: tuple):
-        """Keep the end of the stage in the place of its answers."""
-        if self.part is not None:
-            with self.part.lock:
-                self.end, self.past = end, []
-
-
+@dataclass
 class _Block:
-    """The folder of one ``with`` block, and whether what stood there has been taken up."""
+    """One ``with checkpointing`` block; ``untouched`` until a fit uses or removes the files that were there before."""
 
-    def __init__(self, folder, every):
-        self.folder, self.every = folder, every
-        self.strange = any(folder.glob(FILES))  # until a fit of this block finds its own there
-
-    def record(self, X, Y, seeds, settings):
-        facts = {"format": FORMAT, "data": _hash_of_arrays(X=X, Y=Y), "settings": _hashes(settings)}
-        facts["versions"] = {name: _version(name) for name in VERSIONS}
-        name = hashlib.blake2b(json.dumps(facts, sort_keys=True).encode(), digest_size=8).hexdigest()
-        own = [_load(path) for path in sorted(self.folder.glob(f"skdgp-{name}-*.npz"))]
-        found = next((part["facts"] for part in own if part is not None), None)
-        if found is None and self.strange:
-            self._say_strange(facts)
-            self.remove()
-        self.strange = False
-        return Record(self.folder, name, facts | {"seeds": found["seeds"] if found else seeds}, self.every)
-
-    def _say_strange(self, facts):
-        found = next((part["facts"] for part in map(_load, self.folder.glob(FILES)) if part is not None), None)
-        if found is not None:
-            _warn(
-                f"Got a checkpoint in {self.folder} of {_differences(found, facts)}: it is removed, and the fit starts "
-                "anew. To go on from one, fit the same data with the same settings."
-            )
-
-    def end(self):
-        """Remove the files, unless one of them is of a fit that was interrupted."""
-        parts = [_load(path) for path in self.folder.glob(FILES)]
-        if all(part is None or part["done"] for part in parts):
-            self.remove()
-
-    def remove(self):
-        """Remove all files of checkpoints, and the folder if that leaves it empty."""
-        for pattern in (FILES, LEFT_OVER):
-            for path in self.folder.glob(pattern):
-                path.unlink(missing_ok=True)
-        try:
-            self.folder.rmdir()
-        except OSError:  # never made, or it holds what is not ours
-            return
+    folder: Path
+    every: float
+    untouched: bool
 
 
 @dataclass(frozen=True)
-class Record:
-    """Where a fit is kept, and what it is of; can be sent to other processes."""
+class FitRecord:
+    """Where a fit is kept, and what identifies it; can be sent to other processes."""
 
     folder: Path
     name: str
-    facts: dict
+    facts: dict[str, Any]
+    seeds: list[int]  # of the starting points: those of the fit that this one resumes
     every: float
 
-    @property
-    def seeds(self) -> list[int]:
-        """Seeds of the starting points: those of the fit that this one goes on from."""
-        return self.facts["seeds"]
+
+def fit_record(X: Matrix, Y: Matrix, seeds: list[int], settings: dict[str, Any]) -> FitRecord | None:
+    """Return the record of a fit within a ``checkpointing`` block, None outside."""
+    block = _block.get()
+    if block is None:
+        return None
+    versions = {name: [found.version for found in distributions(name=name)] for name in PACKAGES}
+    facts = {"format": FORMAT, "data": joblib.hash((X, Y)), "settings": _hashes(settings), "versions": versions}
+    name = joblib.hash(json.dumps(facts, sort_keys=True))[:16]
+    resumed = _first_content(block.folder, f"skdgp-{name}-*.npz")
+    if resumed is None and block.untouched:
+        other = _first_content(block.folder, FILES)
+        if other is not None:
+            _warn(
+                f"Got a checkpoint in {block.folder} of {_differences(other['facts'], facts)}: it is removed, and the "
+                "fit starts anew. To resume a fit, use the same data and settings."
+            )
+        _remove(block.folder)
+    block.untouched = False
+    seeds = resumed["seeds"] if resumed else [int(seed) for seed in seeds]
+    return FitRecord(block.folder, name, facts, seeds, block.every)
 
 
-class _Part:
-    """What one process evaluates of a fit, and its file."""
+def run_recorded(record: FitRecord | None, part: str, function: Callable, **options: Any) -> Any:
+    """Return ``function(**options)``, whose evaluations are kept in a file of their own if there is a record.
 
-    def __init__(self, record, name):
-        self.record, self.path = record, record.folder / f"skdgp-{record.name}-{name}.npz"
-        self.lock, self.done = Lock(), False
-        self.stages = {}
-        kept = _load(self.path) if self.path.is_file() else None
-        for stage, (end, past) in (kept["stages"] if kept else {}).items():
-            self.stages[stage] = Answers(self, end, past)
-        self.due = monotonic() + record.every
+    ``part`` names what one process does of the fit. The result has a field ``interrupted``.
+    """
+    if record is None:
+        return function(**options)
+    file = _File(record, part)
+    token = _file.set(file)
+    try:
+        result = function(**options)
+        file.done = not result.interrupted
+        return result
+    finally:
+        _file.reset(token)
+        if file.done or record.folder.is_dir():  # an early end leaves nothing unless something was written before
+            with file.lock:
+                file.write()
 
-    def answers(self, stage):
-        with self.lock:
-            return self.stages.setdefault(stage, Answers(self))
 
-    def write_if_due(self):
-        """Write if it is time to, and nobody is at it."""
-        if monotonic() >= self.due and self.lock.acquire(blocking=False):
-            try:
-                self._write()
-            finally:
-                self.lock.release()
+def stage_record(stage: str) -> StageRecord:
+    """Return what is recorded of a stage of the search; empty where nothing is recorded."""
+    file = _file.get()
+    if file is None:
+        return StageRecord()
+    with file.lock:
+        return file.stages.setdefault(stage, StageRecord(file))
 
-    def end(self):
-        """Write the end of the part; of a fit that was broken off early, only if it was long enough to be written."""
-        if self.done or self.record.folder.is_dir():
-            with self.lock:
-                self._write()
 
-    def _write(self):
-        began = monotonic()
-        arrays = {"facts": np.array(json.dumps(self.record.facts)), "done": np.array(self.done)}
-        for stage, answers in self.stages.items():
-            if answers.end is not None:
-                theta, *story = answers.end
-                arrays |= {f"{stage}/theta": theta, f"{stage}/story": np.array(json.dumps(story))}
-            elif answers.past:
-                thetas, values, gradients = map(np.array, zip(*answers.past, strict=True))
-                arrays |= {f"{stage}/thetas": thetas, f"{stage}/values": values, f"{stage}/gradients": gradients}
-        arrays["checksum"] = np.array(_hash_of_arrays(**arrays))
+class StageRecord:
+    """Evaluations of one stage in their order: value, theta and gradient in one vector each."""
+
+    def __init__(self, file: _File | None = None, evaluations: Iterable[Vector] = ()):
+        self.file, self.evaluations = file, list(evaluations)
+
+    def start(self, theta: Vector) -> Vector:
+        """Return where the recorded search began; if that is another point, the best that was evaluated."""
+        if not self.evaluations:
+            return theta
+        first = self._theta(self.evaluations[0])
+        if _close(first, theta):
+            return first
+        best = self._theta(max(self.evaluations, key=lambda row: row[0]))
+        self.evaluations = []
+        return best if best.shape == theta.shape else theta
+
+    def recall(self, k: int, theta: Vector) -> tuple[float, Vector] | None:
+        """Return value and gradient of the k-th evaluation, if it is recorded and was at this point."""
+        if k < len(self.evaluations) and _close(self._theta(self.evaluations[k]), theta):
+            row = self.evaluations[k]
+            return float(row[0]), row[1 + len(theta) :]
+        return None
+
+    def add(self, k: int, theta: Vector, value: float, gradient: Vector) -> None:
+        """Record the k-th evaluation, and write the file if it is time to."""
+        if self.file is not None:
+            with self.file.lock:
+                self.evaluations[k:] = [np.concatenate([[value], theta, gradient])]
+                if monotonic() >= self.file.due:
+                    self.file.write()
+
+    @staticmethod
+    def _theta(row):
+        return row[1 : 1 + len(row) // 2]
+
+
+class _File:
+    """The stages that one process runs of a fit: an archive of arrays without code, and its checksum behind it."""
+
+    def __init__(self, record, part):
+        self.record, self.path = record, record.folder / f"skdgp-{record.name}-{part}.npz"
+        self.lock, self.done, self.due = Lock(), False, monotonic() + record.every
+        content = _read(self.path) if self.path.is_file() else None
+        stages = content["stages"] if content else {}
+        self.stages = {name: StageRecord(self, evaluations) for name, evaluations in stages.items()}
+
+    def write(self):
+        """Write all stages; the caller holds the lock."""
+        began, buffer = monotonic(), io.BytesIO()
+        header = json.dumps({"facts": self.record.facts, "seeds": self.record.seeds, "done": self.done})
+        arrays: dict[str, Any] = {f"stage/{name}": stage.evaluations for name, stage in self.stages.items()}
+        np.savez(buffer, header=header, **arrays)
+        data = buffer.getvalue()
         try:
             self.record.folder.mkdir(exist_ok=True)
-            write_atomically(self.path, lambda path: np.savez(path, **arrays))
+            write_atomically(self.path, lambda temporary: temporary.write_bytes(data + _checksum(data)))
         except OSError as error:
             _warn(
                 f"No checkpoint could be written to {self.path} ({error.strerror or error}): the fit goes on without."
             )
-        self.due = monotonic() + max(self.record.every, (monotonic() - began) / SHARE)
+        self.due = monotonic() + max(self.record.every, (monotonic() - began) / WRITING_SHARE)
 
 
-def _load(path) -> dict | None:
-    """Return what a file holds: facts, whether its part is done, and the end or the answers of each stage."""
+def _read(path: Path) -> dict[str, Any] | None:
+    """Return facts, whether the part is done, and the stages; None, with a warning, of a damaged file."""
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = dict(file)
-        if str(arrays.pop("checksum")) != _hash_of_arrays(**arrays):
+        data = path.read_bytes()
+        data, checksum = data[:-CHECKSUM_SIZE], data[-CHECKSUM_SIZE:]
+        if checksum != _checksum(data):
             raise ValueError("its checksum does not fit")
-        facts, done = json.loads(str(arrays.pop("facts"))), bool(arrays.pop("done"))
-        stages = {}
-        for stage in {name.rpartition("/")[0] for name in arrays}:
-            if f"{stage}/story" in arrays:
-                stages[stage] = (arrays[f"{stage}/theta"], *json.loads(str(arrays[f"{stage}/story"]))), ()
-            else:
-                columns = [arrays[f"{stage}/{name}"] for name in ("thetas", "values", "gradients")]
-                stages[stage] = None, list(zip(*columns, strict=True))
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            header = json.loads(str(archive["header"]))
+            stages = {name.removeprefix("stage/"): archive[name] for name in archive.files if name != "header"}
     except Exception as error:  # a damaged archive may raise anything
-        _warn(f"Got {path}, which cannot be read as a checkpoint ({error}): it is left aside.")
+        _warn(f"Got {path}, which cannot be read as a checkpoint ({error}): it is ignored.")
         return None
-    return {"facts": facts, "done": done, "stages": stages}
+    return header | {"stages": stages}
 
 
-def _version(name) -> str:
+def _first_content(folder, pattern):
+    return next((content for content in map(_read, sorted(folder.glob(pattern))) if content is not None), None)
+
+
+def _remove(folder):
+    """Remove all files of checkpoints, and the folder if that leaves it empty."""
+    for pattern in (FILES, LEFT_OVER):
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
     try:
-        return version(name)
-    except PackageNotFoundError:  # run from a folder that was never installed
-        return "unknown"
+        folder.rmdir()
+    except OSError:  # never made, or it holds other files
+        return
 
 
-def _alike(first, second) -> bool:
+def _checksum(data):
+    return hashlib.blake2b(data, digest_size=CHECKSUM_SIZE).digest()
+
+
+def _close(first, second) -> bool:
     return first.shape == second.shape and np.allclose(first, second, rtol=1e-9, atol=1e-12)
-
-
-def _hash_of_arrays(**arrays) -> str:
-    found = hashlib.blake2b(digest_size=16)
-    for name, array in sorted(arrays.items()):
-        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        found.update(np.ascontiguousarray(array).data)
-    return found.hexdigest()
 
 
 def _hashes(settings) -> dict[str, str]:
     found = {}
     for name, value in settings.items():
-        if name not in ELSEWHERE:
+        if name != "n_jobs":  # does not change what is found
             try:
                 found[name] = joblib.hash(value)
             except (PicklingError, AttributeError) as error:
                 raise ValueError(
-                    f"Got {name}={value!r} within checkpointing, but expected what can be recognised by another "
-                    "process: define it at the top of a module, or fit without checkpoints."
+                    f"Got {name}={value!r} within checkpointing, but expected what another process can recognise: "
+                    "define it at the top of a module, or fit without checkpoints."
                 ) from error
     return found
 
 
 def _differences(found, facts) -> str:
     words = ["other data"] if found["data"] != facts["data"] else []
-    known = found["settings"]
-    other = [name for name, value in facts["settings"].items() if known.get(name) != value]
-    if other:
-        words.append(f"other settings ({', '.join(other)})")
-    if found["versions"] != facts["versions"]:
-        words.append("other versions of the software")
+    other = [name for name, value in facts["settings"].items() if found["settings"].get(name) != value]
+    words += [f"other settings ({', '.join(other)})"] if other else []
+    words += ["other versions of the software"] if found["versions"] != facts["versions"] else []
     return ", ".join(words) or "another format"
 
 

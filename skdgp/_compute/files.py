@@ -9,28 +9,16 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-LARGEST = 2**24
-"""Bytes of a file that people write; a larger one is another file."""
+LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
 
 
-def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -> Path:
-    """Let ``write`` fill a temporary file beside ``path``, then put it in place in one step.
+def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], object]) -> Path:
+    """Let ``write(temporary)`` fill a file beside ``path``, put it in place in one step, and return ``path``.
 
-    Whoever reads ``path`` sees the old file or the complete new one, never half of it. When ``write`` fails
-    or is interrupted, the temporary file is removed and an earlier file at ``path`` stays as it was.
-
-    Parameters
-    ----------
-    path : path-like
-        Where the file shall be; its folder must exist. A symbolic link is followed, not replaced.
-    write : callable
-        Called once with the temporary path (same folder, same suffix); it creates that file.
-
-    Returns
-    -------
-    Path
-        ``path``.
+    A reader sees the old file or the complete new one. If ``write`` fails or is interrupted, the temporary file is
+    removed and an earlier file stays as it was. A symbolic link is followed, not replaced.
 
     Raises
     ------
@@ -39,7 +27,7 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     IsADirectoryError
         If ``path`` is a folder.
     OSError
-        If it cannot be written; ``filename`` is ``path``, whatever the system calls it.
+        If it cannot be written; ``filename`` is ``path``, not the temporary file.
 
     Examples
     --------
@@ -62,7 +50,8 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}.part{target.suffix}")
     try:
         write(temporary)
-        _flush_to_disk(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())  # before the rename, or a power cut could leave an empty file
         os.replace(temporary, target)
     except OSError as error:
         if error.filename not in (None, str(temporary)):  # another file's
@@ -73,14 +62,8 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     return path
 
 
-def _flush_to_disk(path: Path) -> None:
-    """Force the bytes out before the rename, or a power cut could leave an empty file in its place."""
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
-
-
-def read_json(path: str | os.PathLike):
-    """Return what a file of JSON holds.
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """Return the content of a JSON file.
 
     Raises
     ------
@@ -92,19 +75,13 @@ def read_json(path: str | os.PathLike):
     return parse_json(_text(path), f"{path} is not a JSON file")
 
 
-def parse_json(text: str, refusal: str):
-    """Return what a text of JSON holds, or raise a ValueError that begins with the refusal."""
-    return _parsed(lambda: json.loads(text, object_pairs_hook=_once, parse_constant=_refuse), refusal)
+def parse_json(text: str, refusal: str) -> Any:
+    """Return the content of a JSON text; raise a ValueError that begins with ``refusal`` if it is none."""
+    return _parsed(lambda: json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse), refusal)
 
 
-def read_toml(path: str | os.PathLike) -> dict:
-    """Return what a file of TOML holds.
-
-    Raises
-    ------
-    ValueError, OSError
-        As of `read_json`.
-    """
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the content of a TOML file; errors as of `read_json`."""
     text = _text(path)
     return _parsed(lambda: tomllib.loads(text), f"{path} is not a TOML file")
 
@@ -127,7 +104,7 @@ def _parsed(parse, refusal):
         raise ValueError(f"{refusal}: {error}.") from error
 
 
-def _once(pairs) -> dict:
+def _unique_keys(pairs):
     found = dict(pairs)
     if len(found) < len(pairs):
         ((name, _),) = Counter(name for name, _ in pairs).most_common(1)

@@ -1,7 +1,8 @@
-"""Linear algebra: Cholesky factors with jitter, triangular solves, scales of columns, k-means."""
+"""Linear algebra: Cholesky factors with jitter, triangular solves, scales of columns, k-means, a check of memory."""
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
 
@@ -11,37 +12,45 @@ from scipy.linalg.blas import dtrsm, dtrsv
 from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 
-JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4
-CONSTANT = 1e-14  # spread of a constant column, relative to its largest value: sums of equal numbers are rounded
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
+
+JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4  # of the diagonal
+CONSTANT = 1e-14  # spread of a constant column over its largest value: sums of equal numbers are rounded
 
 
 class JitterWarning(UserWarning):
     """A covariance matrix was not positive definite in double precision and its diagonal was raised."""
 
 
-def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
-    """Return the lower Cholesky factor of ``assemble()``, raising the diagonal when, and only when, it is needed.
+def check_memory(n_values: int, what: str, remedy: str, n_matrices: int = 2) -> None:
+    """Raise ValueError if ``n_matrices`` of n_values x n_values doubles do not fit into the machine's memory."""
+    needed, available = 8 * n_matrices * n_values**2, _physical_memory()
+    if needed > 0.8 * available:
+        raise ValueError(
+            f"{what} {n_values} values needs about {needed / 2**30:.0f} GiB, but this machine has "
+            f"{available / 2**30:.0f} GiB. {remedy}"
+        )
 
-    Parameters
-    ----------
-    assemble : callable
-        Returns the symmetric matrix, (N, N) in Fortran order, of which the lower triangle is read. It is
-        factored in place, and asked for again when a factorisation fails: one N x N matrix of memory.
 
-    Returns
-    -------
-    L : ndarray (N, N), Fortran order
-        Lower factor; what stands above the diagonal is not to be read.
+def _physical_memory() -> float:
+    """Return bytes; infinity where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return float("inf")
 
-    Warns
-    -----
-    JitterWarning
-        When the diagonal had to be raised, with the amount relative to it.
+
+def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
+    """Return the lower Cholesky factor (N, N), in Fortran order, of the symmetric matrix that ``assemble()`` returns.
+
+    The matrix is in Fortran order too; its lower triangle is read and overwritten, so that one N x N matrix of memory
+    is enough. Where a factorisation fails it is assembled again with a raised diagonal, and a JitterWarning says by how
+    much. Above the diagonal the factor holds other numbers.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        When 1e-4 of the diagonal is not enough, or the matrix is not finite.
+        If 1e-4 of the diagonal is not enough, or the matrix is not finite.
     """
     jitter = 0.0
     while True:
@@ -75,11 +84,11 @@ def jittered_cholesky(assemble: Callable[[], np.ndarray]) -> np.ndarray:
     return L
 
 
-def pivoted_cholesky(K: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return, step by step, which variable is least explained by those before it, and what of its variance is left.
+def pivoted_cholesky(K: Matrix, tolerance: float) -> tuple[Indices, Vector]:
+    """Return the pivots in order, each least explained by those before it, and what is left of its variance.
 
-    ``K`` (N, N), in Fortran order, is overwritten. Ends when less than ``tolerance`` is left of any; one is always
-    returned.
+    ``K`` (N, N), in Fortran order, is overwritten. Stops where less than ``tolerance`` is left of every variable;
+    returns at least one pivot.
     """
     L, pivots, rank, info = lapack.dpstrf(K, tol=tolerance, lower=1, overwrite_a=1)
     if info < 0:
@@ -89,26 +98,26 @@ def pivoted_cholesky(K: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.nd
     return pivots[:rank] - 1, np.einsum("ii->i", L)[:rank] ** 2
 
 
-def semidefinite_root(M: np.ndarray) -> np.ndarray:
-    """Return R with R R^T = M, (N, N) in Fortran order, of a symmetric matrix that is semidefinite but for rounding."""
+def semidefinite_root(M: Matrix) -> Matrix:
+    """Return R (N, N), in Fortran order, with R R^T = M symmetric and positive semidefinite up to rounding."""
     L, info = lapack.dpotrf(M, lower=1, clean=1)
     if info == 0:
         return L
     return np.asfortranarray(eigen_root(M))
 
 
-def eigen_root(M: np.ndarray) -> np.ndarray:
-    """Return R with R R^T = M, (N, N), of a symmetric matrix that may be singular: eigenvectors by their deviations."""
+def eigen_root(M: Matrix) -> Matrix:
+    """Return R (N, N) with R R^T = M symmetric, perhaps singular: eigenvectors times their standard deviations."""
     values, vectors = eigh(M)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def cholesky_solve(L: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cholesky_solve(L: Matrix, b: Array) -> Array:
     """Return K^-1 b from the lower factor of K."""
     return lapack.dpotrs(L, b, lower=1)[0]
 
 
-def cholesky_inverse(L: np.ndarray) -> np.ndarray:
+def cholesky_inverse(L: Matrix) -> Matrix:
     """Return K^-1 in the lower triangle of ``L``, which it overwrites."""
     inverse, info = lapack.dpotri(L, lower=1, overwrite_c=1)
     if info:
@@ -116,51 +125,51 @@ def cholesky_inverse(L: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def triangular_solve(L: np.ndarray, B: np.ndarray, *, transposed: bool = False) -> np.ndarray:
+def triangular_solve(L: Matrix, B: Array, *, transposed: bool = False) -> Array:
     """Return L^-1 B, or L^-T B; a matrix ``B`` in Fortran order is overwritten."""
     if B.ndim == 1:
         return dtrsv(L, B, lower=1, trans=int(transposed))
     return dtrsm(1.0, L, B, lower=1, trans_a=int(transposed), overwrite_b=1)
 
 
-def symmetric(lower: np.ndarray) -> np.ndarray:
+def symmetric(lower: Matrix) -> Matrix:
     """Return the full matrix of which the lower triangle is given."""
     full = np.tril(lower)
     return full + np.tril(full, -1).T
 
 
-def log_determinant(L: np.ndarray) -> float:
+def log_determinant(L: Matrix) -> float:
     """Return log |K| from its factor."""
     return 2.0 * float(np.log(np.einsum("ii->i", L)).sum())
 
 
-def constant_columns(Z: np.ndarray) -> np.ndarray:
-    """Return which columns (n, k) have one finite value only, but for rounding, or none: (k,) of bool."""
+def constant_columns(Z: Matrix) -> Mask:
+    """Return, (k,), which columns of (n, k) have at most one finite value up to rounding."""
     finite = [z[np.isfinite(z)] for z in Z.T]
     return np.array([not len(z) or np.ptp(z) <= CONSTANT * np.abs(z).max() for z in finite], dtype=bool)
 
 
-def column_scale(Z: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each column over its finite values; of a constant one its size, at least one.
+def column_scale(Z: Matrix) -> Vector:
+    """Return the standard deviation of each column over its finite values.
 
-    A column of equal numbers may be zeros but for rounding: it is not measured by what rounding left.
+    For a constant column, whose deviation is rounding alone: its magnitude, at least one.
     """
     finite = [z[np.isfinite(z)] for z in Z.T]
     columns = zip(finite, constant_columns(Z), strict=True)
     return np.array([np.abs(z).max(initial=1.0) if same else np.std(z) for z, same in columns])
 
 
-def output_scale(Y: np.ndarray) -> np.ndarray:
-    """Return how far the values of each output are from zero: by ``column_scale``, or by their mean where that is more.
+def output_scale(Y: Matrix) -> Vector:
+    """Return ``column_scale`` of each output, or the root mean square where its mean is larger.
 
-    Outputs are centred beforehand, unless a process around zero was asked for.
+    Outputs are centred unless a process around zero is asked for.
     """
     scale = column_scale(Y)
     mean = np.array([np.mean(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0 for y in Y.T])
     return np.where(np.abs(mean) > scale, np.hypot(mean, scale), scale)
 
 
-def cluster_centres(X: np.ndarray, scale: np.ndarray, n: int, random_state, max_iter=300) -> np.ndarray:
+def cluster_centres(X: Matrix, scale: Vector, n: int, random_state: Seed, max_iter: int = 300) -> Matrix:
     """Return n centres of the rows of X (m, d), in the metric of the scales (d,), by k-means."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # of rows that are alike but for rounding
@@ -168,6 +177,6 @@ def cluster_centres(X: np.ndarray, scale: np.ndarray, n: int, random_state, max_
     return means.cluster_centers_ * scale
 
 
-def unexplained_variance(prior: np.ndarray, explained: np.ndarray) -> np.ndarray:
-    """Return prior less explained variance, at least the rounding error of the prior: no deviation is zero."""
+def unexplained_variance(prior: Array, explained: Array) -> Array:
+    """Return prior minus explained variance, at least the rounding error of the prior, so that none is zero."""
     return np.maximum(prior - explained, np.finfo(float).eps * prior)

@@ -29,7 +29,7 @@ class MovedModules:
     @staticmethod
     def find_spec(name, path=None, target=None):
         """Return how to load a module that has moved, None for every other name."""
-        return ModuleSpec(name, MovedModules) if name in MOVED else None
+        return ModuleSpec(name, MovedModules) if name in MOVED else None  # type: ignore[arg-type]
 
     @staticmethod
     def create_module(spec):

@@ -1,114 +1,110 @@
-"""Parallel work through joblib's active backend; work lost with a worker is done again.
+"""Fits side by side and sums over shares of samples, on joblib's active backend.
 
-Who works is decided where a piece of work begins: nobody else unless ``joblib.parallel_config`` or ``n_jobs`` asks for
-it. Results stand in the order of the tasks, so sums keep their bits wherever their parts were summed.
+This process works alone unless ``n_jobs`` or ``joblib.parallel_config`` asks for others. Results keep the order of the
+tasks, so sums keep their bits wherever their parts are computed. What workers cannot finish is computed here, with a
+warning. Workers of Dask repeat by themselves what is lost with one of them.
 """
 
 from __future__ import annotations
 
-import os
 import signal
 import tempfile
 import threading
-import time
 import warnings
-from asyncio import CancelledError, run_coroutine_threadsafe
+from asyncio import CancelledError
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
-from numbers import Integral
+from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
+import numpy as np
 from joblib import Parallel, cpu_count, delayed, effective_n_jobs
 from joblib.parallel import get_active_backend
 
 from skdgp._compute.progress import listening
 from skdgp._compute.threads import one_blas_thread, thread_map
 
-TRIES = 2  # of every task elsewhere, before it is done here
-FAILURES = 3  # evaluations in a row that failed elsewhere, before all are done here
-PATIENCE = 1.0  # seconds between looks at who is still there
-PAUSE = 0.2  # seconds for a scheduler to see who has died
+MAX_FAILURES = 3  # failed calls in a row after which workers are asked no more
 
-_crew: ContextVar[_Crew | None] = ContextVar("skdgp_crew", default=None)
-_stopped: set[str] = set()  # names of the work that shall come to an end, in this process
-_former: list = []  # what Ctrl-C did before, in this process
+_summers: ContextVar[_Summers | None] = ContextVar("skdgp_summers", default=None)
 
 
-def check_n_jobs(n_jobs) -> None:
-    """Raise ValueError where a number of processes makes no sense."""
+def check_n_jobs(n_jobs: Any) -> None:
+    """Raise ValueError if ``n_jobs`` is not None, a positive number, or counted back from all processors."""
     cpus = cpu_count()
-    sense = isinstance(n_jobs, Integral) and not isinstance(n_jobs, bool) and n_jobs != 0 and n_jobs >= -cpus
-    if n_jobs is not None and not sense:
+    whole = isinstance(n_jobs, (int, np.integer)) and not isinstance(n_jobs, bool)
+    if n_jobs is not None and not (whole and (n_jobs > 0 or -cpus <= n_jobs < 0)):
         raise ValueError(
             f"Got n_jobs={n_jobs!r}, but expected None (what joblib.parallel_config says, else one process), a number "
             f"of processes from 1 on, or counted from all processors: -1 is all {cpus} of this machine, -2 all but one."
         )
 
 
-# -- the same shares, again and again ------------------------------------------------------------------
-
-
 def share_map(function: Callable, state: tuple, shares: Sequence) -> list:
-    """Return ``[function(*state, share) for share in shares]``.
+    """Return ``[function(*state, share) for share in shares]``, by threads, or by workers within ``sharing(shares)``.
 
-    ``function`` stands at module level; ``state`` changes from call to call, ``shares`` are the same objects in every
-    call of a fit. Threads do the work, or the workers that hold the shares, see ``sharing``.
+    ``function`` is defined at module level; ``state`` changes from call to call, ``shares`` do not.
     """
-    crew = _crew.get()
-    if crew is not None and crew.shares is shares:
-        return crew.map(function, state)
+    summers = _summers.get()
+    if summers is not None and summers.shares is shares:
+        return summers.map(function, state)
     return thread_map(lambda share: function(*state, share), shares)
 
 
 @contextmanager
 def sharing(shares: Sequence) -> Iterator[None]:
-    """Let joblib's active backend, if it has other processes or machines, hold the shares and work on them.
+    """Let the workers of joblib's active backend compute ``share_map`` of these shares within the block.
 
-    The shares are sent once, the state with every call. What a worker was to do when it died, others do; where none
-    is left, the call is finished here, with a warning.
+    Workers of Dask are sent the shares once, the state with every call.
     """
-    workers = _workers(None)
-    token = _crew.set(_Crew(workers, shares) if workers else None)
+    invited, client = _workers(None)
+    token = _summers.set(_Summers(client, shares) if invited else None)
     try:
         yield
     finally:
-        _crew.reset(token)
+        _summers.reset(token)
 
 
-class _Crew:
-    """Workers and the shares that they hold."""
+class _Summers:
+    """Workers that compute functions of the same shares again and again."""
 
-    def __init__(self, workers, shares):
-        self.workers, self.shares, self.failures, self.warned = workers, shares, 0, False
+    def __init__(self, client: Any, shares: Sequence):
+        self.client, self.shares = client, shares
+        self.sent: list = []  # futures of Dask, the shares of one worker each
+        self.failures, self.warned = 0, False
 
-    def map(self, function, state):
-        error = "no worker is left"
-        for _ in range(TRIES):
+    def map(self, function: Callable, state: tuple) -> list:
+        n_workers = effective_n_jobs() if self.client is None else _n_cores(self.client)
+        n, error = min(n_workers, len(self.shares)), "no worker is left"
+        if n and self.failures < MAX_FAILURES:
             try:
-                n = min(self.workers.count(), len(self.shares))
-                if n == 0 or self.failures >= FAILURES:
-                    break
-                parts = self.workers.work(function, state, [self.shares[k::n] for k in range(n)])
+                parts = self._compute(function, state, n)
             except (Exception, CancelledError) as caught:
-                error = _in_short(caught)
-                self.workers.forget()
+                error, self.sent = _first_line(caught), []
+                self.failures += 1
             else:
                 self.failures = 0
-                _raise_first(parts)
+                _raise_first_error(parts)
                 return [parts[k % n][k // n] for k in range(len(self.shares))]
-        return self._here(function, state, error)
-
-    def _here(self, function, state, error):
-        self.failures += error != "no worker is left"
         if not self.warned:
             self.warned = True
             _warn_of_loss(error)
         return thread_map(lambda share: function(*state, share), self.shares)
 
+    def _compute(self, function, state, n):
+        if self.client is None:
+            return Parallel()(delayed(_map_on_one_core)(function, state, self.shares[k::n]) for k in range(n))
+        if len(self.sent) != n:
+            self.sent = [_send(self.client, self.shares[k::n]) for k in range(n)]
+        state = _send(self.client, state)
+        tasks = [self.client.submit(_map_on_one_core, function, state, part, pure=False) for part in self.sent]
+        return self.client.gather(tasks)
 
-def _work(function, state, shares):
-    """Be a worker: one core, so one thread of BLAS. What the function raises is a result too."""
+
+def _map_on_one_core(function, state, shares):
+    """Return the results, or the error that the function raises."""
     try:
         with one_blas_thread():
             return [function(*state, share) for share in shares]
@@ -118,106 +114,66 @@ def _work(function, state, shares):
         return error
 
 
-def _same(thing):
-    return thing
-
-
-def _raise_first(results):
-    for result in results:
-        if isinstance(result, Exception):
-            raise result
-
-
-def _in_short(error):
-    return f"{type(error).__name__}: {error}".splitlines()[0]
-
-
-def _warn_of_loss(error):
-    warnings.warn(
-        f"Work given to other processes or machines did not come back ({error}). Nothing is lost: it was done in this "
-        "process.",
-        RuntimeWarning,
-        stacklevel=2,
-    )
-
-
-# -- whole fits side by side ---------------------------------------------------------------------------
-
-
-def fit_map(fit: Callable, starts: Sequence[dict], n_jobs=None) -> list:
+def fit_map(fit: Callable, starts: Sequence[dict], n_jobs: int | None = None) -> list:
     """Return ``[fit(**start) for start in starts]``, side by side where joblib has workers.
 
-    What ``fit`` returns says in ``interrupted`` whether Ctrl-C ended it early. Then the list holds what was found so
-    far, the best of every fit that had begun. A second Ctrl-C interrupts as ever.
+    What ``fit`` returns has the field ``interrupted``. After Ctrl-C the list holds the best so far of every fit that
+    had begun; a second Ctrl-C raises KeyboardInterrupt.
     """
-    workers = _workers(n_jobs, threads=True) if len(starts) > 1 else None
-    found = _elsewhere(workers, fit, starts) if workers else {}
+    invited, client = _workers(n_jobs, threads=True) if len(starts) > 1 else (False, None)
+    found = _fit_elsewhere(fit, starts, n_jobs, client) if invited else {}
     for k, start in enumerate(starts):
-        if any(end.interrupted for end in found.values()):
+        if any(result.interrupted for result in found.values()):
             break
         if k not in found:
             found[k] = fit(**start)
     return [found[k] for k in sorted(found)]
 
 
-def _elsewhere(workers, fit, starts):
-    """Return the fits that workers could finish or, interrupted, begin; Ctrl-C when none was begun."""
-    found, error = {}, "interrupted there"
-    name = os.path.join(tempfile.gettempdir(), f"skdgp-stop-{uuid4().hex}")
-    stop = threading.Event()
-    with _first_interrupt(stop, name):
-        for _ in range(TRIES):
-            left = {k: start for k, start in enumerate(starts) if k not in found}
-            if stop.is_set() or not left:
-                break
-            try:
-                for k, end in workers.fits(fit, name, left, stop):
-                    found[k] = end
-            except (Exception, CancelledError) as caught:
-                error = _in_short(caught)
-    _raise_first(found.values())
-    ends = {k: end for k, end in found.items() if end is not None}
-    if stop.is_set():
-        if not ends:
+def _fit_elsewhere(fit, starts, n_jobs, client):
+    """Return by number the fits that workers finished or, after Ctrl-C, began."""
+    found, error, stop_name = {}, "interrupted there", f"skdgp-stop-{uuid4().hex}"
+    with _stop_at_interrupt(stop_name, client) as stopped:
+        try:
+            for k, result in _results(fit, starts, n_jobs, client, stop_name):
+                found[k] = result
+        except (Exception, CancelledError) as caught:
+            error = _first_line(caught)
+    _raise_first_error(found.values())
+    found = {k: result for k, result in found.items() if result is not None}
+    if stopped.is_set():
+        if not found:
             raise KeyboardInterrupt
-        return {k: end._replace(interrupted=True) for k, end in ends.items()}
-    if len(ends) < len(starts):
+        return {k: result._replace(interrupted=True) for k, result in found.items()}
+    if len(found) < len(starts):
         _warn_of_loss(error)
-    return ends
+    return found
 
 
-@contextmanager
-def _first_interrupt(stop, name):
-    """Let the first Ctrl-C set ``stop`` and lay down a file that workers of this machine see."""
-    former = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(former):
-        yield
+def _results(fit, starts, n_jobs, client, stop_name):
+    """Yield number and result of each fit as it ends."""
+    if client is None:
+        unordered = getattr(get_active_backend()[0], "supports_return_generator", False)
+        parallel = Parallel(n_jobs=n_jobs, return_as="generator_unordered" if unordered else "list")
+        yield from parallel(delayed(_fit)(fit, k, start, stop_name, False) for k, start in enumerate(starts))
         return
+    from distributed import as_completed
 
-    def ask_to_stop(*_):
-        signal.signal(signal.SIGINT, former)
-        stop.set()
-        with open(name, "w"):
-            pass
-
-    signal.signal(signal.SIGINT, ask_to_stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, former)
-        with suppress(FileNotFoundError):
-            os.remove(name)
+    fit = _send(client, fit)
+    tasks = [client.submit(_fit, fit, k, start, stop_name, True, pure=False) for k, start in enumerate(starts)]
+    yield from (task.result() for task in as_completed(tasks, loop=client.loop))
 
 
-def _fit(fit, name, k, start):
-    """Be a worker that stops when the work of that name shall stop; None where there is nothing to keep yet."""
+def _fit(fit, k, start, stop_name, one_core):
+    """Return k and the fit, the error that it raises, or None where it is stopped before it has anything to keep."""
+    stop_file = _stop_file(stop_name)
 
-    def heed(*_):
-        if name in _stopped or os.path.exists(name):
+    def stop_if_asked(*_):
+        if stop_file.exists():
             raise KeyboardInterrupt
 
     try:
-        with listening(heed):
+        with one_blas_thread() if one_core else nullcontext(), listening(stop_if_asked):
             return k, fit(**start)
     except KeyboardInterrupt:
         return k, None
@@ -227,46 +183,64 @@ def _fit(fit, name, k, start):
         return k, error
 
 
-def _stop_here(name):
-    _stopped.add(name)
+@contextmanager
+def _stop_at_interrupt(stop_name: str, client: Any) -> Iterator[threading.Event]:
+    """Let the first Ctrl-C set the event and write a file on each machine, at which the fits there stop.
+
+    In a terminal Ctrl-C reaches the workers too, and would end those of Dask: they ignore it meanwhile.
+    """
+    stopped, former = threading.Event(), signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(former):
+        yield stopped
+        return
+
+    def stop(*_):
+        signal.signal(signal.SIGINT, former)
+        stopped.set()
+        _ask_to_stop(stop_name, True)
+        # In another thread: the interrupted one may hold a lock that the client needs.
+        threading.Thread(target=_run_everywhere, args=(client, _ask_to_stop, stop_name, True), daemon=True).start()
+
+    signal.signal(signal.SIGINT, stop)
+    try:
+        _run_everywhere(client, _ignore_interrupt, True)
+        yield stopped
+    finally:
+        signal.signal(signal.SIGINT, former)
+        _run_everywhere(client, _ignore_interrupt, False)
+        _run_everywhere(client, _ask_to_stop, stop_name, False)
+        _ask_to_stop(stop_name, False)
 
 
-def _be_deaf(deaf):
-    """Let a worker live through a Ctrl-C that is meant for who sent it work: in a terminal it reaches all processes."""
-    with suppress(ValueError):  # not the main thread of a process: nothing reaches it
-        if deaf:
-            _former.append(signal.signal(signal.SIGINT, signal.SIG_IGN) or signal.SIG_DFL)
-        elif _former:
-            signal.signal(signal.SIGINT, _former.pop())
+def _stop_file(name):
+    return Path(tempfile.gettempdir(), name)
 
 
-def _fit_on_one_core(*task):
-    with one_blas_thread():
-        return _fit(*task)
+def _ask_to_stop(name, ask):
+    _stop_file(name).touch() if ask else _stop_file(name).unlink(missing_ok=True)
 
 
-# -- who works -----------------------------------------------------------------------------------------
+def _ignore_interrupt(ignore):
+    with suppress(ValueError):  # a worker outside the main thread of its process never gets the signal
+        signal.signal(signal.SIGINT, signal.SIG_IGN if ignore else signal.default_int_handler)
 
 
 def _workers(n_jobs, threads=False):
-    """Return the workers of joblib's active backend, or None where this process works alone."""
+    """Return whether other workers are invited, and the client of Dask that has them, if one does."""
     backend, _ = get_active_backend()
     client = getattr(backend, "client", None)
-    if n_jobs == 1 or backend.nesting_level or _inside_a_task(client):
-        return None  # the outermost loop is the one that is spread
+    if n_jobs == 1 or backend.nesting_level or _inside_task_of_dask(client):
+        return False, None  # the outermost loop is the one that is distributed
     if getattr(backend, "supports_sharedmem", False) and not threads:
-        return None
+        return False, None
     try:
-        n = effective_n_jobs(n_jobs)
+        return effective_n_jobs(n_jobs) > 1, client
     except TimeoutError as error:
-        _warn_of_loss(_in_short(error))
-        return None
-    if n < 2:
-        return None
-    return _Cluster(client) if hasattr(client, "scatter") else _Pool(n_jobs)
+        _warn_of_loss(_first_line(error))
+        return False, None
 
 
-def _inside_a_task(client):
+def _inside_task_of_dask(client):
     if client is None:
         return False
     from distributed import get_worker
@@ -278,110 +252,42 @@ def _inside_a_task(client):
     return True
 
 
-class _Pool:
-    """The processes of any backend of joblib."""
-
-    def __init__(self, n_jobs):
-        self.n_jobs = n_jobs
-
-    def count(self):
-        return effective_n_jobs(self.n_jobs)
-
-    def work(self, function, state, parts):
-        return Parallel(n_jobs=self.n_jobs)(delayed(_work)(function, state, part) for part in parts)
-
-    def forget(self):
-        """Nothing is held: joblib maps large arrays into memory that the processes share."""
-
-    def fits(self, fit, name, starts, stop):
-        backend, _ = get_active_backend()
-        unordered = getattr(backend, "supports_return_generator", False)
-        parallel = Parallel(n_jobs=self.n_jobs, return_as="generator_unordered" if unordered else "list")
-        yield from parallel(delayed(_fit)(fit, name, k, start) for k, start in starts.items())
+def _n_cores(client):
+    return sum(client.ncores().values()) if client.status == "running" else 0
 
 
-class _Cluster:
-    """The workers of dask.distributed."""
+def _run_everywhere(client, function, *args):
+    """Run a function at once in every worker process of Dask that can be reached."""
+    if client is not None and _n_cores(client):
+        client.run(function, *args, on_error="ignore")
 
-    def __init__(self, client):
-        self.client, self.held = client, []
 
-    def count(self):
-        return sum(self.client.ncores().values()) if self.client.status == "running" else 0
+def _send(client, value):
+    """Return a future of the value: the result of a task, which Dask repeats when its worker is lost."""
+    import dask
 
-    def work(self, function, state, parts):
-        if len(self.held) != len(parts):
-            self.held = self.client.scatter(parts, hash=False)
-        told = self._tell(state)
-        futures = [self.client.submit(_work, function, told, part, pure=False) for part in self.held]
-        try:
-            return self._fetch(futures)
-        finally:
-            self._drop(futures)
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
+        return client.submit(_identity, value, pure=False)
 
-    def forget(self):
-        self.held = []
-        time.sleep(PAUSE)
 
-    def fits(self, fit, name, starts, stop):
-        told = self._tell(fit)
-        self._order(_be_deaf, True)
-        futures = {
-            self.client.submit(_fit_on_one_core, told, name, k, start, pure=False): k for k, start in starts.items()
-        }
-        asked = False
-        try:
-            while futures:
-                self._wait_for_one(list(futures))
-                if stop.is_set() and not asked:
-                    asked = True
-                    self._order(_stop_here, name)
-                for future in [future for future in futures if future.done()]:
-                    yield self._fetch(future)
-                    del futures[future]
-        finally:
-            self._drop(list(futures))
-            self._order(_be_deaf, False)
+def _identity(value):
+    return value
 
-    def _tell(self, thing):
-        """Send something so that it outlives every worker: as a task, which the scheduler can have done again."""
-        import dask
 
-        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
-            return self.client.submit(_same, thing, pure=False)
+def _raise_first_error(results):
+    for result in results:
+        if isinstance(result, Exception):
+            raise result
 
-    def _order(self, function, *words):
-        """Have every worker process do something at once, of those that can be reached."""
-        if self.count():
-            self.client.run(function, *words, on_error="ignore")
 
-    def _wait_for_one(self, futures):
-        """Return when one of them is done, or after a moment."""
-        from distributed import wait
+def _first_line(error):
+    return f"{type(error).__name__}: {error}".splitlines()[0]
 
-        try:
-            with self.client.as_current():
-                wait(futures, timeout=PATIENCE, return_when="FIRST_COMPLETED")
-        except TimeoutError:
-            self._check()
 
-    def _fetch(self, futures):
-        """Return the results when they are there."""
-        results = self.client.gather(futures, asynchronous=True)
-        coming = run_coroutine_threadsafe(results, self.client.loop.asyncio_loop)
-        while True:
-            try:
-                return coming.result(PATIENCE)
-            except TimeoutError:
-                if coming.done():
-                    raise
-                self._check()
-
-    def _check(self):
-        """Raise RuntimeError where nobody is left to wait for: dask would wait for ever."""
-        if self.count() == 0:
-            raise RuntimeError("no worker is left")
-
-    def _drop(self, futures):
-        if self.client.status == "running":
-            self.client.cancel([future for future in futures if not future.done()])
+def _warn_of_loss(error):
+    warnings.warn(
+        f"Work given to other processes or machines did not come back ({error}). It is done in this process instead, "
+        "with the same results.",
+        RuntimeWarning,
+        stacklevel=2,
+    )

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import copy_context
 from functools import lru_cache
 from threading import Event, Lock
+from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
 SMALL = 1200
-"""Matrices smaller than this are faster on one thread (measured on an idle machine of two cores: 1.2 times faster at
-1000, twice at 250); on a busy machine waiting threads make that ten times."""
+"""Smaller matrices are faster on one thread: measured on two idle cores 1.2 times at 1000, twice at 250."""
 
 
 @lru_cache(maxsize=1)
@@ -21,11 +21,12 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-class _Hold:
-    """Keeps BLAS on one thread while anybody asks for it; the last to leave restores what the first found."""
+class _OneThread:
+    """Keep BLAS on one thread while any caller asks for it; the last to leave restores what the first found."""
 
     def __init__(self):
-        self._lock, self._holders, self._limits = Lock(), 0, None
+        self._lock, self._holders = Lock(), 0
+        self._limits: Any = None
 
     @contextmanager
     def __call__(self) -> Iterator[None]:
@@ -42,24 +43,23 @@ class _Hold:
                     self._limits.restore_original_limits()
 
 
-one_blas_thread = _Hold()
+one_blas_thread = _OneThread()
 
 
 def n_threads() -> int:
-    """Return how many threads BLAS may use now, which is how many the tiles use: one setting rules both."""
+    """Return how many threads BLAS may use now; work on tiles uses as many."""
     return max((lib.num_threads for lib in _controller().select(user_api="blas").lib_controllers), default=1)
 
 
-def threads_for(size: int):
-    """Return a context in which work on matrices of the given size uses the threads that make it fastest."""
+def threads_for(size: int) -> AbstractContextManager[None]:
+    """Return a context that holds BLAS to one thread where matrices are smaller than ``SMALL``."""
     return one_blas_thread() if size < SMALL else nullcontext()
 
 
 def thread_map(function: Callable, tasks: Iterable, stop: Event | None = None) -> list:
-    """Return ``[function(task) for task in tasks]``, the tasks on as many threads as BLAS may use.
+    """Return ``[function(task) for task in tasks]``, on as many threads as BLAS may use, each with BLAS on one thread.
 
-    BLAS itself is held to one thread meanwhile, so that the tiles do not compete with it. With ``stop``, Ctrl-C
-    sets it and the results are still waited for: the function is expected to look at it and come to an end.
+    With ``stop``, Ctrl-C sets it and the results are still waited for: the function must check it and return.
     """
     tasks = list(tasks)
     workers = min(n_threads(), len(tasks))

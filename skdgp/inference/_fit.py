@@ -10,8 +10,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import cluster_centres, column_scale, output_scale
-from skdgp._compute.memory import check_memory
+from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
 from skdgp._compute.threads import thread_map
 from skdgp.inference._exact import ExactPosterior

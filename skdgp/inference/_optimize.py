@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from skdgp._compute.checkpoint import answers_of
-from skdgp._compute.progress import tell
+from skdgp._compute.checkpoint import stage_record
+from skdgp._compute.progress import notify
 
 
 class Optimum(NamedTuple):
@@ -26,15 +26,15 @@ class Optimum(NamedTuple):
 class _Objective:
     """Negative log likelihood for a minimiser, that remembers its best point and reports on its way."""
 
-    def __init__(self, log_likelihood, theta, stage, stop, answers):
-        self.log_likelihood, self.stage, self.stop, self.answers = log_likelihood, stage, stop, answers
+    def __init__(self, log_likelihood, theta, stage, stop, record):
+        self.log_likelihood, self.stage, self.stop, self.record = log_likelihood, stage, stop, record
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
         self.values = []
 
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
             raise KeyboardInterrupt
-        known = self.answers.recall(self.n_evaluations, theta)
+        known = self.record.recall(self.n_evaluations, theta)
         value, gradient = self._evaluate(theta) if known is None else known
         self.n_evaluations += 1
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
@@ -44,7 +44,7 @@ class _Objective:
             self.theta, self.value = np.array(theta), value
         self.values.append(self.value)
         if known is None:
-            tell(self.stage, self.n_evaluations, self.value)
+            notify(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
 
     def _evaluate(self, theta):
@@ -52,7 +52,7 @@ class _Objective:
             value, gradient = self.log_likelihood(theta)
         except np.linalg.LinAlgError:
             value, gradient = -np.inf, np.zeros_like(theta)
-        self.answers.add(self.n_evaluations, theta, value, gradient)
+        self.record.add(self.n_evaluations, theta, value, gradient)
         return value, gradient
 
 
@@ -94,13 +94,11 @@ def maximize(
     Optimum
         Ctrl-C ends the search and is kept in ``interrupted``; the caller says so.
     """
-    answers = answers_of(name or stage)
-    if answers.end is not None:
-        return Optimum(*answers.end)
-    theta = answers.start(np.clip(theta, bounds[:, 0], bounds[:, 1]))
+    record = stage_record(name or stage)
+    theta = record.start(np.clip(theta, bounds[:, 0], bounds[:, 1]))
     if stop is not None and stop.is_set():
         return Optimum(theta, -np.inf, 0, 0, True, False, False)
-    objective = _Objective(log_likelihood, theta, stage, stop, answers)
+    objective = _Objective(log_likelihood, theta, stage, stop, record)
     n_iter, interrupted, converged = 0, False, False
     try:
         if callable(optimizer):
@@ -123,7 +121,4 @@ def maximize(
             stop.set()
     gain = objective.value - objective.values[-min(5, len(objective.values))] if objective.values else 0.0
     rising = bool(n_iter >= max_iter and gain > 0.05 * abs(objective.value))
-    end = Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising, converged)
-    if not interrupted:
-        answers.finish(end)
-    return end
+    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising, converged)

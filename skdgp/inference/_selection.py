@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.checkpoint import Record, kept_in
+from skdgp._compute.checkpoint import FitRecord, run_recorded
 from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows, spread
 
 
@@ -27,7 +27,7 @@ class Choice:
 
 
 def choose_kernel(
-    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: Record | None = None, clock=None
+    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: FitRecord | None = None, clock=None
 ) -> Choice:
     r"""Choose among kernels, from few hyperparameters to many, by the Bayesian information criterion.
 
@@ -48,7 +48,7 @@ def choose_kernel(
         NaN where an output was not observed. Where more than 2400 values were, rows spread over them are used.
     optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
-    record : Record or None
+    record : FitRecord or None
         Where the fits are kept, if they are.
     clock : ndarray (n, 2) or None
         As for ``fit_exact``.
@@ -70,7 +70,7 @@ def choose_kernel(
     scores: list[float] = []
     best = None
     for k, kernel in enumerate(kernels):
-        fit = kept_in(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
+        fit = run_recorded(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
         if fit.interrupted:
             return Choice(max(k - 1, 0), scores, (best or fit).found(interrupted=True))
         n_hyperparameters = fit.posterior.kernel.n_dims + Y.shape[1]
@@ -125,7 +125,7 @@ def held_out_errors(
         if (np.isfinite(Y[learned]).sum(axis=0) < 2).any():
             return None
         own = {"input_noise": input_noise, "clock": None if clock is None else clock[learned], **options}
-        fit = kept_in(record, f"{name}-block-{k}", partial(fit_exact, kernel, X[learned], Y[learned]), **own)
+        fit = run_recorded(record, f"{name}-block-{k}", partial(fit_exact, kernel, X[learned], Y[learned]), **own)
         if fit.interrupted:
             return None
         error[a:b] = (Y[asked] - fit.posterior.predict(X[asked])) ** 2

@@ -3,15 +3,22 @@
 >>> from skdgp.io import read_flight, inspect_log, servo_template
 """
 
-from skdgp.io._autopilot.autopilot import READERS as AUTOPILOTS
+from skdgp.io._autopilot.autopilot import AUTOPILOTS
+from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
 from skdgp.io._errors import FlightReadError
 from skdgp.io._inspect import LogSummary, inspect_log, servo_template
 from skdgp.io._read import read_flight, read_flights
 
 __all__ = [
     "AUTOPILOTS",
+    "EQUIVALENT",
+    "QUATERNION",
     "FlightReadError",
+    "Log",
     "LogSummary",
+    "Rule",
+    "ServoChannel",
+    "Topic",
     "inspect_log",
     "read_flight",
     "read_flights",

@@ -1,4 +1,4 @@
-"""Reader of CSV tables: separator, header, units, decimal comma."""
+"""CSV tables: separator, header, units, decimal comma."""
 
 from __future__ import annotations
 
@@ -13,32 +13,20 @@ import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._errors import FlightReadError
-from skdgp.io._limits import check_width
+from skdgp.io._errors import FlightReadError, check_width
 from skdgp.io._units import base_name, check_names, known_unit, to_si
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
 ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)
-"""Remarks, and the separator as Excel tells it: lines that may stand above the header."""
+"""Lines that may stand above the header: remarks, and the separator as Excel writes it."""
 DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."}
 
 
 def read_csv(path: Path) -> pd.DataFrame:
-    """Read a CSV with a header, ``name`` or ``name [unit]``, and perhaps a row of units under it.
+    """Return the table of a CSV with a header, ``name`` or ``name [unit]``, and perhaps a row of units under it.
 
-    Lines before the header that are empty or begin with # are left out, as are columns without a name. Quotes are
-    those of the csv module, in the header and below it.
-
-    Raises
-    ------
-    FlightReadError
-        If it is empty, not a table of text, states a unit that does not fit, or has rows that are longer or shorter
-        than the header.
-
-    Warns
-    -----
-    FlightDataWarning
-        If the last row is shorter, which leaves it out.
+    Empty lines and remarks (#) before the header and columns without a name are left out; a last row that is shorter
+    too, with a FlightDataWarning. Raise FlightReadError if it is no such table.
     """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
@@ -59,9 +47,9 @@ def _table(file, file_name):
     check_width(len(names))
     check_names(name for name in names if name)
     below = above + records.line_num
-    beneath = _units_row(next(records, []), names)
-    if beneath:
-        units, below = _merged(units, beneath), above + records.line_num
+    units_row = _units_row(next(records, []), names)
+    if units_row:
+        units, below = _merged(units, units_row), above + records.line_num
     records = _records(file, below, separator)
     n_rows, cut, decimal = _check_rows(records, names, separator, below)
     _forward(file, below)
@@ -86,7 +74,7 @@ def _table(file, file_name):
 
 
 def _forward(file, n_lines):
-    """Go to the begin of the file, then past some lines."""
+    """Skip lines from the begin of the file."""
     file.seek(0)
     deque(islice(file, n_lines), maxlen=0)
 
@@ -104,34 +92,33 @@ def _lines_above_header(file) -> int:
 
 
 def _separator(file, above) -> str:
-    """Return the separator by which the header has most names of the vocabulary, then most names."""
+    """Return the separator that gives the header most names of the vocabulary, then most names."""
 
-    def found(separator):
+    def n_names(separator):
         try:
             names, _ = _split_headings(next(_records(file, above, separator)))
         except csv.Error:  # a wide header without this separator is one long cell
             return 0, 0
         return sum(base_name(name) in CHANNELS for name in names), len(names)
 
-    return max(",;\t", key=found)
+    return max(",;\t", key=n_names)
 
 
 def _split_headings(headings):
-    """Names, and the units of those in the vocabulary; other headings stay as they are."""
+    """Return names, and the units of those in the vocabulary; other headings stay as they are."""
     names, units = [], {}
     for heading in map(str.strip, headings):
         match = HEADING.fullmatch(heading)
         name = match[1].strip() if match else heading
         if match and base_name(name) in CHANNELS:
             units[name] = match[2]
-            names.append(name)
-        else:
-            names.append(heading)
+            heading = name
+        names.append(heading)
     return names, units
 
 
 def _units_row(cells, names) -> dict[str, str]:
-    """Return the units if a row holds units: no number in it, and a known unit, or none, under every known name."""
+    """Return the units of a row that holds no number, and a known unit or none under every known name."""
     cells = [cell.strip(" \t[]()") for cell in cells]
     if len(cells) != len(names) or any(_is_number(cell) for cell in cells):
         return {}
@@ -141,14 +128,14 @@ def _units_row(cells, names) -> dict[str, str]:
     return {name: unit for name, unit in units.items() if unit} if known else {}
 
 
-def _merged(above, beneath):
-    for name in above.keys() & beneath.keys():
-        if known_unit(above[name]) != known_unit(beneath[name]):
+def _merged(in_header, below):
+    for name in in_header.keys() & below.keys():
+        if known_unit(in_header[name]) != known_unit(below[name]):
             raise FlightReadError(
-                f"Got units {above[name]!r} in and {beneath[name]!r} under the header of column {name!r}, but expected "
-                "one: delete the wrong one."
+                f"Got units {in_header[name]!r} in and {below[name]!r} under the header of column {name!r}, but "
+                "expected one: delete the wrong one."
             )
-    return above | beneath
+    return in_header | below
 
 
 def _is_number(text):
@@ -160,17 +147,11 @@ def _is_number(text):
 
 
 def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
-    """Return the number of rows, words if the last one is cut off, and the decimal mark.
-
-    Raises
-    ------
-    FlightReadError
-        If a row is longer or shorter than the header, or numbers have both decimal marks.
-    """
+    """Return the number of rows, a remark if the last one is cut off, and the decimal mark."""
     width = len(names)
     needed = max((place + 1 for place, name in enumerate(names) if name), default=0)
     numbers = [place for place, name in enumerate(names) if base_name(name) in CHANNELS and name != "flight"]
-    n_rows, cut, shown, wanted = 0, "", {}, "" if separator == "," else ",."
+    n_rows, cut, examples, marks = 0, "", {}, "" if separator == "," else ",."
     for cells in records:
         if len(cells) < 2 and not "".join(cells).strip():
             continue
@@ -182,17 +163,17 @@ def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
             if any(cell.strip() for cell in cells[width:]):
                 raise _uneven(words, width, separator)
             cut = words if len(cells) < needed else ""
-        for mark in wanted:
+        for mark in marks:
             if mark in "".join(cells):
                 cell = next((cells[k] for k in numbers if k < len(cells) and DECIMAL[mark].fullmatch(cells[k])), None)
                 if cell is not None:
-                    shown[mark], wanted = cell, wanted.replace(mark, "")
-    if len(shown) == 2:
+                    examples[mark], marks = cell, marks.replace(mark, "")
+    if len(examples) == 2:
         raise FlightReadError(
-            f"Got {shown[',']!r} with a decimal comma and {shown['.']!r} with a decimal point, but expected one kind: "
-            "write all with a point, and no separators of thousands."
+            f"Got {examples[',']!r} with a decimal comma and {examples['.']!r} with a decimal point, but expected one "
+            "kind: write all with a point, and no separators of thousands."
         )
-    return n_rows, cut, "," if "," in shown else "."
+    return n_rows, cut, "," if "," in examples else "."
 
 
 def _uneven(words, width, separator):

@@ -1,24 +1,24 @@
-"""Inspection of a log: what it holds, and what it lacks for each step."""
+"""Inspection of a log: its content, and what each step lacks."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS
-from skdgp.io._autopilot.autopilot import READERS, on_one_clock, read_log
-from skdgp.io._autopilot.columns import gaps
-from skdgp.io._autopilot.resample import sampling_rate
-from skdgp.io._autopilot.segments import no_flight_because
-from skdgp.io._autopilot.servo_template import template
-from skdgp.io._autopilot.topics import Topic
+from skdgp.io._autopilot.autopilot import AUTOPILOTS, no_flight_because, on_one_clock, read_log
+from skdgp.io._autopilot.clock import gaps, sampling_rate
+from skdgp.io._autopilot.formats import Topic
+from skdgp.io._autopilot.servos import template
 from skdgp.io._errors import FlightReadError
-from skdgp.io._read import read_flight
+from skdgp.io._read import PathLike, read_flight
 
 SPECIFIC_FORCE, RATES, ATTITUDE = ("ax", "ay", "az"), ("p", "q", "r"), ("phi", "theta", "psi")
 VELOCITY = ("v_north", "v_east", "v_down")
@@ -38,10 +38,8 @@ ADVICE = {
     "airspeed": "airspeed: a pitot tube, calibrated and enabled",
     "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
 }
-STEADY = 0.5
-"""A topic with fewer messages than this share of rate times duration has no rate."""
-SHORT = 1.0
-"""Nor has one that was sent for less than this [s]."""
+STEADY, SHORT = 0.5, 1.0
+"""A topic with fewer messages than this share of rate times duration, or of fewer seconds, has no rate."""
 WIDTH = 110
 
 
@@ -58,7 +56,7 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """One column that the table will have: where it is from, the rate of that [Hz], whether it ever changes."""
+    """One column of the flight table: its source, the rate of that [Hz], whether it is constant."""
 
     name: str
     source: str
@@ -77,12 +75,12 @@ class FlightSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What was found in a log, and what is missing for which step.
+    """Content of a log, and what each step lacks.
 
     Attributes
     ----------
     path, format, firmware, vehicle : str
-        The file; ``vehicle`` is None where the log does not tell.
+        The file; ``vehicle`` is None where the log does not say.
     duration : float
         From the first to the last row of the table [s].
     topics : tuple of TopicSummary
@@ -90,13 +88,13 @@ class LogSummary:
     columns : tuple of ColumnSummary
         Columns of the flight table.
     missing : dict of str to tuple of str
-        By step (coefficients, reconstruction, regressors, replay): columns that are not there.
+        By step (coefficients, reconstruction, regressors, replay): columns that it lacks.
     flights : tuple of FlightSummary
-        Stretches in the air.
+        Flights in the air.
     no_flight : str
         Why there are none; empty if there are some.
     remarks : tuple of str
-        What was wrong: damage, gaps, clock, channels that are of no use.
+        Damage, gaps, faults of the clock, channels of no use.
     """
 
     path: str
@@ -161,8 +159,8 @@ class LogSummary:
             yield _hanging(f"topics: {words}", 4)
 
 
-def inspect_log(path, *, servos=None) -> LogSummary:
-    r"""Say what a log holds: format, vehicle, topics, columns and where they are from, flights, and what is missing.
+def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None) -> LogSummary:
+    r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
 
     Parameters
     ----------
@@ -193,7 +191,7 @@ def inspect_log(path, *, servos=None) -> LogSummary:
     ('table', ('phi', 'theta', 'psi', 'v_north or u', 'v_east or v', 'v_down or w'))
     """
     path = Path(path)
-    if path.suffix.lower() not in READERS:
+    if path.suffix.lower() not in AUTOPILOTS:
         return _of_table(path, read_flight(path))
     flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
@@ -217,7 +215,7 @@ def inspect_log(path, *, servos=None) -> LogSummary:
     )
 
 
-def servo_template(path) -> str:
+def servo_template(path: PathLike) -> str:
     """Return the text of a servo file for a log of an autopilot, to be filled in with the angles of the surfaces.
 
     Raises
@@ -226,18 +224,18 @@ def servo_template(path) -> str:
         If the file cannot be read, is no log of an autopilot, or holds nothing that was sent to servos.
     """
     path = Path(path)
-    if path.suffix.lower() not in READERS:
-        raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(READERS)}.")
+    if path.suffix.lower() not in AUTOPILOTS:
+        raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}.")
     return template(read_log(path))
 
 
-def missing_for(columns) -> dict[str, tuple[str, ...]]:
-    """Return by step which columns are not there, or never change though they are a sensor's."""
-    there = {column.name for column in columns if not (column.constant and column.name in SENSORS)}
-    missing = {}
+def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
+    """Return by step the columns that are missing, or a sensor's that never change."""
+    found = {column.name for column in columns if not (column.constant and column.name in SENSORS)}
+    missing: dict[str, tuple[str, ...]] = {}
     for step, needs in NEEDS.items():
-        done = {done for done, lacking in missing.items() if not lacking}
-        missing[step] = tuple(need for need in needs if not set(need.split(" or ")) & (there | done))
+        possible = {before for before, lacking in missing.items() if not lacking}
+        missing[step] = tuple(need for need in needs if not set(need.split(" or ")) & (found | possible))
     return missing
 
 

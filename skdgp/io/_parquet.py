@@ -1,4 +1,4 @@
-"""Reader of Parquet tables."""
+"""Parquet tables."""
 
 from __future__ import annotations
 
@@ -10,29 +10,18 @@ import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._errors import FlightReadError
-from skdgp.io._limits import check_room, check_width, room_for
+from skdgp.io._errors import FlightReadError, check_room, check_width, room_for
 from skdgp.io._units import base_name, check_names
 
 INDEX = "__index_level_"
 """How pandas names an index without a name."""
-NUMBER = 8
 
 
 def read_parquet(path: Path) -> pd.DataFrame:
-    """Read a Parquet file; an index that pandas wrote into it is a column if it has a name.
+    """Return the table of a Parquet file; an index that pandas wrote into it is a column if it has a name.
 
-    Raises
-    ------
-    FlightReadError
-        If it is damaged, or too wide, or takes far more memory than its size tells.
-    ImportError
-        If pyarrow is not installed.
-
-    Warns
-    -----
-    FlightDataWarning
-        If columns are left out that hold neither numbers nor texts nor times: lists, structs, bytes.
+    Raise FlightReadError if it is damaged, too wide, or takes far more memory than its size, ImportError without
+    pyarrow. Columns of lists, structs and bytes are left out, with a FlightDataWarning.
     """
     try:
         import pyarrow.compute
@@ -46,9 +35,9 @@ def read_parquet(path: Path) -> pd.DataFrame:
     except (FlightReadError, Warning):
         raise
     except Exception as error:  # a damaged file makes pyarrow raise nearly anything
-        said = next(iter(str(error).splitlines()), type(error).__name__)
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise FlightReadError(
-            f"Got {path}, which is not a whole parquet file ({said}), but expected one: copy or export it again."
+            f"Got {path}, which is not a whole parquet file ({reason}), but expected one: copy or export it again."
         ) from error
 
 
@@ -58,19 +47,19 @@ def _table(path, pyarrow):
     check_width(len(schema.names))
     check_names(name.strip() for name in schema.names)
     plain = {field.name: _plain(field, pyarrow) for field in schema if not field.name.startswith(INDEX)}
-    _check_left({name: str(schema.field(name).type) for name, kind in plain.items() if kind is None}, path.name)
+    _check_left_out({name: str(schema.field(name).type) for name, kind in plain.items() if kind is None}, path.name)
     plain = {name: kind for name, kind in plain.items() if kind is not None}
     packed = [size.row_group(g).total_byte_size for g in range(size.num_row_groups)]
-    check_room(max(NUMBER * size.num_rows * len(plain), sum(packed)), room)
+    check_room(max(8 * size.num_rows * len(plain), sum(packed)), room)
     texts = [name for name, kind in plain.items() if kind == pyarrow.large_string()]
     with pyarrow.parquet.ParquetFile(path, read_dictionary=texts) as file:  # a text that repeats is read once
         table = file.read(columns=list(plain))
-    check_room(sum(_letters(table[name], pyarrow) for name in texts), room)
+    check_room(sum(_text_bytes(table[name], pyarrow) for name in texts), room)
     return table.cast(pyarrow.schema(plain)).to_pandas(ignore_metadata=True)
 
 
 def _plain(field, pyarrow):
-    """Return the type of a column's values as a table holds them: numbers, texts or times; None for others."""
+    """Return the type that a table holds: of numbers, texts or times; None for others."""
     types, kind = pyarrow.types, field.type
     kind = kind.value_type if types.is_dictionary(kind) else kind
     of_bytes = types.is_binary(kind) or types.is_large_binary(kind)
@@ -82,22 +71,22 @@ def _plain(field, pyarrow):
     return kind if any(is_one(kind) for is_one in simple) else None
 
 
-def _check_left(left, file_name):
-    needed = [name for name in left if base_name(name.strip()) in CHANNELS]
+def _check_left_out(types, file_name):
+    needed = [name for name in types if base_name(name.strip()) in CHANNELS]
     if needed:
         raise FlightReadError(
-            f"Got column {needed[0]!r} of type {left[needed[0]]}, but expected one value in each row: write one column "
-            "for each value."
+            f"Got column {needed[0]!r} of type {types[needed[0]]}, but expected one value in each row: write one "
+            "column for each value."
         )
-    if left:
+    if types:
         warnings.warn(
-            f"{file_name}: columns that hold neither numbers, texts nor times are left out: {left}.",
+            f"{file_name}: columns that hold neither numbers, texts nor times are left out: {types}.",
             FlightDataWarning,
             stacklevel=5,
         )
 
 
-def _letters(column, pyarrow) -> int:
+def _text_bytes(column, pyarrow) -> int:
     """Return how many bytes the texts of a column take, without writing them out."""
     total = 0
     for chunk in column.chunks:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -13,8 +15,7 @@ import pandas as pd
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.clock import flight_codes, part_restarts, rows_back
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._autopilot.autopilot import READERS as AUTOPILOTS
-from skdgp.io._autopilot.autopilot import flight_table, on_one_clock
+from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
 from skdgp.io._mat import read_mat
@@ -22,18 +23,32 @@ from skdgp.io._parquet import read_parquet
 from skdgp.io._units import base_name, check_magnitudes, check_names, to_floats
 
 UNKNOWN = "unknown_columns"
+TABLES: dict[str, Callable[[Path], pd.DataFrame]] = {
+    ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet, ".mat": read_mat,
+}  # fmt: skip
+"""Readers of tables by suffix; another format is one more entry."""
+DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None}
+PathLike: TypeAlias = "str | os.PathLike[str]"
 
 
-def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu_position=None) -> pd.DataFrame:
+def read_flight(
+    path: PathLike | Iterable[PathLike],
+    *,
+    flight: str | None = None,
+    rate: float | None = None,
+    servos: PathLike | Mapping[str, Any] | None = None,
+    airborne: bool | float = True,
+    imu_position: Sequence[float] | None = None,
+) -> pd.DataFrame:
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
-    Tables are read as they are. A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these
-    are converted; the page on logs lists what else a CSV may hold. Columns that the vocabulary does not know are kept
-    as they are and listed in ``table.attrs["unknown_columns"]``; one that looks like a misspelt word is warned of.
+    A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are converted. Columns that
+    the vocabulary does not know are kept and listed in ``table.attrs["unknown_columns"]``, with a warning where one
+    looks misspelt.
 
-    Logs of autopilots, PX4 ULog and ArduPilot DataFlash, hold messages of many rates: these are brought to one clock
-    (low-passed where faster, interpolated where slower, NaN in gaps), the stretches in the air are found, and
-    ``table.attrs["sources"]`` says which message each column is from. :func:`inspect_log` shows what is missing.
+    Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where slower, NaN in gaps)
+    and cut into flights; ``table.attrs["sources"]`` names the message of each column. :func:`inspect_log` shows what
+    is missing.
 
     Parameters
     ----------
@@ -64,9 +79,8 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
     Raises
     ------
     FlightReadError
-        If the file is empty, damaged, not a table or log, of unknown suffix; has more than 10,000 columns, or takes
-        more than 256 MiB and 100 times its size when unpacked; has no ``time``; has text among numbers, rows of unequal
-        length or without a flight; time does not increase within a flight; the numbers give away other units than SI
+        If the file is empty, damaged, no table or log, or too large when unpacked; has no ``time``, text among numbers,
+        rows of unequal length or without a flight; time does not increase within a flight; the numbers are not in SI
         and radians; a log holds no flight; or an option makes no sense.
     FileNotFoundError
         If there is no such file.
@@ -76,8 +90,7 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
     Warns
     -----
     FlightDataWarning
-        If a log of an autopilot is damaged, has gaps, its clock jumped, or channels were never valid; if the last row
-        of a CSV is cut off; if columns of a Parquet file hold neither numbers, texts nor times.
+        If a log is damaged, has gaps, its clock jumped, channels were never valid, or columns are left out.
 
     Examples
     --------
@@ -95,7 +108,11 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
             raise TypeError("Got several paths and one flight, but expected a mapping of flight identifier to path.")
         return read_flights(path, **options)
     path = Path(path)
-    reader = _reader(path)
+    if path.suffix.lower() not in TABLES | AUTOPILOTS:
+        raise FlightReadError(
+            f"Got {path} with suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: convert or "
+            "rename it."
+        )
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
     try:
@@ -104,14 +121,14 @@ def read_flight(path, *, flight=None, rate=None, servos=None, airborne=True, imu
         given = [name for name, value in options.items() if value is not DEFAULTS[name]]
         if given:
             raise FlightReadError(f"Got {given} for a table, but expected these only with logs of autopilots.")
-        table = reader(path)
+        table = TABLES[path.suffix.lower()](path)
         return _as_flight(table, path.stem if flight is None else flight, overrides=flight is not None)
     except FlightReadError as error:
-        said = str(error)
-        raise FlightReadError(said if str(path) in said else f"{path}: {said}") from None
+        message = str(error)
+        raise FlightReadError(message if str(path) in message else f"{path}: {message}") from None
 
 
-def read_flights(paths, **options) -> pd.DataFrame:
+def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: Any) -> pd.DataFrame:
     r"""Read several logs into one table, flight after flight.
 
     Parameters
@@ -156,10 +173,6 @@ def read_flights(paths, **options) -> pd.DataFrame:
     return joined
 
 
-TABLES = {".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet, ".mat": read_mat}
-DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None}
-
-
 def _from_autopilot(path, flight, options):
     flown = on_one_clock(path, **options)
     name = path.stem if flight is None else flight
@@ -170,17 +183,8 @@ def _from_autopilot(path, flight, options):
     return table
 
 
-def _reader(path):
-    readers = TABLES | AUTOPILOTS
-    if path.suffix.lower() not in readers:
-        raise FlightReadError(
-            f"Got {path} with suffix {path.suffix!r}, but expected one of {sorted(readers)}: convert or rename it."
-        )
-    return readers[path.suffix.lower()]
-
-
 def _as_flight(table, flight, *, overrides):
-    """Check a raw table and put it into the order and types of a flight table."""
+    """Return a raw table in the order and types of a flight table."""
     if table.empty:
         raise FlightReadError(
             f"Got a table of {table.shape[0]} rows and {table.shape[1]} columns, but expected samples."
@@ -196,7 +200,7 @@ def _as_flight(table, flight, *, overrides):
         table["flight"] = flight
     table = table.assign(**_as_numbers(table))
     table["flight"] = _flight_names(table["flight"])
-    table = _parted(_without_repeats(table))
+    table = _split_at_restarts(_without_repeats(table))
     _check_time(table)
     check_magnitudes(table)
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
@@ -206,7 +210,7 @@ def _as_flight(table, flight, *, overrides):
 
 
 def _as_numbers(table):
-    """Columns of the vocabulary as floats; infinities as NaN, with a warning."""
+    """Return the columns of the vocabulary as floats; infinities as NaN, with a warning."""
     names = [name for name in table.columns if base_name(name) in CHANNELS and name != "flight"]
     numbers, infinite = {}, []
     for name in names:
@@ -226,7 +230,7 @@ def _as_numbers(table):
 
 
 def _flight_names(flight):
-    """Return the name of each row's flight as str; whole numbers without a point, whatever type held them."""
+    """Return the name of each row's flight as str; whole numbers without a point."""
     try:
         codes, names = flight_codes(flight)
     except ValueError as error:
@@ -250,15 +254,15 @@ def _without_repeats(table):
     return table[~repeated].reset_index(drop=True)
 
 
-def _parted(table):
-    """Name apart the parts of a flight whose clock was restarted."""
+def _split_at_restarts(table):
+    """Give the parts of a flight whose clock was restarted names of their own."""
     time = table["time"].to_numpy()
     names, restarts = part_restarts(time, table["flight"].to_numpy())
     if not restarts.size:
         return table
-    said = [f"from {time[row - 1]:.6g} s to {time[row]:.6g} s at row {row}: {names[row]!r}" for row in restarts[:8]]
+    steps = [f"from {time[row - 1]:.6g} s to {time[row]:.6g} s at row {row}: {names[row]!r}" for row in restarts[:8]]
     warnings.warn(
-        f"Time goes back where a clock was restarted, and from there on flights are named apart ({'; '.join(said)}).",
+        f"Time goes back where a clock was restarted, and from there on flights are named apart ({'; '.join(steps)}).",
         FlightDataWarning,
         stacklevel=4,
     )
@@ -280,7 +284,7 @@ def _check_time(table):
 
 
 def _hint_at_names(table):
-    """Warn once of unknown columns that look like a word of the vocabulary which is not there."""
+    """Warn once of unknown columns that look like a missing name of the vocabulary."""
     free = [name for name in CHANNELS if name not in table]
     hints = {}
     for name in table.columns:
@@ -291,20 +295,20 @@ def _hint_at_names(table):
             if near:
                 hints[name] = near[0]
     if hints:
-        said = ", ".join(f"{name!r} (did you mean {near!r}?)" for name, near in hints.items())
-        warnings.warn(f"Unknown columns are kept as they are: {said}.", UserWarning, stacklevel=4)
+        names = ", ".join(f"{name!r} (did you mean {near!r}?)" for name, near in hints.items())
+        warnings.warn(f"Unknown columns are kept as they are: {names}.", UserWarning, stacklevel=4)
 
 
 def _check_distinct(named, tables):
-    owner = {}
+    path_of: dict[str, Any] = {}
     for (_, path), table in zip(named, tables, strict=True):
         for flight in table["flight"].unique():
-            if flight in owner:
+            if flight in path_of:
                 raise FlightReadError(
-                    f"Got flight {flight!r} in both {owner[flight]} and {path}, but expected each once: give a "
+                    f"Got flight {flight!r} in both {path_of[flight]} and {path}, but expected each once: give a "
                     "mapping of flight identifier to path."
                 )
-            owner[flight] = path
+            path_of[flight] = path
 
 
 def _warn_of_uneven_columns(named, tables):

@@ -27,7 +27,7 @@ SPELLINGS = {
     "deg/s2": "deg/s^2", "°/s²": "deg/s^2", "kg/m3": "kg/m^3", "kg/m³": "kg/m^3", "nm": "N m", "n": "N",
 }  # fmt: skip
 
-# Beyond these the 99th percentile of a flight says that the column is not in radians.
+# Above these the 99th percentile of a flight is not in radians.
 LIMITS = {
     **dict.fromkeys(["alpha", "beta", "theta"], 1.7),
     **dict.fromkeys(["elevator", "aileron", "rudder", "elevon_left", "elevon_right"], 1.6),
@@ -38,7 +38,7 @@ LONGEST_STEP = 5.0  # s
 
 
 def base_name(column: str) -> str:
-    """Return the vocabulary's word behind a column of simulated truth."""
+    """Return the name of the vocabulary of a column of simulated truth."""
     return column.removesuffix(TRUTH_SUFFIX)
 
 
@@ -57,13 +57,7 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def to_floats(column: pd.Series) -> np.ndarray:
-    """Return a column as floats, whatever type holds its numbers.
-
-    Raises
-    ------
-    FlightReadError
-        Naming the first row that is no number.
-    """
+    """Return a column as floats, whatever type holds its numbers; raise FlightReadError for a row that is none."""
     if isinstance(column.dtype, pd.CategoricalDtype):
         column = pd.Series(np.asarray(column), name=column.name)
     if pd.api.types.is_numeric_dtype(column):
@@ -75,24 +69,18 @@ def to_floats(column: pd.Series) -> np.ndarray:
     if bad.size:
         raise FlightReadError(
             f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} rows are not numbers), "
-            f"but expected numbers [{CHANNELS[base_name(column.name)].unit}]: leave missing values empty, and write "
-            "no separators of thousands."
+            f"but expected numbers [{CHANNELS[base_name(str(column.name))].unit}]: leave missing values empty, and "
+            "write no separators of thousands."
         )
     return values
 
 
 def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
-    """Convert columns whose unit the file states.
-
-    Raises
-    ------
-    FlightReadError
-        If a unit is unknown, or not one of the column's quantity.
-    """
+    """Convert columns whose unit the file states; raise FlightReadError for a unit of another quantity."""
     converted = {}
     for name, text in units.items():
         expected = CHANNELS[base_name(name)].unit
-        quantity, factor = TO_SI.get(known_unit(text), (None, 1.0))
+        quantity, factor = TO_SI.get(known_unit(text) or "unknown", ("unknown", 1.0))
         if quantity != expected:
             fitting = [unit for unit, (si, _) in TO_SI.items() if si == expected]
             raise FlightReadError(f"Got unit {text!r} for column {name!r}, but expected one of {fitting}.")
@@ -102,13 +90,7 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
 
 
 def check_magnitudes(table: pd.DataFrame) -> None:
-    """Refuse columns whose numbers say that they are in degrees, per cent, g or milliseconds.
-
-    Raises
-    ------
-    FlightReadError
-        Naming the columns and the remedy.
-    """
+    """Raise FlightReadError if the numbers of a column are in degrees, per cent, g or milliseconds."""
     large = {name: _typical_maximum(table, name) for name in LIMITS if name in table}
     degrees = {name: round(value, 1) for name, value in large.items() if value > LIMITS[name]}
     if "psi" in table and _jumps_by_degrees(table):
@@ -125,10 +107,10 @@ def check_magnitudes(table: pd.DataFrame) -> None:
         )
     if {"ax", "ay", "az"} <= set(table.columns):
         sizes = np.linalg.norm(table[["ax", "ay", "az"]].to_numpy(float), axis=1)
-        felt = float(np.median(sizes[np.isfinite(sizes)])) if np.isfinite(sizes).any() else np.nan
-        if 0.5 < felt < 2.0:
+        force = float(np.median(sizes[np.isfinite(sizes)])) if np.isfinite(sizes).any() else np.nan
+        if 0.5 < force < 2.0:
             raise FlightReadError(
-                f"Got a specific force ax, ay, az of {felt:.3g} (median magnitude), but expected near 9.8 m/s^2: this "
+                f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near 9.8 m/s^2: this "
                 "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'."
             )
     step = np.median(np.diff(table["time"].to_numpy(float))) if len(table) > 1 else 0.0

@@ -13,7 +13,7 @@ from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.callbacks import CallbackSupportMixin, FitTask
+from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context, output_container, set_output_container
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import CHANNELS

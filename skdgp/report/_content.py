@@ -10,23 +10,12 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.metrics import (
-    interval_coverage,
-    median_relative_error,
-    negative_log_predictive_density,
-    normalized_rmse,
-)
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._display import check_time
-
-METRICS = (
-    "median_relative_error",
-    "normalized_rmse",
-    "negative_log_predictive_density",
-    "interval_coverage",
-)
-"""Names of the scores, those of the functions in skdgp.metrics."""
+from skdgp.plotting._time_histories import LATERAL_STATES
+from skdgp.report._tables import SCORES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +59,8 @@ class FlightResult:
     replay_errors : DataFrame, optional
         What `skdgp.dynamics.replay_errors` returned: columns state, horizon, median, at_end, coverage.
     metrics : mapping, optional
-        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers a
-        sequence, or a mapping by coefficient. Default: computed here with skdgp.metrics.
+        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers are a
+        sequence, or a mapping by coefficient. Default: computed with skdgp.metrics.
 
     Raises
     ------
@@ -80,33 +69,37 @@ class FlightResult:
     """
 
     name: str
-    time: np.ndarray
-    measured: np.ndarray
-    mean: np.ndarray
-    std: np.ndarray
-    measured_std: np.ndarray | None = None
-    truth: np.ndarray | None = None
+    time: Vector
+    measured: Matrix
+    mean: Matrix
+    std: Matrix
+    measured_std: Matrix | None = None
+    truth: Matrix | None = None
     table: pd.DataFrame | None = None
     replay: pd.DataFrame | None = None
     replay_errors: pd.DataFrame | None = None
     metrics: Mapping[str, Mapping[str, object]] | None = None
 
     def __post_init__(self):
-        n_samples = len(check_time(self.time))
+        object.__setattr__(self, "time", check_time(self.time))
+        expected = len(self.time), len(COEFFICIENTS)
         for name in ("measured", "mean", "std", "measured_std", "truth"):
-            values = getattr(self, name)
-            if values is not None and np.shape(values) != (n_samples, len(COEFFICIENTS)):
+            if getattr(self, name) is None:
+                continue
+            values = np.asarray(getattr(self, name), dtype=float)
+            if values.shape != expected:
                 raise ValueError(
-                    f"Got {name} of shape {np.shape(values)} for flight {self.name!r}, but expected "
-                    f"{(n_samples, len(COEFFICIENTS))}: one row per time, columns {' '.join(COEFFICIENTS)}."
+                    f"Got {name} of shape {values.shape} for flight {self.name!r}, but expected {expected}: one row "
+                    f"per time, columns {' '.join(COEFFICIENTS)}."
                 )
+            object.__setattr__(self, name, values)
         if self.replay is not None and self.table is None:
             raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
 
-    @cached_property
-    def noisy_std(self) -> np.ndarray:
+    @property
+    def noisy_std(self) -> Matrix:
         """Standard deviations to compare measured values with."""
-        return np.asarray(self.std if self.measured_std is None else self.measured_std, dtype=float)
+        return self.std if self.measured_std is None else self.measured_std
 
     @cached_property
     def scores(self) -> dict[str, pd.DataFrame]:
@@ -120,22 +113,22 @@ class FlightResult:
             against: pd.DataFrame(dict(of), index=list(COEFFICIENTS))
             for against, of in {"measured": {}, **given}.items()
         }
-        return {against: table.reindex(columns=list(METRICS)) for against, table in tables.items()}
+        return {against: table.reindex(columns=list(SCORES)) for against, table in tables.items()}
 
 
-def score(y_true, y_pred, y_std) -> dict[str, np.ndarray]:
-    """Return the four scores of skdgp.metrics, one number per output."""
-    y_true, y_pred, y_std = (np.asarray(values, dtype=float) for values in (y_true, y_pred, y_std))
-    functions = (
-        median_relative_error,
-        normalized_rmse,
-        negative_log_predictive_density,
-        interval_coverage,
-    )
-    arguments = ((y_true, y_pred),) * 2 + ((y_true, y_pred, y_std),) * 2
+def measured_states(result: FlightResult) -> dict[str, Vector]:
+    """Return the measured values of the lateral states that were replayed, by name."""
+    replay, table = result.replay, result.table
+    if replay is None or table is None:
+        return {}
+    return {name: table[name].to_numpy(dtype=float) for name in LATERAL_STATES if name in replay and name in table}
+
+
+def score(y_true: Matrix, y_pred: Matrix, y_std: Matrix) -> dict[str, Vector]:
+    """Return the scores of the report, one number per output."""
     return {
-        name: function(*args, multioutput="raw_values")
-        for name, function, args in zip(METRICS, functions, arguments, strict=True)
+        name: one.function(y_true, y_pred, *([y_std] if one.of_band else []), multioutput="raw_values")
+        for name, one in SCORES.items()
     }
 
 

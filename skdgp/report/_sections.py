@@ -7,21 +7,14 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import LATERAL, LONGITUDINAL
+from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
+from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._style import CYCLE, PALETTE
+from skdgp.plotting._time_histories import replay_rows
+from skdgp.report import _charts as charts
 from skdgp.report import _pictures as pictures
-from skdgp.report import _views as views
-from skdgp.report._content import FlightResult, ModelSummary, ReportContent
-from skdgp.report._tables import (
-    THIN,
-    coverage,
-    error_table,
-    facts,
-    number,
-    percent,
-    replay_table,
-    text,
-)
+from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
+from skdgp.report._tables import SCORES, THIN, error_table, facts, number, replay_table, text
 
 _FLIGHT_COLORS = [name for color in CYCLE for name, value in PALETTE.items() if value == color]
 
@@ -41,25 +34,21 @@ def _headline(result: FlightResult) -> str:
     scores = result.scores
     measured, truth = scores["measured"], scores.get("truth")
     tiles = [
-        _tile(measured, truth, "normalized_rmse", LATERAL, "", "normalised RMSE, lateral", _three_decimals),
-        _tile(measured, truth, "normalized_rmse", LONGITUDINAL, "", "normalised RMSE, longitudinal", _three_decimals),
-        _tile(measured, truth, "median_relative_error", None, "%", "median relative error, mean of six", percent),
-        _tile(measured, None, "interval_coverage", None, "%", "of measured values inside the 95 % band", coverage),
+        _tile(measured, truth, "normalized_rmse", LATERAL, "", "normalised RMSE, lateral"),
+        _tile(measured, truth, "normalized_rmse", LONGITUDINAL, "", "normalised RMSE, longitudinal"),
+        _tile(measured, truth, "median_relative_error", COEFFICIENTS, "%", "median relative error, mean of six"),
+        _tile(measured, None, "interval_coverage", COEFFICIENTS, "%", "of measured values inside the 95 % band"),
     ]
     return f'<h3>{text(result.name)}</h3><div class="head">{"".join(tiles)}</div>'
 
 
-def _tile(measured, truth, metric, members, unit, words, form) -> str:
+def _tile(measured, truth, metric, members, unit, words) -> str:
     def value(scores):
-        return form(scores[metric].loc[list(members or scores.index)].mean())
+        return SCORES[metric].show(scores[metric].loc[list(members)].mean())
 
     unit = f"<small>{unit}</small>" if unit else ""
     against = "" if truth is None else f"<span>against truth {value(truth)}{unit and THIN + '%'}</span>"
     return f"<div><b>{value(measured)}{unit}</b><span>{words}</span>{against}</div>"
-
-
-def _three_decimals(value: float) -> str:
-    return number(value, ".3f")
 
 
 def messages(content: ReportContent) -> str:
@@ -71,14 +60,14 @@ def messages(content: ReportContent) -> str:
 
 
 def _likelihood(model) -> str:
-    """Return what the likelihood is called: a sparse model's is a bound, not to be compared with an exact one."""
+    """Return the name of the likelihood: a sparse model's is a bound, not comparable with an exact one."""
     return "Log likelihood, lower bound" if "sparse" in (model.inference or "") else "Log likelihood"
 
 
 def what_was_done(content: ReportContent) -> str:
     """Return samples, regressors, model, time and versions."""
     model, aircraft = content.model, content.aircraft
-    pairs = [] if isinstance(aircraft, str) else list(aircraft.items())
+    pairs: list[tuple[str, object]] = [] if isinstance(aircraft, str) else list(aircraft.items())
     pairs += [
         ("Learned from", ", ".join(_flown(record.name, record.table["time"]) for record in content.train)),
         ("Tested on", ", ".join(_flown(result.name, result.time) for result in content.test)),
@@ -118,8 +107,9 @@ def _flown(name: str, time) -> str:
 
 
 def _iterations(model: ModelSummary) -> str | None:
-    at_limit = None not in (model.n_iter, model.max_iter) and model.n_iter >= model.max_iter
-    return f"{_grouped(model.n_iter)} (limit reached)" if at_limit else _grouped(model.n_iter)
+    n_iter, most = model.n_iter, model.max_iter
+    at_limit = n_iter is not None and most is not None and n_iter >= most
+    return f"{_grouped(n_iter)} (limit reached)" if at_limit else _grouped(n_iter)
 
 
 def _latents(model: ModelSummary) -> str:
@@ -172,8 +162,7 @@ def _coefficients(result: FlightResult, span, detail: Detail) -> str:
     band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
     key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", band, "area")]
     key += [] if result.truth is None else [("vermillion", "truth", "")]
-    columns = {} if span is None else {_seconds(span): pictures.coefficient_panels(result, span, detail.n_bins)}
-    columns["Whole flight"] = pictures.coefficient_panels(result, None, detail.n_bins)
+    columns = _close_and_whole(span, lambda span: pictures.coefficient_panels(result, span, detail.n_bins))
     caption = "Measured and estimated coefficients."
     if span is not None:
         length = f"{number(span[1] - span[0], 'g')}{THIN}s"
@@ -181,7 +170,7 @@ def _coefficients(result: FlightResult, span, detail: Detail) -> str:
             f" First the {length} in which the estimates move most, where a wrong model shows first; then the whole "
             "flight."
         )
-    chart = views.coefficient_chart(result, band, span, detail.every)
+    chart = charts.coefficient_chart(result, band, span, detail.every)
     return f"<h3>Coefficients</h3>{_columns(columns, key, caption, chart)}"
 
 
@@ -195,15 +184,13 @@ def _replays(result: FlightResult, span, detail: Detail, draw: bool) -> str:
 
 
 def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
-    rows = pictures.replay_rows(result.replay, horizon)
-    names = [name for name in pictures.LATERAL_STATES if name in rows and name in result.table]
+    rows, names = replay_rows(result.replay, horizon), list(measured_states(result))
     if not names:
         return ""
     key = [("measured", "measured", ""), ("blue", "replayed", "")]
     key += [("sky", "95 % band", "area")] if f"{names[0]}_std" in rows else []
     span = span if span is not None and rows["time"].between(*span).any() else None
-    columns = {} if span is None else {_seconds(span): pictures.state_panels(result, horizon, span, detail.n_bins)}
-    columns["Whole flight"] = pictures.state_panels(result, horizon, None, detail.n_bins)
+    columns = _close_and_whole(span, lambda span: pictures.state_panels(result, horizon, span, detail.n_bins))
     caption = (
         f"States integrated from the estimated coefficients, restarted from the measured state every "
         f"{number(horizon, 'g')}{THIN}s; lines break there."
@@ -211,7 +198,7 @@ def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
     caption += _still(" Marks at the upper edge show where.")
     if span is not None:
         caption += _still(" First the same seconds as of the coefficients, then the whole flight.")
-    return _columns(columns, key, caption, views.state_chart(result, horizon, span, detail.every))
+    return _columns(columns, key, caption, charts.state_chart(result, horizon, span, detail.every))
 
 
 def _calibration(result: FlightResult) -> str:
@@ -234,9 +221,8 @@ def coupling(content: ReportContent) -> str:
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
 
 
-def envelope(content: ReportContent) -> str:
-    """Return where the samples are, and what the model does not know around them."""
-    display = content.envelope
+def envelope(display: EnvelopeDisplay) -> str:
+    """Return where the samples are, and where around them the model is uncertain."""
     key = [("grey", "95 % and half of the samples learned from", "area"), ("blue", "relative uncertainty", "")]
     key += [("grey", "above 0.5: hardly known", "hatch")]
     key += [("vermillion", "test flights", "•")] if display.path is not None else []
@@ -259,18 +245,18 @@ def flown(content: ReportContent, detail: Detail) -> str:
     for k, name in enumerate(flights):
         key = [(_color(k), name, "")]
         panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
-        chart = views.input_chart(flights[name], name, links[name], _color(k), detail.every)
+        chart = charts.input_chart(flights[name], name, links[name], _color(k), detail.every)
         parts.append(_figure(panels, f"Inputs of {text(name)}.", key, chart))
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:
         key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
-        panels = pictures.path_panels(tracked)
+        paths = pictures.path_panels(tracked)
         caption = "Path over the ground, north up; the flight's marker shows where it begins."
-        caption += " First coloured by flight, then by altitude [m], on the same axes." if len(panels) > 1 else ""
+        caption += " First coloured by flight, then by altitude [m], on the same axes." if len(paths) > 1 else ""
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
-        figure = _columns({head: [panel] for head, panel in panels.items()}, key, caption)
-        parts.append(f'<div class="map">{figure}{views.flight_tracks(tracked, links)}</div>')
+        figure = _columns({head: [panel] for head, panel in paths.items()}, key, caption)
+        parts.append(f'<div class="map">{figure}{charts.flight_tracks(tracked, links)}</div>')
     return "".join([*parts, "</section>"])
 
 
@@ -278,7 +264,7 @@ def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
     pairs = [(f"{record.name} (train)", record.table) for record in content.train]
     pairs += [(f"{result.name} (test)", result.table) for result in content.test if result.table is not None]
-    tables = {}
+    tables: dict[str, pd.DataFrame] = {}
     for name, table in pairs:
         twins = sum(other == name or other.startswith(f"{name} no. ") for other in tables)
         tables[f"{name} no. {twins + 1}" if twins else name] = table
@@ -309,8 +295,10 @@ def _color(k: int) -> str:
     return _FLIGHT_COLORS[k % len(_FLIGHT_COLORS)]
 
 
-def _seconds(span) -> str:
-    return f"{number(span[0], '.0f')} to {number(span[1], '.0f')}{THIN}s"
+def _close_and_whole(span, panels) -> dict[str, list[str]]:
+    """Return the panels of the span, if there is one, and of the whole flight, by their headings."""
+    close = {} if span is None else {f"{number(span[0], '.0f')} to {number(span[1], '.0f')}{THIN}s": panels(span)}
+    return close | {"Whole flight": panels(None)}
 
 
 def _key(entries) -> str:
@@ -322,12 +310,12 @@ def _key(entries) -> str:
 
 
 def _sample(kind: str) -> str:
-    """Return what stands before a name: a line (""), an area, a hatched one, or a marker's sign."""
+    """Return the sample before a name: a line (""), an area, a hatched area, or the sign of a marker."""
     return f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
 
 
 def _still(words: str) -> str:
-    """Return words about the pictures that stand where no chart is."""
+    """Return words on the pictures, shown where no chart is."""
     return f'<span class="still">{words}</span>'
 
 
@@ -344,7 +332,7 @@ def _columns(columns: dict[str, list[str]], key, caption: str, chart: str = "") 
 
 
 def _framed(still: str, caption: str, chart: str) -> str:
-    """Return a figure: what stands still, and the samples that a script makes a chart of in its place."""
+    """Return a figure: pictures, and the samples of which a script makes a chart in their place."""
     if chart:
         return (
             f'<figure class="chart"><div class="static">{still}</div>{chart}<figcaption>{caption}</figcaption></figure>'

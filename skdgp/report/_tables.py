@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
+from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
 from skdgp.plotting._style import display_unit
 
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
 HONEST = (0.90, 0.99)
-"""Coverage of a 95 % interval that is not remarked on."""
-
+"""Coverage of a 95 % interval that is not marked."""
 THIN = "\u202f"
 DASH = "–"
 
@@ -68,28 +69,43 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, c
     return "".join(lines)
 
 
+class Score(NamedTuple):
+    """A column of the tables of errors: its function in skdgp.metrics, heading and format."""
+
+    function: Callable
+    head: str
+    show: Callable[[float], str]
+    of_band: bool = False
+    """Whether the function needs the standard deviations."""
+
+
+SCORES = {
+    "normalized_rmse": Score(normalized_rmse, "NRMSE", lambda value: number(value, ".3f")),
+    "median_relative_error": Score(median_relative_error, "median rel.<br>error [%]", percent),
+    "negative_log_predictive_density": Score(negative_log_predictive_density, "NLPD", number, of_band=True),
+    "interval_coverage": Score(interval_coverage, "95 %<br>coverage [%]", coverage, of_band=True),
+}
+"""By the names of skdgp.metrics; one more line is one more column of the report."""
+
+
 def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_bands: bool = True) -> str:
-    """Return errors by coefficient, grouped, with the mean of each group; ``with_bands``: and how honest bands are."""
-    head = ["", "NRMSE", "median rel.<br>error [%]", *(["NLPD", "95 %<br>coverage [%]"] if with_bands else [])]
-    head += [] if noise_std is None else ["noise σ<br>[10<sup>−3</sup>]"]
-    noise = None if noise_std is None else dict(zip(COEFFICIENTS, noise_std, strict=True))
+    """Return errors by coefficient, grouped, with the mean of each group; those of bands only ``with_bands``."""
+    columns = {name: score for name, score in SCORES.items() if with_bands or not score.of_band}
+
+    def cells(row):
+        return [score.show(row[name]) for name, score in columns.items()]
+
+    head = ["", *(score.head for score in columns.values())]
+    noise = {} if noise_std is None else dict(zip(COEFFICIENTS, noise_std, strict=True))
+    head += ["noise σ<br>[10<sup>−3</sup>]"] if noise else []
     rows = []
     for group, members in GROUPS.items():
         rows.append([group])
-        rows += [[symbol(name), *_cells(scores.loc[name], with_bands), *_noise(noise, name)] for name in members]
-        mean = scores.loc[list(members)].mean()
-        rows.append(["<em>mean</em>", *_cells(mean, with_bands), *([""] if noise else [])])
+        for name in members:
+            last = [number(1e3 * noise[name], "#.2g")] if noise else []
+            rows.append([symbol(name), *cells(scores.loc[name]), *last])
+        rows.append(["<em>mean</em>", *cells(scores.loc[list(members)].mean()), *([""] if noise else [])])
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
-
-
-def _cells(row: pd.Series, with_bands: bool) -> list[str]:
-    errors = [number(row["normalized_rmse"], ".3f"), percent(row["median_relative_error"])]
-    bands = [number(row["negative_log_predictive_density"]), coverage(row["interval_coverage"])]
-    return errors + bands * with_bands
-
-
-def _noise(noise, name: str) -> list[str]:
-    return [] if noise is None else [number(1e3 * noise[name], "#.2g")]
 
 
 _REPLAY_CAPTION = (
@@ -100,21 +116,25 @@ _REPLAY_CAPTION = (
 )
 
 
+_REPLAY_COLUMNS = {
+    "median": ("median<br>error", lambda value, factor: number(factor * value, "#.3g")),
+    "at_end": ("error at the<br>window's end", lambda value, factor: number(factor * value, "#.3g")),
+    "coverage": ("95 %<br>coverage [%]", lambda value, _: percent(value)),
+}
+"""By column of `skdgp.dynamics.replay_errors`: heading, and format of a value [SI] and the factor to the unit shown."""
+
+
 def replay_table(errors: pd.DataFrame) -> str:
     """Return the errors of the replayed states by horizon, in the units shown."""
-    with_bands = "coverage" in errors.columns
-    head = ["", "unit", "median<br>error", "error at the<br>window's end", *(["95 %<br>coverage [%]"] * with_bands)]
+    columns = {name: column for name, column in _REPLAY_COLUMNS.items() if name in errors}
     rows = []
-    for horizon, of_one in errors.groupby("horizon"):
+    for horizon in np.unique(errors["horizon"]):
         rows.append([f"Restarted every {number(horizon, 'g')}{THIN}s"])
-        rows += [_replay_row(row, with_bands) for row in of_one.itertuples()]
+        for _, row in errors[errors["horizon"] == horizon].iterrows():
+            factor, unit = display_unit(row["state"])
+            rows.append([state(row["state"]), unit, *(show(row[name], factor) for name, (_, show) in columns.items())])
+    head = ["", "unit", *(head for head, _ in columns.values())]
     return table(head, rows, caption=_REPLAY_CAPTION, classes="numbers narrow")
-
-
-def _replay_row(row, with_bands: bool) -> list[str]:
-    factor, unit = display_unit(row.state)
-    sizes = [number(factor * value, "#.3g") for value in (row.median, row.at_end)]
-    return [state(row.state), unit, *sizes, *([percent(row.coverage)] if with_bands else [])]
 
 
 def state(name: str) -> str:

@@ -1,8 +1,143 @@
+"use strict";
 // Charts of samples against time: zoom, pan, read values. Charts of one link share the visible time and the cursor.
 
+const BAND_ROOM = 0.6; // a band widens the vertical axis by at most this part of the lines' own range
+const GAP = 5; // a step longer than this many usual ones breaks the lines
 const LEFT = 46, RIGHT = 6, TOP = 4, HEIGHT = 118, AXIS = 30; // [px] of a panel
 const FEWEST = 8; // samples that remain visible
 const links = new Map(); // name -> {begin, end, low, high, cursor, charts, spans, tracks}
+
+const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+
+// ---- samples ------------------------------------------------------------------------------------
+
+async function unpack(spec) {
+  const packed = Uint8Array.from(atob(spec.data), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  let at = 0;
+  return spec.columns.map(([low, step, size]) => column(bytes.subarray(at, (at += spec.n * size)), spec.n, low, step));
+}
+
+// Differences of counts, all first bytes first; a count of 0 is a hole.
+function column(bytes, n, low, step) {
+  const values = new Float64Array(n), size = bytes.length / n;
+  for (let i = 0, count = 0; i < n; i++) {
+    for (let k = 0; k < size; k++) count += bytes[k * n + i] * 256 ** k;
+    count %= 256 ** size;
+    values[i] = count ? low + (count - 1) * step : NaN;
+  }
+  return values;
+}
+
+// Where a line must not come from the sample before.
+function cuts(time, window) {
+  const steps = Float64Array.from(time.subarray(1), (t, i) => t - time[i]).sort();
+  const longest = GAP * steps[steps.length >> 1];
+  return Uint8Array.from(time, (t, i) =>
+    i === 0 || t - time[i - 1] > longest || (window !== null && window[i] !== window[i - 1]));
+}
+
+// The first index whose time is not before t.
+function index(time, t) {
+  let low = 0, high = time.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (time[middle] < t) low = middle + 1; else high = middle;
+  }
+  return low;
+}
+
+function nearest(time, t) {
+  const after = Math.min(index(time, t), time.length - 1);
+  return after > 0 && t - time[after - 1] < time[after] - t ? after - 1 : after;
+}
+
+// ---- numbers ------------------------------------------------------------------------------------
+
+function ticks(low, high, most) {
+  const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough);
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++)
+    found.push([k * step, minus((k * step).toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1"))]);
+  return found;
+}
+
+const minus = (words) => words.replace("-", "−");
+
+function written(value, step) {
+  if (Number.isNaN(value)) return "–";
+  const digits = Math.min(8, Math.max(0, Math.ceil(2.5 - Math.log10(step || 1))));
+  return minus(value.toFixed(digits));
+}
+
+// ---- drawing ----------------------------------------------------------------------------------------
+
+// Fit the vertical axis to the lines; a band wider than that runs out of the picture.
+function limits(shown) {
+  const range = (some) => {
+    const cells = some.flatMap((one) => one.strokes.flat());
+    return [Math.min(...cells.map((cell) => cell.low)), Math.max(...cells.map((cell) => cell.high))];
+  };
+  const lines = shown.filter((one) => one.std === null), bands = shown.filter((one) => one.std !== null);
+  let [low, high] = range(lines.length ? lines : bands);
+  const room = BAND_ROOM * (high - low), [below, above] = range(bands);
+  [low, high] = [Math.min(low, Math.max(low - room, below)), Math.max(high, Math.min(high + room, above))];
+  if (!(low <= high)) [low, high] = [0, 1];
+  const margin = 0.05 * (high - low) || Math.abs(high) * 1e-3 || 1;
+  return [low - margin, high + margin];
+}
+
+function drawLine(pen, one, x, y) {
+  pen.strokeStyle = color(one.color);
+  pen.fillStyle = pen.strokeStyle;
+  pen.lineWidth = one.width;
+  pen.lineJoin = "round";
+  pen.setLineDash(one.dashed && !one.wide ? [6, 3] : []);
+  pen.beginPath();
+  for (const stroke of one.strokes) {
+    const [begin] = stroke;
+    if (stroke.length === 1 && begin.low === begin.high) pen.fillRect(x(begin.t) - 1, y(begin.first) - 1, 2, 2);
+    pen.moveTo(x(begin.t), y(begin.first));
+    for (const { t, first, low, high, last } of stroke) {
+      pen.lineTo(x(t), y(first));
+      if (low === high) continue;
+      pen.lineTo(x(t), y(low));
+      pen.lineTo(x(t), y(high));
+      pen.lineTo(x(t), y(last));
+    }
+  }
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+// Draw along one edge of a stroke's cells, "low" or "high".
+function follow(pen, cells, edge, x, y, join = false) {
+  cells.forEach((cell, k) => (k || join ? pen.lineTo(x(cell.t), y(cell[edge])) : pen.moveTo(x(cell.t), y(cell[edge]))));
+}
+
+function drawEdges(pen, one, x, y) {
+  pen.strokeStyle = color(one.color);
+  pen.lineWidth = 1.2;
+  pen.beginPath();
+  for (const stroke of one.strokes) for (const edge of ["high", "low"]) follow(pen, stroke, edge, x, y);
+  pen.stroke();
+}
+
+function drawBand(pen, one, x, y) {
+  pen.fillStyle = color(one.color);
+  pen.globalAlpha = 0.45;
+  pen.beginPath();
+  for (const stroke of one.strokes) {
+    follow(pen, stroke, "high", x, y);
+    follow(pen, [...stroke].reverse(), "low", x, y, true);
+    pen.closePath();
+  }
+  pen.fill();
+  pen.globalAlpha = 1;
+}
 
 // ---- page ---------------------------------------------------------------------------------------
 
@@ -63,55 +198,57 @@ class Chart {
     ];
     this.clock = element("span", { class: "clock" });
     const names = new Map(spec.panels.flatMap((panel) => panel.series.map((one) => [one.name, one])));
-    const toggles = [...names.values()].map((one) => this.toggle(one));
-    if (spec.panels.every((panel) => panel.base !== null)) toggles.push(this.difference());
+    const toggles = [...names.values()].map((one) => this.seriesToggle(one));
+    if (spec.panels.every((panel) => panel.base !== null)) toggles.push(this.differenceToggle());
     this.panels = spec.panels.map((panel) => this.panel(panel));
     this.thumb = element("div", { class: "thumb" });
     this.track = element("div", { class: "track", "aria-hidden": "true" }, this.thumb);
     this.grid = element("div", {
-      class: "grid", tabindex: "0", role: "group", "aria-label": `${spec.title}: interactive chart`,
-      style: `--rows: ${Math.ceil(spec.panels.length / 2)}`,
+      class: spec.panels.length < 4 ? "grid one" : "grid", tabindex: "0", role: "group",
+      "aria-label": `${spec.title}: interactive chart`, style: `--rows: ${Math.ceil(spec.panels.length / 2)}`,
     }, ...this.panels.map((panel) => panel.box));
-    if (spec.panels.length < 4) this.grid.classList.add("one");
     this.spoken = element("p", { class: "unseen", "aria-live": "polite" });
-    const touch = matchMedia("(hover: none)").matches;
-    this.hint = element("p", { class: "hint" }, touch
-      ? "Touch to read values, swipe sideways to move, pinch to zoom."
-      : "Point to read values. Drag over the seconds to see closer, drag the bar or turn the wheel with Ctrl to move "
-        + "on and zoom, double-click for the whole flight; keys: ← → + − 0.",
-      spec.every > 1 ? ` Of each ${2 * spec.every} samples the lowest and the highest are kept.` : "");
     this.live = element("div", { class: "live" },
       element("div", { class: "tools" }, element("div", { class: "spans" }, ...this.spans.map((one) => one.made)),
-        element("div", { class: "steps" }, ...steps), this.clock),
-      ...(spec.panels.some((panel) => panel.series.length > 1) ? [element("div", { class: "toggles", role: "group", "aria-label": "What is drawn" },
-        ...toggles)] : []),
-      this.grid, this.track, ...(figure === document.querySelector("figure.chart") ? [this.hint] : []), this.spoken);
+        element("div", { class: "steps" }, ...steps), this.clock));
+    if (spec.panels.some((panel) => panel.series.length > 1))
+      this.live.append(element("div", { class: "toggles", role: "group", "aria-label": "What is drawn" }, ...toggles));
+    this.live.append(this.grid, this.track);
+    if (figure === document.querySelector("figure.chart")) this.live.append(this.hint());
+    this.live.append(this.spoken);
     figure.prepend(this.live);
     figure.classList.add("on");
   }
 
-  toggle(one) {
-    const mark = element("i", { class: one.std === null ? "" : "area", style: `color: var(--${one.color})` });
-    const made = element("button", { type: "button", "aria-pressed": "true" }, mark, one.name);
+  hint() {
+    const { every } = this.spec;
+    return element("p", { class: "hint" }, matchMedia("(hover: none)").matches
+      ? "Touch to read values, swipe sideways to move, pinch to zoom."
+      : "Point to read values. Drag over the seconds to see closer, drag the bar or turn the wheel with Ctrl to move "
+        + "on and zoom, double-click for the whole flight; keys: ← → + − 0.",
+      every > 1 ? ` Of each ${2 * every} samples the lowest and the highest are kept.` : "");
+  }
+
+  // A button that stays pressed; act changes what is shown and returns whether it is pressed.
+  toggle(attributes, act, ...label) {
+    const made = element("button", { type: "button", ...attributes }, ...label);
     made.addEventListener("click", () => {
-      const shown = this.hidden.delete(one.name);
-      if (!shown) this.hidden.add(one.name);
-      made.setAttribute("aria-pressed", String(shown));
+      made.setAttribute("aria-pressed", String(act()));
       this.stale();
     });
     return made;
   }
 
-  // What is left over when the estimate is taken away: the clearer picture of a long record.
-  difference() {
-    const made = button("less estimate", "Show everything relative to the estimate", () => {
-      this.relative = !this.relative;
-      made.setAttribute("aria-pressed", String(this.relative));
-      this.stale();
-    });
-    made.setAttribute("aria-pressed", "false");
-    made.classList.add("way");
-    return made;
+  seriesToggle(one) {
+    const mark = element("i", { class: one.std === null ? "" : "area", style: `color: var(--${one.color})` });
+    const flip = () => this.hidden.delete(one.name) || !this.hidden.add(one.name);
+    return this.toggle({ "aria-pressed": "true" }, flip, mark, one.name);
+  }
+
+  // Shows the residuals: clearer on a long record.
+  differenceToggle() {
+    const attributes = { "aria-pressed": "false", class: "way", title: "Show everything relative to the estimate" };
+    return this.toggle(attributes, () => (this.relative = !this.relative), "less estimate");
   }
 
   // The i-th value of a series as it is shown.
@@ -306,9 +443,9 @@ class Chart {
   }
 
   speak() {
-    const told = this.panels.map((panel) => `${panel.box.querySelector("b").textContent}: ` +
+    const lines = this.panels.map((panel) => `${panel.box.querySelector("b").textContent}: ` +
       [...panel.value.children].map((one) => one.textContent).join(", "));
-    this.spoken.textContent = this.clock.textContent ? `${this.clock.textContent}. ${told.join(". ")}` : "";
+    this.spoken.textContent = this.clock.textContent ? `${this.clock.textContent}. ${lines.join(". ")}` : "";
   }
 
   // ---- hands ----
@@ -446,3 +583,52 @@ class Chart {
     for (const name of ["pointerup", "pointercancel"]) track.addEventListener(name, done, { once: true });
   }
 }
+
+// ---- maps ---------------------------------------------------------------------------------------
+
+// Marks on the maps the place where a flight was at the cursor.
+class Track {
+  constructor(map, { link, time, east, north }) {
+    Object.assign(this, { link: links.get(link), time, east, north });
+    this.marks = [...map.querySelectorAll("svg[data-map]")].map((svg) => {
+      const mark = document.createElementNS(map.querySelector("svg").namespaceURI, "circle");
+      mark.setAttribute("class", "place");
+      mark.setAttribute("r", "4");
+      mark.setAttribute("visibility", "hidden");
+      svg.append(mark);
+      return { mark, scale: svg.dataset.map.split(" ").map(Number) };
+    });
+    this.link.tracks.push(this);
+  }
+
+  read() {
+    const { time } = this, { cursor } = this.link;
+    const known = cursor !== null && cursor >= time[0] && cursor <= time[time.length - 1];
+    const k = known ? Math.min(Math.max(index(time, cursor), 1), time.length - 1) : 1;
+    const part = (cursor - time[k - 1]) / (time[k] - time[k - 1]);
+    const place = (values) => values[k - 1] + part * (values[k] - values[k - 1]);
+    for (const { mark, scale: [a, b, c, d] } of this.marks) {
+      mark.setAttribute("visibility", known ? "visible" : "hidden");
+      mark.setAttribute("cx", known ? a + b * place(this.east) : 0);
+      mark.setAttribute("cy", known ? c + d * place(this.north) : 0);
+    }
+  }
+}
+
+// ---- begin --------------------------------------------------------------------------------------
+
+async function begin() {
+  if (!("DecompressionStream" in window)) return; // the pictures remain
+  for (const figure of document.querySelectorAll("figure.chart")) {
+    const holder = figure.querySelector('script[type="application/json"]');
+    const spec = JSON.parse(holder.textContent);
+    const chart = new Chart(figure, spec, await unpack(spec));
+    chart.draw();
+  }
+  for (const map of document.querySelectorAll(".map"))
+    for (const track of JSON.parse(map.querySelector('script[type="application/json"]').textContent))
+      if (links.has(track.link) && track.time.length > 1) new Track(map, track);
+  document.documentElement.dataset.charts = "ready";
+}
+
+begin();

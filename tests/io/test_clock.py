@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from skdgp._flight.frames import euler_to_quaternion, quaternion_to_euler, without_sign_changes
-from skdgp.io._autopilot.resample import resample, sampling_rate, uniform_clock
-from skdgp.io._autopilot.stamps import clock_parts
-from skdgp.io._autopilot.topics import Topic
+from skdgp.io._autopilot.clock import clock_parts, resample, sampling_rate, uniform_clock
+from skdgp.io._autopilot.formats import Topic
 
 
 def topic(time, order=None):

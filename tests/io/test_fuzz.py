@@ -72,7 +72,7 @@ def survives(path, n_bytes):
         warnings.simplefilter("ignore", FlightDataWarning)
         warnings.filterwarnings(
             "ignore", "Unknown columns|Infinite values|.* repeat the row", UserWarning
-        )  # said of what was damaged
+        )  # warnings of damage
         try:
             options = {"airborne": False, "imu_position": [0.1, 0.0, -0.2]}
             table = read_flight(path, **(options if path.suffix in AUTOPILOTS else {}))

@@ -1,4 +1,4 @@
-"""What is said of a log: what it holds, where from, and what it lacks for which step."""
+"""What a log holds, its sources, and what each step lacks."""
 
 import json
 from types import SimpleNamespace

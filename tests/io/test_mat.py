@@ -7,7 +7,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from skdgp.io import FlightReadError, inspect_log, read_flight
-from skdgp.io._mat5 import parse_mat5
+from skdgp.io._mat import parse_mat5
 
 TIME = np.arange(50) * 0.02
 VECTORS = {"time": TIME, "alpha": 0.1 * np.sin(TIME), "airspeed": 20 + TIME, "my_sensor": TIME**2}

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from skdgp.io._autopilot import autopilot as _autopilot
-from skdgp.io._autopilot import rules as _rules
+from skdgp.io import EQUIVALENT, QUATERNION
+from skdgp.io._autopilot import dataflash, ulog
 from skdgp.io._autopilot.servos import read_servos
 
 PAGE = (Path(__file__).parents[2] / "docs" / "autopilot_logs.md").read_text(encoding="utf-8")
@@ -30,8 +30,6 @@ def test_the_code_runs(tmp_path, monkeypatch, ulog, flight):
     log.topic("rpm", t, indicated_frequency_rpm=("float", flight["propeller_speed"](t)))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sortie.ulg").write_bytes(bytes(log))
-    monkeypatch.setitem(_autopilot.READERS, ".lines", None)  # taken away again after the test
-    monkeypatch.setitem(_rules.RULES, "Lines", None)
     names = {}
     for block in blocks("python"):
         exec(compile(block, "autopilot_logs.md", "exec"), names)
@@ -45,17 +43,17 @@ def test_the_servo_file_is_one(tmp_path):
     assert servos["aileron"].channel == "actuator_outputs.output[0]"
 
 
-@pytest.mark.parametrize("rules", [_rules.PX4, _rules.ARDUPILOT], ids=["px4", "ardupilot"])
+@pytest.mark.parametrize("rules", [ulog.RULES, dataflash.RULES], ids=["px4", "ardupilot"])
 def test_every_rule_stands_in_the_table(rules):
     table = PAGE.split("## Where each column is from")[1].split("## ")[0]
     rows = [line.split("|")[1:4] for line in table.splitlines() if line.startswith("| ")]
-    place = 1 if rules is _rules.PX4 else 2
-    told = {name: row[place] for row in rows for name in re.split(r"[ ,]+", row[0].strip())}
-    names = {_rules.EQUIVALENT: "airspeed", **dict.fromkeys(_rules.QUATERNION, "phi")}
+    place = 1 if rules is ulog.RULES else 2
+    sources_of = {name: row[place] for row in rows for name in re.split(r"[ ,]+", row[0].strip())}
+    names = {EQUIVALENT: "airspeed", **dict.fromkeys(QUATERNION, "phi")}
     for rule in rules:
         for column in rule.columns:
-            assert f"`{rule.topic}`" in told[names.get(column, column)], (column, rule.topic)
-    for name, cell in told.items():
+            assert f"`{rule.topic}`" in sources_of[names.get(column, column)], (column, rule.topic)
+    for name, cell in sources_of.items():
         sources = {rule.topic for rule in rules for column in rule.columns if names.get(column, column) == name}
         if sources:
             assert set(re.findall(r"`(\w+)`", cell)) == sources or name in ("theta", "psi", "alpha", "beta"), name

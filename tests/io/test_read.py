@@ -1,4 +1,4 @@
-"""Reading flights: what goes in comes out in SI, and what cannot be read is said clearly."""
+"""Reading flights: tables come out in SI, and errors name the place and the remedy."""
 
 import builtins
 

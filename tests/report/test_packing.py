@@ -7,15 +7,14 @@ import zlib
 import numpy as np
 import pytest
 
-from skdgp.report._charts import Chart, Panel, Series, chart
-from skdgp.report._packing import LEVELS, pack, thinned
+from skdgp.report._charts import LEVELS, Panel, Series, chart, pack, thinned
 
 
-def unpacked(low, step, data):
+def unpacked(scale, data):
     """Undo the packing, from its description."""
-    folded = np.frombuffer(data, np.uint8).reshape(4, -1).astype(np.int64)
-    folded = folded[0] + 256 * folded[1] + 65536 * folded[2] + 16777216 * folded[3]
-    count = np.cumsum(np.where(folded % 2, -(folded + 1) // 2, folded // 2))
+    low, step, size = scale
+    planes = np.frombuffer(data, np.uint8).reshape(size, -1).astype(np.int64)
+    count = np.cumsum(256 ** np.arange(size) @ planes) % 256**size
     return np.where(count == 0, np.nan, low + (count - 1) * step)
 
 
@@ -58,9 +57,9 @@ def test_thinning_keeps_every_extreme(every, n):
             assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(group), np.nanmax(group))
 
 
-def one_panel(time, **series):
-    panel = Panel(title="", label="a", unit="", series=[Series(name="a", color="blue", **series)])
-    return Chart(title="a", link="</script>", time=time, panels=[panel])
+def one_panel(time, every=1, **series):
+    panel = Panel("", "a", "", [Series("a", "blue", **series)])
+    return chart("a", "</script>", time, [panel], every=every)
 
 
 def spec_of(html):
@@ -72,10 +71,14 @@ def test_every_column_of_a_chart_is_as_long_as_its_time(every):
     n = 1003
     time = np.arange(n) / 40.0
     values = np.sin(time)
-    spec = spec_of(chart(one_panel(time, values=values, std=0.1 + 0 * time), every=every))
+    spec = spec_of(one_panel(time, every, values=values, std=0.1 + 0 * time))
     data = zlib.decompress(base64.b64decode(spec["data"]))
-    assert len(data) == 4 * spec["n"] * len(spec["columns"])
-    columns = [unpacked(*scale, data[4 * k * spec["n"] :][: 4 * spec["n"]]) for k, scale in enumerate(spec["columns"])]
+    ends = np.cumsum([spec["n"] * size for *_, size in spec["columns"]])
+    assert len(data) == ends[-1]
+    columns = [
+        unpacked(scale, data[end - spec["n"] * scale[2] : end])
+        for scale, end in zip(spec["columns"], ends, strict=True)
+    ]
     assert spec["n"] == pytest.approx(n / every, abs=2)
     assert np.abs(columns[0] - time[::every][: spec["n"]]).max() < 1e-4
     # A thinned value is one of its neighbourhood.
@@ -83,11 +86,11 @@ def test_every_column_of_a_chart_is_as_long_as_its_time(every):
 
 
 def test_names_do_not_end_the_element():
-    html = chart(one_panel(np.arange(3.0), values=np.zeros(3)))
+    html = one_panel(np.arange(3.0), values=np.zeros(3))
     assert html.count("</script>") == 1
     assert spec_of(html)["link"] == "</script>"
 
 
 @pytest.mark.parametrize("time", [[0.0], [0.0, 1.0, 1.0], [0.0, 2.0, 1.0]])
 def test_no_chart_where_time_does_not_go_on(time):
-    assert chart(one_panel(np.array(time), values=np.zeros(len(time)))) == ""
+    assert one_panel(np.array(time), values=np.zeros(len(time))) == ""

@@ -17,10 +17,11 @@ from skdgp.metrics import interval_coverage, median_relative_error, normalized_r
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
 from skdgp.report import _write as write_module
+from skdgp.report._charts import thinning
 from skdgp.report._pictures import time_slices
 from skdgp.report._sections import Detail, flown_tables
 from skdgp.report._sections import flight as flight_section
-from skdgp.report._views import thinning
+from skdgp.report._tables import SCORES, Score
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 
@@ -291,6 +292,13 @@ class TestWords:
         page = Page(render_report(content(test=[result(metrics=given)])))
         assert "43.2" in page.words
         assert "against truth" not in page.words
+
+    def test_one_line_is_one_more_column(self, numbers_only, monkeypatch):
+        score = Score(lambda y_true, y_pred, multioutput: np.full(6, 0.777), "mean error", "{:.4f}".format)
+        monkeypatch.setitem(SCORES, "mean_error", score)
+        words = Page(render_report(content())).words
+        assert words.count("mean error") == 2  # against measured values and against truth
+        assert words.count("0.7770") == 2 * (6 + 2)  # coefficients and means of their groups
 
     def test_marks_dishonest_bands(self, numbers_only):
         flight = result()

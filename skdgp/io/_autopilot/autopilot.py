@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,25 +11,30 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.smoothing import differentiate
-from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, gaps, to_table
+from skdgp.io._autopilot.clock import clock_parts, gaps
+from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to_table
 from skdgp.io._autopilot.dataflash import read_dataflash
-from skdgp.io._autopilot.rules import RULES
-from skdgp.io._autopilot.segments import find_segments, no_flight_because, threshold, trimmed
+from skdgp.io._autopilot.formats import Log, Topic
 from skdgp.io._autopilot.servos import read_servos
-from skdgp.io._autopilot.stamps import clock_parts
-from skdgp.io._autopilot.topics import Log, Topic
 from skdgp.io._autopilot.ulog import read_ulog
 from skdgp.io._errors import FlightReadError
 
-READERS = {".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash}
-"""By suffix: add a reader of another format here, and its rules in ``_rules``."""
+AUTOPILOTS: dict[str, Callable[[Path], Log]] = {".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash}
+"""Readers of logs by suffix; another format is one more entry."""
 RATE_CUTOFF = 0.2
 """Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
+AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0
+"""Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
+LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0
+"""Slower for less than this is still flight [s]; faster for less than this is none [s]."""
+LONGEST_EDGE = 1.0
+"""Channels begin and end within this of each other [s]."""
+NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
 
 
 @dataclass(frozen=True)
 class Part:
-    """What stands between two restarts of the clock."""
+    """Part of a log between two restarts of its clock."""
 
     topics: dict[str, Topic]
     sources: list[Source]
@@ -38,7 +44,7 @@ class Part:
 
 @dataclass(frozen=True)
 class FlightLog:
-    """A log, its parts, where columns come from, and what was wrong."""
+    """A log on one clock: its parts, the origin of each column, and remarks."""
 
     log: Log
     parts: list[Part]
@@ -48,36 +54,24 @@ class FlightLog:
 
 
 def read_log(path: Path) -> Log:
-    """Read a log of an autopilot as it is.
-
-    Raises
-    ------
-    FlightReadError
-        If the file cannot be read as what its suffix says.
-    FileNotFoundError
-        If there is no such file.
-    """
+    """Return a log of an autopilot as it is."""
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    return READERS[path.suffix.lower()](path)
+    return AUTOPILOTS[path.suffix.lower()](path)
 
 
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
-    """Read a log onto one clock.
-
-    Raises
-    ------
-    FlightReadError
-        If an option makes no sense, the file cannot be read, or it tells nothing of a flight.
-    """
+    """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     _check_options(rate, airborne, imu_position)
     servos = read_servos(servos)
     with np.errstate(all="ignore"):  # what is damaged may hold any number
         log = read_log(path)
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
-        parts, origin, useless = [], {}, []
-        found = [(some, *find_sources(log, some, RULES[log.kind], servos)) for some in topics]
+        parts: list[Part] = []
+        origin: dict[str, Origin] = {}
+        useless: list[str] = []
+        found = [(some, *find_sources(log, some, servos)) for some in topics]
         for some, sources, unused in [each for each in found if each[1]] or found[:1]:
             useless += unused
             clock, chosen = follow(sources, rate)
@@ -86,18 +80,12 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
             if imu_position is not None:
                 table = at_centre_of_gravity(table, imu_position, chosen)
             parts.append(Part(some, sources, table, find_segments(table, log, some, speed)))
-    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_told_gaps(parts)]
+    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_gap_remarks(parts)]
     return FlightLog(log, parts, origin, speed, remarks)
 
 
 def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
-    """Return the flights of a log one after another, named apart: name, name#2, ...
-
-    Raises
-    ------
-    FlightReadError
-        If there is none.
-    """
+    """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
     if airborne is False:
         pieces = [part.table for part in flown.parts if len(part.table)]
     else:
@@ -134,8 +122,85 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
     return table.assign(**dict(zip(names, (table[names].to_numpy() - extra).T, strict=True)))
 
 
-def _told_gaps(parts):
-    """Say the longest gap of each topic that has some."""
+def threshold(log: Log, airborne: bool | float) -> float:
+    """Return the airspeed [m/s] above which the aircraft is airborne."""
+    if airborne is not True:
+        return float(airborne)
+    return AIRBORNE_SHARE * log.slowest_airspeed if 0 < log.slowest_airspeed < 200 else AIRBORNE_SPEED
+
+
+def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
+    """Return the rows of each flight: airspeed above a speed, and not reported as landed.
+
+    Without an airspeed the speed over ground is used, unless the vehicle has no wings.
+    """
+    fast = _speed(table, log) > speed
+    landed = _landed(table["time"].to_numpy(), log, topics)
+    if landed is not None:
+        fast &= ~landed
+    time = table["time"].to_numpy()
+    runs = _runs(fast, time)
+    joined = runs[:1]
+    for a, b in runs[1:]:
+        if time[a] - time[joined[-1][1] - 1] < LONGEST_DIP:
+            joined[-1][1] = b
+        else:
+            joined.append([a, b])
+    return [slice(a, b) for a, b in joined if time[b - 1] - time[a] >= SHORTEST_FLIGHT]
+
+
+def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight without rows at its ends, up to a second of them, where slow channels have no value."""
+    time, known = flight["time"].to_numpy(), flight.notna().to_numpy()
+    known = known[:, known.any(axis=0)]
+    begins, ends = time[known.argmax(axis=0)], time[len(time) - 1 - known[::-1].argmax(axis=0)]
+    begin = begins[begins <= time[0] + LONGEST_EDGE].max()
+    end = ends[ends >= time[-1] - LONGEST_EDGE].min()
+    return flight[(time >= begin) & (time <= end)]
+
+
+def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
+    """Return why a log holds no flight."""
+    reasons = []
+    if log.vehicle in NOT_FLYING_ON_WINGS:
+        reasons.append(f"the vehicle is a {log.vehicle}")
+    if "airspeed" not in table:
+        reasons.append("there is no valid airspeed")
+    highest = np.nanmax(_speed(table, log), initial=-np.inf)
+    if np.isfinite(highest):
+        what = "airspeed" if "airspeed" in table else "ground speed"
+        reasons.append(f"{what} never stays above {speed:.3g} m/s in the air (highest {highest:.3g} m/s)")
+    return ", ".join(reasons)
+
+
+def _speed(table, log):
+    if "airspeed" in table:
+        return table["airspeed"].to_numpy()
+    velocity = [name for name in ("v_north", "v_east") if name in table]
+    if len(velocity) < 2 or log.vehicle in NOT_FLYING_ON_WINGS:
+        return np.full(len(table), np.nan)
+    return np.hypot(*table[velocity].to_numpy().T)
+
+
+def _landed(time, log, topics):
+    """Return whether the autopilot reported to be landed, (n,), or None where it does not say."""
+    name, field, value = log.landed or ("", "", 0.0)
+    topic = topics.get(name)
+    if topic is None or field not in topic:
+        return None
+    last = np.searchsorted(topic.time, time, side="right") - 1
+    return (topic[field] == value)[np.maximum(last, 0)]
+
+
+def _runs(fast, time):
+    """Return first and past-last rows of runs without a leap of time."""
+    begins = fast & ~np.r_[False, fast[:-1] & (np.diff(time) < LONGEST_DIP)]
+    ends = fast & np.r_[begins[1:] | ~fast[1:], True]
+    return [[int(a), int(b) + 1] for a, b in zip(np.flatnonzero(begins), np.flatnonzero(ends), strict=True)]
+
+
+def _gap_remarks(parts):
+    """Yield a remark on the longest gap of each topic that has some."""
     for part in parts:
         for source in {source.name.split(".")[0]: source for source in part.sources}.values():
             found = gaps(source.time)

@@ -2,51 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import CHANNELS
-from skdgp._flight.clock import GAP
 from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
-from skdgp.io._autopilot.resample import resample, sampling_rate, uniform_clock
-from skdgp.io._autopilot.rules import (
+from skdgp.io._autopilot.clock import resample, sampling_rate, uniform_clock
+from skdgp.io._autopilot.formats import (
     ATTITUDE,
     DENSITY,
     EQUIVALENT,
+    PRESSURE,
     QUATERNION,
+    Log,
     Rule,
-    standard_density,
-    standard_pressure,
+    Topic,
+    density_at,
 )
 from skdgp.io._autopilot.servos import Servo
-from skdgp.io._autopilot.topics import Log, Topic
 from skdgp.io._errors import FlightReadError
 
-SLOW = 5.0
+LEAST_RATE = 5.0
 """A source slower than this [Hz] gives way to a faster one further down."""
-FASTEST = 50.0
+HIGHEST_RATE = 50.0
 """The clock follows the gyros, but not beyond this [Hz]: rigid aircraft and surfaces move slower than 20 Hz."""
-LONG = 0.5
-"""Seconds from which a gap is told."""
 
 
 class Origin(NamedTuple):
-    """Where a column is from, in words, and how often that was sampled [Hz]."""
+    """The source of a column, in words, and its sampling rate [Hz]."""
 
     words: str
     rate: float
 
 
 class Source(NamedTuple):
-    """Where columns come from, their samples, and how many of these are missing."""
+    """Where columns come from, and the valid samples."""
 
     columns: tuple[str, ...]
     name: str
-    time: np.ndarray
-    values: np.ndarray
+    time: Vector
+    values: Matrix
     note: str = ""
 
     @property
@@ -60,11 +60,12 @@ class Source(NamedTuple):
         return sampling_rate(self.time)
 
 
-def find_sources(log: Log, topics: dict[str, Topic], rules, servos: dict[str, Servo]) -> tuple[list[Source], list[str]]:
-    """Return the source of each group of columns, and what stands in the log but is of no use."""
-    part = Log(log.kind, topics, log.parameters, log.firmware, log.vehicle)
-    candidates, useless = {}, []
-    for rule in rules:
+def find_sources(log: Log, topics: dict[str, Topic], servos: dict[str, Servo]) -> tuple[list[Source], list[str]]:
+    """Return the source of each group of columns, and remarks on those that are of no use."""
+    part = replace(log, topics=topics)
+    candidates: dict[tuple[str, ...], list[Source]] = {}
+    useless = []
+    for rule in log.rules:
         source = _source(part, rule)
         if source is None:
             continue
@@ -80,23 +81,16 @@ def find_sources(log: Log, topics: dict[str, Topic], rules, servos: dict[str, Se
     return found + [each for each in surfaces if each.alive], list(dict.fromkeys(useless))
 
 
-def follow(sources: list[Source], rate: float | None) -> tuple[np.ndarray, float]:
-    """Return the clock that the table gets, and its rate [Hz].
-
-    Raises
-    ------
-    FlightReadError
-        If nothing was sampled often enough to follow.
-    """
+def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
+    """Return the clock of the table and its rate [Hz]: those of the gyros, or the next best source."""
     by_column = {name: source for source in sources for name in source.columns}
     leader = next((by_column[name] for name in ("p", "ax", "qw") if name in by_column), None)
     leader = leader or max(sources, key=lambda source: source.rate, default=None)
     if leader is None:
         raise FlightReadError(
-            "Got no message that tells of a flight, but expected rates, accelerations, attitude, airspeed: log "
-            "these topics."
+            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log these topics."
         )
-    rate = rate or float(f"{min(FASTEST, leader.rate):.3g}")
+    rate = rate or float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
     try:
         clock = uniform_clock(leader.time, rate)
     except ValueError as error:
@@ -104,9 +98,10 @@ def follow(sources: list[Source], rate: float | None) -> tuple[np.ndarray, float
     return clock, rate
 
 
-def to_table(sources: list[Source], clock: np.ndarray, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
+def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
-    columns, origin = {"time": clock}, {}
+    columns: dict[str, Vector] = {"time": clock}
+    origin: dict[str, Origin] = {}
     for source in sources:
         values = source.values
         if source.columns == QUATERNION:
@@ -125,24 +120,18 @@ def to_table(sources: list[Source], clock: np.ndarray, rate: float) -> tuple[pd.
     return table, {name: origin[name] for name in table.columns if name in origin}
 
 
-def gaps(time: np.ndarray) -> list[tuple[float, float]]:
-    """Return beginnings and lengths [s] of the gaps between increasing times that are worth telling."""
-    step = np.diff(time)
-    long = np.flatnonzero(step > max(LONG, GAP * np.median(step))) if len(step) else []
-    return [(float(time[i]), float(step[i])) for i in long]
-
-
 def _complete(columns, origin):
-    """Derive density and true airspeed where they were not logged."""
+    """Add density and true airspeed where they were not logged."""
     if "density" not in columns and "altitude" in columns:
-        columns["density"] = standard_density(standard_pressure(columns["altitude"]))
+        lapse = np.maximum(1 - 0.0065 * columns["altitude"] / 288.15, 0.0)  # of the temperature, ISO 2533
+        columns["density"] = density_at(PRESSURE * lapse**5.25588)
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
     if EQUIVALENT in columns:
         equivalent, (words, rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
         known = "density" in columns
         columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if known else equivalent
-        said = "equivalent; true by density" if known else "equivalent, taken for true: density unknown"
-        origin["airspeed"] = Origin(f"{words} ({said})", rate)
+        note = "equivalent; true by density" if known else "equivalent, taken for true: density unknown"
+        origin["airspeed"] = Origin(f"{words} ({note})", rate)
 
 
 def _source(log, rule: Rule) -> Source | None:
@@ -169,29 +158,19 @@ def _surface(log, name, servo: Servo) -> Source:
     topic_name, _, field = servo.channel.partition(".")
     topic = log.topics.get(topic_name)
     if topic is None or field not in topic:
-        moving = [f"{key}.{each}" for key in log.topics if key in CHANNEL_TOPICS for each in log.topics[key].channels()]
+        fields = [f"{key}.{each}" for key in log.topics if key in log.outputs for each in log.topics[key].channels()]
         raise FlightReadError(
             f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one of "
-            f"{[each for each in moving if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
+            f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
         )
     values = servo.deflection(topic[field])
     known = np.isfinite(values)
     return Source((name,), servo.channel, topic.time[known], values[known][:, None], "by the servo file")
 
 
-CHANNEL_TOPICS = (
-    "actuator_servos",
-    "actuator_outputs",
-    "actuator_outputs#1",
-    "actuator_controls_0",
-    "actuator_controls_1",
-    "RCOU",
-)
-
-
 def _preferred(sources):
     """Return the first source that is fast enough, or the first of all."""
-    return next((source for source in sources if source.rate >= SLOW), sources[0])
+    return next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
 
 
 def _joined(fields) -> str:

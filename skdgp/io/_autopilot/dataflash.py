@@ -1,7 +1,8 @@
-"""Reader of ArduPilot DataFlash logs: messages behind two fixed bytes and a type, whose formats are messages.
+"""Logs of ArduPilot (DataFlash): messages behind two fixed bytes and a type, whose formats are messages.
 
 The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. No length in the file
-is trusted: where no message begins, reading goes on at the next two fixed bytes.
+is trusted: where no message begins, reading goes on at the next two fixed bytes. The messages are those of
+https://ardupilot.org/plane/docs/logmessages.html.
 """
 
 from __future__ import annotations
@@ -11,7 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from skdgp.io._autopilot.topics import Log, Topic, instance_name
+from skdgp._flight.frames import euler_to_quaternion
+from skdgp.io._autopilot.formats import (
+    EQUIVALENT,
+    QUATERNION,
+    Log,
+    Rule,
+    ServoChannel,
+    Topic,
+    density_at,
+    instance_name,
+    whole,
+)
 from skdgp.io._errors import FlightReadError
 
 MARK, HEAD = b"\xa3\x95", 3
@@ -32,14 +44,60 @@ VEHICLES = {
 }  # fmt: skip
 
 
-def read_dataflash(path: Path) -> Log:
-    """Read a DataFlash log (``.bin``).
+def _ground_course(values):
+    """Return velocity north, east, down of ground speed, course [deg], velocity down."""
+    speed, course, down = values.T
+    return np.column_stack([speed * np.cos(np.deg2rad(course)), speed * np.sin(np.deg2rad(course)), down])
 
-    Raises
-    ------
-    FlightReadError
-        If it is none, or holds no message with a time.
-    """
+
+def _attitude(degrees):
+    return euler_to_quaternion(*np.deg2rad(degrees).T)
+
+
+def _rpm(values):
+    return values * (np.pi / 30)
+
+
+def _percent(values):
+    return 0.01 * values
+
+
+MODELLED = "estimated on board, not measured by a vane"
+RULES = (
+    Rule(("p", "q", "r"), "IMU", ("GyrX", "GyrY", "GyrZ")),
+    Rule(("ax", "ay", "az"), "IMU", ("AccX", "AccY", "AccZ")),
+    Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
+    Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
+    Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health")),
+    Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
+    Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
+    Rule(("v_north", "v_east", "v_down"), "XKF1", ("VN", "VE", "VD")),
+    Rule(("v_north", "v_east", "v_down"), "NKF1", ("VN", "VE", "VD")),
+    Rule(("v_north", "v_east", "v_down"), "GPS", ("Spd", "GCrs", "VZ"), _ground_course),
+    Rule(("north", "east", "down"), "XKF1", ("PN", "PE", "PD")),
+    Rule(("north", "east", "down"), "NKF1", ("PN", "PE", "PD")),
+    Rule(("altitude",), "POS", ("Alt",)),
+    Rule(("altitude",), "GPS", ("Alt",)),
+    Rule(("density",), "BARO", ("Press",), density_at, note="standard atmosphere at the measured pressure"),
+    Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE")),
+    Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE")),
+    Rule(("throttle",), "CTUN", ("ThO",), _percent),
+    Rule(("throttle",), "CTUN", ("ThrOut",), _percent),
+    Rule(("throttle",), "AETR", ("Thr",), _percent),
+    Rule(("propeller_speed",), "RPM", ("rpm1",), _rpm),
+    Rule(("propeller_speed",), "RPM", ("RPM",), _rpm),
+    Rule(("propeller_speed",), "ESC", ("RPM",), _rpm),
+)
+
+SERVOS = {
+    4: ("aileron", False), 19: ("elevator", True), 21: ("rudder", True),
+    77: ("elevon_left", True), 78: ("elevon_right", True),
+}  # fmt: skip
+"""By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign."""
+
+
+def read_dataflash(path: Path) -> Log:
+    """Return a DataFlash log; raise FlightReadError if it is none or holds no message with a time."""
     data = path.read_bytes()
     if not data.startswith(MARK):
         raise FlightReadError(
@@ -59,16 +117,30 @@ def read_dataflash(path: Path) -> Log:
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
         vehicle = "VTOL"
-    return Log("ArduPilot DataFlash", topics, parameters, firmware, vehicle, tuple(reader.remarks()))
+    speeds = [parameters.get(name, np.nan) for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN")]
+    return Log(
+        kind="ArduPilot DataFlash",
+        topics=topics,
+        rules=RULES,
+        parameters=parameters,
+        firmware=firmware,
+        vehicle=vehicle,
+        remarks=tuple(reader.remarks()),
+        slowest_airspeed=next((speed for speed in speeds if 0 < speed < 200), np.nan),
+        landed=("STAT", "isFlying", 0.0),
+        outputs=("RCOU",),
+        servos=_servos(topics.get("RCOU", ()), parameters),
+    )
 
 
 class _Format:
-    """One type of message, and where its messages stand."""
+    """Layout of one type of message, and the places of its messages."""
 
     def __init__(self, name, length, codes, columns):
         self.name, self.length = name, length
         layout = [(column, TYPES[code]) for column, code in zip(columns, codes, strict=True)]
         self.dtype = np.dtype([(name, *((kind,) if isinstance(kind, str) else kind)) for name, kind in layout])
+        self.names = self.dtype.names or ()
         if self.dtype.itemsize != length - HEAD:
             raise ValueError(f"Got {name} of {length} bytes, whose fields take {self.dtype.itemsize}.")
         self.scale = {column: SCALE[code] for column, code in zip(columns, codes, strict=True) if code in SCALE}
@@ -84,7 +156,7 @@ class _Reader:
         self.skipped, self.cut = 0, False
 
     def read(self):
-        """Go through the file."""
+        """Collect definitions and the places of all messages."""
         data, formats, position, n = self.data, self.formats, 0, len(self.data)
         while position + HEAD <= n:
             of = formats.get(data[position + 2]) if data.startswith(MARK, position) else None
@@ -125,25 +197,26 @@ class _Reader:
     def texts(self, name, column) -> list[str]:
         """Return a column of texts."""
         of, records = self.records(name)
-        if of is None or column not in of.dtype.names or of.dtype[column].kind != "S":
+        if of is None or column not in of.names or of.dtype[column].kind != "S":
             return []
         return [text.decode("utf-8", "replace").strip("\x00 ") for text in records[column].tolist()]
 
     def parameters(self) -> dict[str, float]:
         """Return what was set on the autopilot."""
         of, records = self.records("PARM")
-        if of is None or "Value" not in of.dtype.names:
+        if of is None or "Value" not in of.names:
             return {}
         return dict(zip(self.texts("PARM", "Name"), records["Value"].astype(float).tolist(), strict=False))
 
     def topics(self) -> dict[str, Topic]:
         """Return what has a time, by instance."""
-        numbered, found = self._numbered(), {}
+        numbered = self._numbered()
+        found: dict[str, Topic] = {}
         for kind, of in self.formats.items():
             if (
                 of.name in DEFINITIONS
                 or not of.starts
-                or "TimeUS" not in (of.dtype.names or ())
+                or "TimeUS" not in of.names
                 or of.dtype["TimeUS"].kind not in "iu"
             ):
                 continue
@@ -155,25 +228,36 @@ class _Reader:
                 continue
             numbers = records[instance]
             for number in np.unique(numbers).tolist():
-                found.setdefault(instance_name(of.name, int(number)), topic.taken(numbers == number))
+                found.setdefault(instance_name(of.name, int(number)), topic.select(numbers == number))
         return dict(sorted(found.items()))
 
     def _numbered(self) -> dict[int, str | None]:
         """Return by type the field that numbers instances, where the log says so: unit "#" of an FMTU message."""
         of, records = self.records("FMTU")
-        if of is None or not {"FmtType", "UnitIds"} <= set(of.dtype.names):
+        if of is None or not {"FmtType", "UnitIds"} <= set(of.names):
             return {}
         found = {}
         for kind, units in zip(records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True):
-            names = self.formats[kind].dtype.names if kind in self.formats else ()
+            names = self.formats[kind].names if kind in self.formats else ()
             place = units.find("#")
             field = names[place] if 0 <= place < len(names) else None
             found[kind] = field if field and self.formats[kind].dtype[field].kind in "iu" else None
         return found
 
     def remarks(self):
-        """Say what was wrong with the file."""
+        """Yield remarks on damage."""
         if self.skipped:
             yield f"{self.skipped} bytes could not be read and were skipped"
         if self.cut:
             yield "the file ends within a message: it was cut off"
+
+
+def _servos(outputs, parameters) -> dict[str, ServoChannel]:
+    found: dict[str, ServoChannel] = {}
+    for n in range(1, 15):
+        surface, turned = SERVOS.get(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), (None, False))
+        if surface is not None and f"C{n}" in outputs:
+            keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
+            low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
+            found.setdefault(surface, ServoChannel(f"RCOU.C{n}", low, trim, high, turned != bool(back)))
+    return found

@@ -1,25 +1,32 @@
-"""Servo calibration: from pulse widths to surface angles, by files in TOML."""
+"""Servo calibration: from pulse widths to surface angles, by files in TOML, and templates of such files."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from skdgp._compute.files import read_toml
+from skdgp._compute.typing import Vector
+from skdgp.io._autopilot.formats import Log
 from skdgp.io._errors import FlightReadError
 
 SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle")
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
-HUGE = 1e300
-"""Whole numbers beyond this are no floats."""
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
+TEMPLATE = """\
+# Angles of the surfaces: fill in each deflection [rad], the angle at max, measured at the surface.
+# elevator and elevons > 0: trailing edge down. aileron > 0: rolls right. rudder > 0: yaws left.
+# Signs follow the autopilot's own: move each stick, look, and set reversed where the sign above does not hold.
+# Instead of min, trim, max, deflection: points = [[1100, -0.35], [1500, 0.0], [1900, 0.30]].
+"""
 
 
 class Servo(NamedTuple):
-    """Which channel moves a surface, and the surface's angle at some of its values.
+    """The channel that moves a surface, and the surface's angle at some values of it.
 
     Attributes
     ----------
@@ -34,7 +41,7 @@ class Servo(NamedTuple):
     inputs: tuple[float, ...]
     angles: tuple[float, ...]
 
-    def deflection(self, values: np.ndarray) -> np.ndarray:
+    def deflection(self, values: Vector) -> Vector:
         """Return angles [rad] of values of the channel.
 
         Examples
@@ -51,7 +58,7 @@ class Servo(NamedTuple):
         return angles[piece] + slope[piece] * (values - inputs[piece])
 
 
-def read_servos(servos) -> dict[str, Servo]:
+def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo]:
     r"""Read a calibration: one table for each surface.
 
     Parameters
@@ -133,4 +140,18 @@ def _ends(name, entry):
 
 
 def _is_number(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > HUGE
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > 1e300  # no float
+
+
+def template(log: Log) -> str:
+    """Return a calibration file without the angles; raise FlightReadError if the log does not name the servos."""
+    if not log.servos:
+        raise FlightReadError(
+            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
+            "one of them: log it, or write the servo file by hand."
+        )
+    return TEMPLATE + "".join(
+        f'\n[{surface}]\nchannel = "{servo.channel}"\nmin = {servo.low:g}\ntrim = {servo.trim:g}\n'
+        f"max = {servo.high:g}\ndeflection = nan\nreversed = {str(servo.turned).lower()}\n"
+        for surface, servo in log.servos.items()
+    )

@@ -1,7 +1,8 @@
-"""Reader of PX4 ULog: header, definitions, messages, little-endian, each behind its length and type.
+"""Logs of PX4 (ULog): header, definitions, messages, little-endian, each behind its length and type.
 
 The format is that of https://docs.px4.io/main/en/dev_log/ulog_file_format. No length in the file is trusted: what does
-not fit is left out, and reading goes on at the next place where three messages in a row make sense.
+not fit is skipped, and reading goes on at the next place where three messages in a row make sense. The topics are those
+of https://docs.px4.io/main/en/msg_docs.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skdgp.io._autopilot.topics import Log, Topic, instance_name, whole
+from skdgp.io._autopilot.formats import QUATERNION, Log, Rule, ServoChannel, Topic, instance_name, whole
 from skdgp.io._errors import FlightReadError
 
 HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
@@ -43,14 +44,60 @@ MAV_TYPES = {
 VEHICLE_TYPES = {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}
 
 
-def read_ulog(path: Path) -> Log:
-    """Read a ULog.
+def _rpm(values):
+    return values * (np.pi / 30)
 
-    Raises
-    ------
-    FlightReadError
-        If it is no ULog, of a later incompatible format, or holds no message.
-    """
+
+def _xyz(name):
+    return tuple(f"{name}[{i}]" for i in range(3))
+
+
+RULES = (
+    Rule(("p", "q", "r"), "vehicle_angular_velocity", _xyz("xyz")),
+    Rule(("p", "q", "r"), "sensor_combined", _xyz("gyro_rad")),
+    Rule(("p", "q", "r"), "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
+    Rule(("p", "q", "r"), "sensor_gyro", ("x", "y", "z")),
+    Rule(("ax", "ay", "az"), "vehicle_acceleration", _xyz("xyz")),
+    Rule(("ax", "ay", "az"), "sensor_combined", _xyz("accelerometer_m_s2")),
+    Rule(("ax", "ay", "az"), "sensor_accel", ("x", "y", "z")),
+    Rule(QUATERNION, "vehicle_attitude", tuple(f"q[{i}]" for i in range(4))),
+    Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",), valid=("airspeed_sensor_measurement_valid",)),
+    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",)),
+    Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
+    Rule(("beta",), "airflow_slip", ("slip_rad",)),
+    Rule(("v_north", "v_east"), "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
+    Rule(("v_north", "v_east"), "vehicle_global_position", ("vel_n", "vel_e")),
+    Rule(("v_north", "v_east"), "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=("vel_ned_valid",)),
+    Rule(("v_down",), "vehicle_local_position", ("vz",), valid=("v_z_valid",)),
+    Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
+    Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=("vel_ned_valid",)),
+    Rule(("north", "east"), "vehicle_local_position", ("x", "y"), valid=("xy_valid",)),
+    Rule(("down",), "vehicle_local_position", ("z",), valid=("z_valid",)),
+    Rule(("altitude",), "vehicle_global_position", ("alt",)),
+    Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
+    Rule(("altitude",), "vehicle_gps_position", ("altitude_msl_m",)),
+    Rule(("altitude",), "vehicle_gps_position", ("alt",), lambda millimetres: 1e-3 * millimetres),
+    Rule(("density",), "vehicle_air_data", ("rho",)),
+    Rule(("wind_north", "wind_east"), "wind", ("windspeed_north", "windspeed_east")),
+    Rule(("wind_north", "wind_east"), "wind_estimate", ("windspeed_north", "windspeed_east")),
+    Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
+    Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
+    Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
+    Rule(("throttle",), "actuator_motors", ("control[0]",)),
+    Rule(("propeller_speed",), "rpm", ("rpm_estimate",), _rpm),
+    Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), _rpm),
+    Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), _rpm),
+)
+
+OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuator_controls_0", "actuator_controls_1")
+SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
+"""By CA_SV_CSn_TYPE."""
+CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
+"""Fields of actuator_controls, and whether more turns the surface against our sign."""
+
+
+def read_ulog(path: Path) -> Log:
+    """Return a ULog; raise FlightReadError if it is none, of a later incompatible format, or holds no message."""
     data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
@@ -67,15 +114,20 @@ def read_ulog(path: Path) -> Log:
     return Log(
         kind="PX4 ULog",
         topics=topics,
+        rules=RULES,
         parameters=reader.parameters,
         firmware=_firmware(reader.information),
         vehicle=_vehicle(topics, reader.parameters),
         remarks=tuple(reader.remarks()),
+        slowest_airspeed=reader.parameters.get("FW_AIRSPD_MIN", np.nan),
+        landed=("vehicle_land_detected", "landed", 1.0),
+        outputs=OUTPUTS,
+        servos=_servos(topics, reader.parameters),
     )
 
 
 class _Subscription:
-    """Where the messages of one topic stand."""
+    """Layout of one topic, and the places of its messages."""
 
     def __init__(self, name, instance, layout):
         self.name, self.instance = name, instance
@@ -90,33 +142,33 @@ class _Reader:
         self.subscriptions, self.finished = {}, []
         self.parameters, self.information = {}, {}
         self.appended, self.skipped, self.lost, self.cut = [], 0, 0, False
-        take = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum, "S": self._sync}
-        take |= {"I": self._information, "P": self._parameter, "M": self._after_a_byte, "Q": self._after_a_byte}
-        take |= {"O": self._two_bytes, "R": self._two_bytes, "L": self._text, "C": self._text}
-        self.take = {ord(kind): method for kind, method in take.items()}
+        by_kind = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum, "S": self._sync}
+        by_kind |= {"I": self._information, "P": self._parameter, "M": self._after_a_byte, "Q": self._after_a_byte}
+        by_kind |= {"O": self._two_bytes, "R": self._two_bytes, "L": self._text, "C": self._text}
+        self.handlers = {ord(kind): method for kind, method in by_kind.items()}
 
     def read(self):
-        """Go through the file."""
+        """Collect definitions and the places of all messages."""
         data, position = self.data, HEADER_SIZE
         while position + HEAD.size <= len(data):
             size, kind = HEAD.unpack_from(data, position)
             start, end = position + HEAD.size, position + HEAD.size + size
             if self.appended and end > self.appended[0]:  # a crash report was appended there, perhaps to half a message
                 position = max(position, self.appended.pop(0))
-            elif self._taken(kind, start, end):
+            elif self._read_message(kind, start, end):
                 position = end
             else:
                 found = self._next(position + 1)
-                whole = end <= len(data) or kind not in KINDS
-                self.cut = self.cut or (found == len(data) and not whole)
-                self.skipped += found - position if whole else 0
+                complete = end <= len(data) or kind not in KINDS
+                self.cut = self.cut or (found == len(data) and not complete)
+                self.skipped += found - position if complete else 0
                 position = found
 
-    def _taken(self, kind, start, end) -> bool:
-        """Take a message, if there is one: of a known kind that makes sense, or of a new kind between known ones."""
+    def _read_message(self, kind, start, end) -> bool:
+        """Return whether there is a message: of a known kind that makes sense, or of a new kind between known ones."""
         if start == end or end > len(self.data):
             return False
-        return self.take[kind](start, end) if kind in self.take else self._chain(end, 3)
+        return self.handlers[kind](start, end) if kind in self.handlers else self._chain(end, 3)
 
     def _chain(self, position, n):
         """Whether n messages of known kinds follow each other, or fewer up to the end of the file."""
@@ -135,7 +187,7 @@ class _Reader:
         found = (match.start() for match in NEXT.finditer(self.data, position))
         return next((start for start in found if self._chain(start, 3)), len(self.data))
 
-    # Each of these takes the bytes of one message from start to end, and returns whether they make sense.
+    # Each of these reads the bytes of one message from start to end, and returns whether they make sense.
 
     def _flags(self, start, end):
         if start != HEADER_SIZE + HEAD.size or end - start < 40:
@@ -184,15 +236,15 @@ class _Reader:
         return (np.dtype([(name, dtype[name]) for name in names]), dtype.itemsize) if timed else None
 
     def _dtype(self, name, depth=0):
-        """Return the layout of a message, made once; nested ones and arrays stay nested, so no size can be abused."""
+        """Return the layout of a message, made once; nested messages stay nested, so that no size can be abused."""
         if name not in self.dtypes:
             self.dtypes[name] = None  # until it is made: a message that holds itself is none
-            self.dtypes[name] = self._made(name, depth)
+            self.dtypes[name] = self._new_dtype(name, depth)
         if self.dtypes[name] is None:
             raise ValueError(f"Got a definition of {name} that is no message.")
         return self.dtypes[name]
 
-    def _made(self, name, depth):
+    def _new_dtype(self, name, depth):
         if depth > DEEPEST:
             raise ValueError(f"Got messages nested deeper than {DEEPEST}.")
         fields = [FIELD.fullmatch(text) for text in self.formats[name].split(";") if text]
@@ -256,7 +308,8 @@ class _Reader:
         return 9 <= end - start <= LONGEST_TEXT
 
     def topics(self) -> dict[str, Topic]:
-        found = {}
+        """Return the topics by name; of two of one name the longer."""
+        found: dict[str, Topic] = {}
         for each in [*self.subscriptions.values(), *self.finished]:
             name = instance_name(each.name, each.instance)
             if each.starts and len(each.starts) > len(found.get(name, ())):
@@ -276,7 +329,7 @@ class _Reader:
 
 
 def _sampled(name, records):
-    """Return when something was sampled, or if that is not told, published; outputs always when published [us]."""
+    """Return when something was sampled, or if that is not logged or an output, published [us]."""
     published = records["timestamp"]
     if "timestamp_sample" not in records.dtype.names or name.startswith("actuator"):
         return published
@@ -306,3 +359,19 @@ def _vehicle(topics, parameters) -> str | None:
                 if found is not None:
                     return found
     return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
+
+
+def _servos(topics, parameters) -> dict[str, ServoChannel]:
+    """Return the servos of control allocation, else those of a plane mixed by fixed rules."""
+    outputs = topics.get("actuator_servos")
+    found: dict[str, ServoChannel] = {}
+    for n in range(8):
+        surface = SURFACES.get(whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)))
+        if surface is not None and outputs is not None and f"control[{n}]" in outputs:
+            found.setdefault(surface, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1))
+    if found:
+        return found
+    name = "actuator_controls_1" if "actuator_controls_1" in topics else "actuator_controls_0"  # 1: a VTOL's wings
+    if name not in topics or "control[2]" not in topics[name]:
+        return {}
+    return {key: ServoChannel(f"{name}.control[{n}]", -1, 0, 1, turned) for key, (n, turned) in CONTROLS.items()}

@@ -1,0 +1,197 @@
+"""One clock for all topics: wrong time stamps left out, restarts found, channels resampled, gaps kept.
+
+Single stamps may be wrong; the median of the messages that stand together in the file hardly ever is.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.signal import butter, sosfiltfilt
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.clock import GAP
+from skdgp.io._autopilot.formats import Topic
+
+BLOCK_SIZE = 25
+"""Messages whose median time is compared with that of the next."""
+RESTART_STEP = 5.0
+"""A clock that goes back by more than this was restarted [s]; messages out of order are less late."""
+STAMP_MARGIN = 5.0
+"""Distance of valid stamps from the medians of a part [s]."""
+LARGEST_STEP = 60.0
+"""Longest step between medians that widens this margin [s]."""
+FILTER_ORDER = 4
+CUTOFF = 0.4
+"""Corner of the low-pass in parts of the new rate: gain 1/2 there."""
+LEAST_RATIO = 1.2
+"""Ratio of rates from which a channel is low-passed."""
+LONGEST_PAUSE = (5.0, 50.0)
+"""In longer pauses, [s] and [usual steps], the clock has no rows."""
+MOST_ROWS_PER_SAMPLE = 20.0
+"""Of the clock, per sample of the channel that it follows."""
+LEAST_GAP = 0.5
+"""Seconds of a gap that is worth a remark."""
+
+
+def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
+    """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
+    order = np.concatenate([topic.order for topic in topics.values()])
+    rows = np.argsort(order, kind="stable")
+    order, time = order[rows], np.concatenate([topic.time for topic in topics.values()])[rows]
+    centres = _medians(time)
+    edges = [0, *_restarts(time, centres), len(time)]
+    parts: list[dict[str, Topic]] = []
+    remarks: list[str] = []
+    dropped: dict[str, int] = {}
+    disordered = 0
+    for first, last in pairwise(edges):
+        low, high = _span(_medians(time[first:last]))
+        place = order[first], order[last - 1]
+        part = {}
+        for name, topic in topics.items():
+            inside = (topic.order >= place[0]) & (topic.order <= place[1])
+            valid = inside & (topic.time >= low) & (topic.time <= high)
+            here = topic.select(valid)
+            disordered += int((np.diff(here.time) < 0).sum())
+            here = here.select(np.unique(here.time, return_index=True)[1])
+            dropped[name] = dropped.get(name, 0) + int(inside.sum() - valid.sum())
+            if len(here):
+                part[name] = here
+        parts.append(part)
+    if len(parts) > 1:
+        steps = ", ".join(f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4])
+        remarks.append(f"the clock was set back {len(parts) - 1} times ({steps}): what follows is a flight of its own")
+    if any(dropped.values()):
+        worst = max(dropped, key=lambda name: dropped[name])
+        remarks.append(
+            f"{sum(dropped.values())} of {len(time)} messages have a time that cannot be ({dropped[worst]} of {worst})"
+        )
+    if disordered:
+        remarks.append(f"{disordered} messages stand out of order in time, and were sorted")
+    return parts, remarks
+
+
+def _medians(time):
+    """Return the median of each block of messages, (m,)."""
+    whole = len(time) // BLOCK_SIZE * BLOCK_SIZE
+    if not whole:
+        return np.array([np.median(time)])
+    return np.median(time[:whole].reshape(-1, BLOCK_SIZE), axis=1)
+
+
+def _without_outliers(centres):
+    """Return the median of five neighbours, the ends repeated.
+
+    Not ``scipy.ndimage.median_filter``: of a single value, versions 1.15.0 to 1.15.2 overwrite memory and 1.15.3
+    returns 0.
+    """
+    return np.median(sliding_window_view(np.pad(centres, 2, mode="edge"), 5), axis=1)
+
+
+def _restarts(time, centres) -> list[int]:
+    """Return the messages with which a clock that was set back begins."""
+    steady = _without_outliers(centres)
+    found = []
+    for block in np.flatnonzero(np.diff(steady) < -RESTART_STEP).tolist():
+        window = slice(max(block - 3, 0) * BLOCK_SIZE, (block + 5) * BLOCK_SIZE)
+        later = np.where(time[window] > (steady[block] + steady[block + 1]) / 2, 1, -1)
+        found.append(window.start + int(np.argmax(np.cumsum(later))) + 1)
+    return sorted(set(found) - {len(time)})
+
+
+def _span(centres):
+    """Return the least and the greatest valid time."""
+    steady = _without_outliers(centres)
+    step = np.abs(np.diff(steady)).max(initial=0.0)
+    margin = STAMP_MARGIN + min(step, LARGEST_STEP)
+    return steady.min() - margin, steady.max() + margin
+
+
+def sampling_rate(time: Vector) -> float:
+    """Return the usual rate [Hz] of increasing times, NaN of less than two."""
+    return float(1.0 / np.median(np.diff(time))) if len(time) > 1 else np.nan
+
+
+def gaps(time: Vector) -> list[tuple[float, float]]:
+    """Return beginnings and lengths [s] of the gaps between increasing times that are worth a remark."""
+    step = np.diff(time)
+    if not len(step):
+        return []
+    return [(float(time[i]), float(step[i])) for i in np.flatnonzero(step > max(LEAST_GAP, GAP * np.median(step)))]
+
+
+def uniform_clock(time: Vector, rate: float) -> Vector:
+    """Return the multiples of 1 / rate [s] that lie within the runs of a channel.
+
+    Raises
+    ------
+    ValueError
+        If there would be far more of them than samples.
+    """
+    step = np.diff(time)
+    edges = np.flatnonzero(step > max(LONGEST_PAUSE[0], LONGEST_PAUSE[1] * np.median(step))) + 1
+    starts, ends = time[np.r_[0, edges]], time[np.r_[edges, len(time)] - 1]
+    first, last = np.ceil(starts * rate - 1e-6), np.floor(ends * rate + 1e-6)
+    counts = np.maximum(last - first + 1, 0).astype(int)
+    if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate / sampling_rate(time)):
+        raise ValueError(
+            f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock without so many gaps."
+        )
+    return np.concatenate([a + np.arange(n) for a, n in zip(first, counts, strict=True)]) / rate
+
+
+def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix:
+    """Return channels at the times of another clock.
+
+    Each run of samples without a gap (2.5 usual steps) is taken by itself. If it is faster than the new rate it passes
+    a Butterworth low-pass forwards and backwards, which has no delay (Gustafsson 1996, Determining the initial states
+    in forward-backward filtering); then it is interpolated linearly.
+
+    Parameters
+    ----------
+    time : ndarray of shape (n,)
+        Increasing [s].
+    values : ndarray of shape (n, k)
+        Rows that are not finite count as not sampled.
+    clock : ndarray of shape (m,)
+        Increasing [s].
+    rate : float
+        Of the clock [Hz].
+
+    Returns
+    -------
+    ndarray of shape (m, k)
+        NaN in gaps, before the first and after the last sample.
+    """
+    result = np.full((len(clock), values.shape[1]), np.nan)
+    known = np.isfinite(values).all(axis=1)
+    time, values = time[known], values[known]
+    if len(time) < 2:
+        return result
+    step = np.diff(time)
+    edges = np.r_[0, np.flatnonzero(step > GAP * np.median(step)) + 1, len(time)]
+    tolerance = 1e-6 / rate
+    begins = np.searchsorted(clock, time[edges[:-1]] - tolerance)
+    ends = np.searchsorted(clock, time[edges[1:] - 1] + tolerance, side="right")
+    for a, b, begin, end in zip(edges[:-1], edges[1:], begins, ends, strict=True):
+        if b - a > 1 and end > begin:
+            run = _low_passed(time[a:b], values[a:b], rate)
+            for j in range(values.shape[1]):
+                result[begin:end, j] = np.interp(clock[begin:end], time[a:b], run[:, j])
+    return result
+
+
+def _low_passed(time, values, rate):
+    """Return a run without the frequencies that the new rate cannot carry."""
+    n, old_rate = len(time), (len(time) - 1) / (time[-1] - time[0])
+    if old_rate < LEAST_RATIO * rate:
+        return values
+    even = np.linspace(time[0], time[-1], n)
+    sections = butter(FILTER_ORDER, CUTOFF * rate, fs=old_rate, output="sos")
+    padding = min(n - 1, round(4 * old_rate / rate) + 27)
+    columns = [np.interp(even, time, column) for column in values.T]
+    passed = sosfiltfilt(sections, np.column_stack(columns), axis=0, padlen=padding)
+    return np.column_stack([np.interp(time, even, column) for column in passed.T])

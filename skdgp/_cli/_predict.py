@@ -1,34 +1,82 @@
-"""The command ``predict``: coefficients of flights, with standard deviations."""
+"""The commands ``predict`` and ``validate``: a saved model on flights."""
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
+from sklearn.utils import Bunch
 
-from skdgp._cli._model import read_flights, read_model
-from skdgp._cli._task import Task
-from skdgp._cli._writers import check_writable, table_writer
-from skdgp.identification import predict_flight
+from skdgp._cli._identify import finish
+from skdgp._cli._options import (
+    AIRBORNE,
+    AIRCRAFT,
+    FLIGHTS,
+    HORIZONS,
+    MODEL,
+    OPTIONAL_FOLDER,
+    SERVOS,
+    loads,
+    option,
+    reading,
+    table_file,
+    thrust_of,
+)
+from skdgp._cli._output import Run, check_writable, table_writer
+from skdgp._cli._parser import Command
+from skdgp._compute.progress import listening
+from skdgp.identification import load_model, predict_flight
+from skdgp.identification import validate as judge
+from skdgp.identification._flights import named_flights
+from skdgp.identification._identify import check_identified, read_aircraft, usable_flights_of_model
 
 
-def predict(task: Task) -> None:
-    """Write what a model says of flights, row by row."""
-    options = task.options
-    output = Path(options.output)
+def read_model(options) -> Bunch:
+    """Return the model that the options name, with its own aircraft or the one that they name.
+
+    Raises
+    ------
+    ValueError, OSError
+        What the reader raises; or if it is not a model of ``identify``.
+    """
+    model = load_model(options.model)
+    check_identified(model.pipeline)
+    if getattr(options, "aircraft", None) is not None:
+        model.aircraft = read_aircraft(options.aircraft)
+    return model
+
+
+def thrust_of_model(model: Bunch) -> str | None:
+    """Return the thrust of a simulation, "auto" or None; warn of known loads that it does not have."""
+    learned = model.get("options", {})
+    if learned.get("external_forces"):
+        warnings.warn(
+            f"The simulation flies without the external forces {learned['external_forces']} of the flights that the "
+            "model was learned from.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return None if learned.get("thrust", "auto") in (None, "none") else "auto"
+
+
+def predict(run: Run) -> None:
+    """Write what a model predicts for flights, row by row."""
+    options, output = run.options, Path(run.options.output)
     check_writable(output.suffix)
     if output.resolve() in (Path(flight).resolve() for flight in options.flight):
         raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
-    task.console.stage("reading")
+    run.console.stage("reading")
     model = read_model(options)
-    flights = read_flights(options.flight, model, options)
+    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **reading(options)))
     tables = []
     for name, table in flights.items():
-        task.console.stage(f"predicting {name}")
+        run.console.stage(f"predicting {name}")
         tables.append(predictions(model.pipeline, table, include_noise=options.include_noise))
     whole = pd.concat(tables, ignore_index=True)
-    task.write({output.name: table_writer(whole, output.suffix)})
-    task.say(*_summary(whole, flights, options))
+    run.write({output.name: table_writer(whole, output.suffix)})
+    _print(run, whole, flights)
 
 
 def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.DataFrame:
@@ -40,24 +88,96 @@ def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.Dat
     return table[["flight", "time"]].reset_index(drop=True).assign(**found)
 
 
-def _summary(whole, flights, options) -> tuple[str, dict]:
-    names = [name.removesuffix("_std") for name in whole if name.endswith("_std")]
+def _print(run, whole, flights):
+    coefficients = {
+        name: {"lowest": whole[name].min(), "highest": whole[name].max(), "median_std": whole[f"{name}_std"].median()}
+        for name in whole
+        if f"{name}_std" in whole
+    }
     numbers = {
-        "model": options.model,
-        "output": options.output,
+        "model": run.options.model,
+        "output": run.options.output,
         "flights": {name: len(table) for name, table in flights.items()},
-        "include_noise": options.include_noise,
-        "coefficients": {
-            name: {
-                "lowest": whole[name].min(),
-                "highest": whole[name].max(),
-                "median_std": whole[f"{name}_std"].median(),
-            }
-            for name in names
-        },
+        "include_noise": run.options.include_noise,
+        "coefficients": coefficients,
     }
     lines = [f"{rows} rows of flight {name}" for name, rows in numbers["flights"].items()]
     lines += ["", f"{'':6}{'lowest':>12}{'highest':>12}{'std (median)':>15}"]
-    for name, row in numbers["coefficients"].items():
+    for name, row in coefficients.items():
         lines.append(f"{name:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
-    return "\n".join([*lines, "", f"table    {options.output}"]), numbers
+    run.print("\n".join([*lines, "", f"table    {run.options.output}"]), numbers)
+
+
+def validate(run: Run) -> None:
+    """Compare the predictions of a model with flights, replay them, and print the scores."""
+    options = run.options
+    known = {} if options.thrust is None else {"thrust": thrust_of(options.thrust)}
+    if options.external_forces is not None:
+        known["external_forces"] = options.external_forces
+    with listening(run.console.progress):
+        model = read_model(options)
+        result = judge(model, options.flight, horizons=options.horizons, **reading(options), **known)
+        finish(run, replace(result, command=run.command_line))
+
+
+PREDICT = Command(
+    name="predict",
+    run=predict,
+    summary="coefficients of flights, by a model",
+    description="""\
+Write what a model predicts for flights: a table with flight, time, CX CY CZ Cl Cm Cn, and their standard deviations
+CX_std ... Cn_std, which are wider in rougher air. Rows whose regressors were not sampled are left out, with a warning.
+
+Beside OUT.csv stands OUT.config.toml, all options of this run.
+""",
+    examples="""\
+examples:
+  python -m skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
+  python -m skdgp predict results/model.joblib a.csv b.csv -o coefficients.parquet --include-noise
+""",
+    options={
+        "": [
+            MODEL,
+            FLIGHTS,
+            SERVOS,
+            AIRBORNE,
+            option(
+                "--include-noise",
+                action="store_true",
+                help="standard deviations of new measurements, instead of those of the coefficients themselves",
+            ),
+            option(
+                "-o", "--output", type=table_file, metavar="FILE", required=True, help="the table: .csv or .parquet"
+            ),
+        ]
+    },
+)
+VALIDATE = Command(
+    name="validate",
+    run=validate,
+    summary="judge a model on other flights",
+    description="""\
+Judge a model on flights that it has not seen, as identify does on its test flights: its coefficients are compared with
+the measured ones, and replayed: integrated from the measured state, restarted every --horizons seconds.
+
+Prints the scores, and with -o writes report.html, metrics.json and config.toml into DIR, all or none.
+""",
+    examples="""\
+examples:
+  python -m skdgp validate results/model.joblib thursday.csv
+  python -m skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
+  python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
+""",
+    options={
+        "": [
+            MODEL,
+            FLIGHTS,
+            AIRCRAFT,
+            SERVOS,
+            AIRBORNE,
+            *loads(None, None, "as of the model's fit"),
+            HORIZONS,
+            OPTIONAL_FOLDER,
+        ]
+    },
+)

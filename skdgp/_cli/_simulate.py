@@ -8,31 +8,46 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from skdgp._cli._model import engine_of, read_model
-from skdgp._cli._task import Task
-from skdgp._cli._writers import Writer, check_writable, json_writer, picture_writers, table_writer
+from skdgp._cli._options import (
+    AIRBORNE,
+    AIRCRAFT,
+    FOLDER,
+    MODEL,
+    SEED,
+    SERVOS,
+    FileName,
+    number,
+    option,
+    paths,
+    reading,
+    seconds,
+    speed,
+)
+from skdgp._cli._output import Run, check_writable, picture_writers, table_writer, text_writer
+from skdgp._cli._parser import Command
+from skdgp._cli._predict import read_model, thrust_of_model
 from skdgp._flight.checks import check_columns
 from skdgp.dynamics import SimulationWarning, as_aerodynamics, simulate, trajectory_bands, trim
 from skdgp.dynamics._simulation.trajectory import REASONS
-from skdgp.identification._rows import checked
-from skdgp.identification._source import read_named
+from skdgp.identification._flights import named_flights
+from skdgp.identification._model_file import json_text
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
 from skdgp.plotting._style import display_unit
-from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother
+from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 DURATION = 10.0
 AIR = ("airspeed", "alpha", "beta")
 START = (*AIR, "phi", "theta", "psi", "p", "q", "r", "altitude")
 WIND = ("wind_north", "wind_east", "wind_down")
 THRUST = ("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n")
-MEASUREMENTS = (FlightCheck, FlightPathReconstruction, FlightSmoother)
-"""Steps of a pipeline that make of what sensors said what the flight was."""
+MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
+"""Steps of a pipeline that estimate from sensors what the flight was."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where a simulation begins, its controls and its air; ``log`` is what happened in flight under these controls."""
+    """Initial state, controls and air of a simulation; ``log`` is the flight that it starts from."""
 
     state: dict[str, float]
     controls: dict | pd.DataFrame
@@ -41,48 +56,59 @@ class Start:
     log: pd.DataFrame | None = None
 
 
-def fly(task: Task) -> None:
-    """Fly a model, write trajectory, bands and picture, and print how it went."""
-    options = task.options
+def simulate_model(run: Run) -> None:
+    """Simulate with a model, write trajectory, bands and picture, and print how it went."""
+    options = run.options
     suffix = f".{options.format}"
     check_writable(suffix)
-    task.console.stage("reading")
+    run.console.stage("reading")
     model = read_model(options)
-    engine = engine_of(model)
-    start = _start(options, model, engine)
-    task.console.stage("flying")
-    conditions = {"duration": start.duration, "wind": start.wind, "thrust": engine}
+    thrust = thrust_of_model(model)
+    start = _start(options, model, thrust)
+    run.console.stage("simulating")
 
-    def flown(**paths):
-        return simulate(model.pipeline, model.aircraft, start.state, start.controls, options.dt, **conditions, **paths)
+    def simulated(**sampling):
+        return simulate(
+            model.pipeline,
+            model.aircraft,
+            start.state,
+            start.controls,
+            options.dt,
+            duration=start.duration,
+            wind=start.wind,
+            thrust=thrust,
+            **sampling,
+        )
 
-    trajectory, paths = flown(), None
+    trajectory, sampled = simulated(), None
     files = {f"trajectory{suffix}": table_writer(trajectory, suffix)}
     if options.paths:
-        task.console.stage(f"flying {options.paths} functions of the posterior")
+        run.console.stage(f"simulating {options.paths} functions of the posterior")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)  # the summary says which share of them
-            paths = flown(n_paths=options.paths, random_state=options.seed)
-        bands = trajectory_bands(paths).drop(columns="start")
+            sampled = simulated(n_paths=options.paths, random_state=options.seed)
+        bands = trajectory_bands(sampled).drop(columns="start")
         files[f"bands{suffix}"] = table_writer(bands, suffix)
-    numbers = _numbers(options, start, trajectory, paths)
-    files |= _picture(trajectory if paths is None else paths, start.log) | {"simulation.json": json_writer(numbers)}
-    task.say(_text(numbers, task.write(files)), numbers)
+    numbers = _numbers(options, start, trajectory, sampled)
+    drawn = trajectory if sampled is None else sampled
+    files |= picture_writers("trajectory.png", TrajectoryDisplay.from_trajectories, drawn, start.log)
+    files["simulation.json"] = text_writer(json_text(numbers))
+    run.print(_text(numbers, run.write(files)), numbers)
 
 
-def _start(options, model, engine) -> Start:
+def _start(options, model, thrust) -> Start:
     if (options.flight is None) == (options.trim is None):
         raise ValueError("Got both or none of --flight and --trim, but expected one of them to start from.")
-    only = {"flight": ("at", "servos", "airborne"), "trim": ("altitude", "climb", "turn_rate", "bank")}
+    belonging = {"flight": ("at", "servos", "airborne"), "trim": ("altitude", "climb", "turn_rate", "bank")}
     other = "trim" if options.trim is None else "flight"
-    given = [f"--{name.replace('_', '-')}" for name in only[other] if getattr(options, name) is not None]
+    given = [f"--{name.replace('_', '-')}" for name in belonging[other] if getattr(options, name) is not None]
     if given:
         raise ValueError(f"Got {', '.join(given)} without --{other}, to which it belongs: leave it out.")
-    return _trimmed(options, model, engine) if options.flight is None else _logged(options, model)
+    return _trimmed(options, model, thrust) if options.flight is None else _logged(options, model)
 
 
-def _trimmed(options, model, engine) -> Start:
-    climb = 0.0 if options.climb is None and engine is not None else options.climb  # a glider's follows
+def _trimmed(options, model, thrust) -> Start:
+    climb = 0.0 if options.climb is None and thrust is not None else options.climb  # a glider's follows
     found = trim(
         model.pipeline,
         model.aircraft,
@@ -91,7 +117,7 @@ def _trimmed(options, model, engine) -> Start:
         climb=climb,
         turn_rate=options.turn_rate,
         bank=options.bank,
-        thrust=engine,
+        thrust=thrust,
     )
     state = {name: getattr(found, name) for name in (*AIR, "phi", "theta", "altitude")}
     state |= dict(zip(("p", "q", "r"), found.rates, strict=True))  # by the air, which the wind carries along
@@ -105,10 +131,10 @@ def _trimmed(options, model, engine) -> Start:
 
 
 def _logged(options, model) -> Start:
-    """Start from a moment of a log, as the pipeline sees it: noise out, and the wind told where that can be known."""
+    """Start from a moment of a log, its noise removed and its wind estimated by the model's pipeline."""
     if options.at is None:
         raise ValueError("Got --flight without --at, but expected the moment to start from: --at SECONDS.")
-    log = _around(options.at, read_named([options.flight], options))
+    log = _flight_around(options.at, named_flights(options.flight, **reading(options)))
     for step in model.pipeline:
         if isinstance(step, MEASUREMENTS):
             log = step.transform(log)
@@ -126,23 +152,19 @@ def _logged(options, model) -> Start:
     return Start(state, table, wind, _duration(options, log, table))
 
 
-def _around(at, flights) -> pd.DataFrame:
-    """Return the flight that a moment lies in."""
+def _flight_around(at, flights) -> pd.DataFrame:
+    """Return the flight that a moment lies in, its faults removed."""
     spans = {name: (table["time"].iloc[0], table["time"].iloc[-1]) for name, table in flights.items()}
     inside = [name for name, (first, last) in spans.items() if first <= at < last]
     if len(inside) != 1:
-        said = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
-        raise ValueError(f"Got --at {at:g}, but expected a moment of exactly one flight of the log: {said}.")
-    return checked({inside[0]: flights[inside[0]]})[inside[0]]
+        times = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
+        raise ValueError(f"Got --at {at:g}, but expected a moment of exactly one flight of the log: {times}.")
+    return FlightCheck(bridge=0).fit_transform(flights[inside[0]])
 
 
 def _duration(options, *tables) -> float:
-    lasts = min(np.ptp(table["time"].to_numpy(float)) for table in tables)
-    return min(DURATION, lasts) if options.duration is None else options.duration
-
-
-def _picture(trajectories, log) -> dict[str, Writer]:
-    return picture_writers("trajectory.png", TrajectoryDisplay.from_trajectories, trajectories, log)
+    longest = min(np.ptp(table["time"].to_numpy(float)) for table in tables)
+    return min(DURATION, longest) if options.duration is None else options.duration
 
 
 def _numbers(options, start, trajectory, paths) -> dict:
@@ -210,5 +232,70 @@ def _text(numbers, files) -> str:
             low, high = (factor * edge for edge in paths["end"][name])
             row += f"{low:>z12.2f} to {high:<z8.2f}"
         lines.append(f"{row}  {unit}".rstrip())
-    width = max(map(len, files)) + 2
-    return "\n".join([*lines, "", *(f"{name:<{width}}{path}" for name, path in files.items())])
+    width = max(len(path.name) for path in files) + 2
+    return "\n".join([*lines, "", *(f"{path.name:<{width}}{path}" for path in files)])
+
+
+SIMULATE = Command(
+    name="simulate",
+    run=simulate_model,
+    summary="fly a model",
+    description="""\
+Fly a model: from a moment of a log, with the controls that were logged from there on, or from a trim, with its controls
+held. The mean of the model is flown, and functions drawn from its posterior, each an aircraft that the data allow:
+the band of 95 % of them is how certain the trajectory is. --controls TABLE flies other controls: columns time [s], the
+first row the start, elevator, aileron, rudder [rad], throttle; from a trim, what the table lacks is held.
+
+Writes into DIR, all or none:
+  trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
+                    "ended" says why a trajectory is over
+  bands.csv         median, 2.5 % and 97.5 % of the paths over time
+  trajectory.png    a picture
+  simulation.json   start, end, when it ended or left the training data
+  config.toml       all options of this run
+
+The air is still, unless --wind says otherwise, or the wind is estimated from the log.
+""",
+    examples="""\
+examples:
+  python -m skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
+  python -m skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
+  python -m skdgp simulate results/model.joblib --trim 35 --controls doublet.csv --paths 100 -o doublet
+""",
+    options={
+        "": [
+            MODEL,
+            AIRCRAFT,
+            option("--controls", type=FileName, metavar="TABLE", help="the controls to fly with"),
+            option(
+                "--wind",
+                nargs=3,
+                type=number(),
+                metavar=("N", "E", "D"),
+                help="velocity of the air [m/s], north, east, down (default: estimated from the log, else 0 0 0)",
+            ),
+            option("--duration", type=seconds, metavar="S", help="how long [s] (default: 10, or the rest of the log)"),
+            option("--dt", type=seconds, default=0.02, metavar="S", help="time step [s] (default: 0.02)"),
+            paths(30, "to fly; 0: the mean alone"),
+            SEED,
+            option("--format", choices=["csv", "parquet"], default="csv", help="of the tables (default: %(default)s)"),
+            FOLDER,
+        ],
+        "start, of a log or of a trim": [
+            option("--flight", type=FileName, metavar="LOG", help="start where this flight was"),
+            option("--at", type=number(), metavar="S", help="when, on the clock of the log [s]"),
+            SERVOS,
+            AIRBORNE,
+            option("--trim", type=speed, metavar="V", help="start from steady flight at this airspeed [m/s]"),
+            option("--altitude", type=number(), metavar="M", help="of the trim [m] (default: 0)"),
+            option(
+                "--climb",
+                type=number(),
+                metavar="RAD",
+                help="flight-path angle [rad] (default: 0; of a glider, what balances)",
+            ),
+            option("--turn-rate", type=number(), metavar="RAD/S", help="of its heading [rad/s] (default: 0)"),
+            option("--bank", type=number(), metavar="RAD", help="its bank angle [rad], instead of a turn rate"),
+        ],
+    },
+)

@@ -1,12 +1,14 @@
-"""Model files: with a checksum, and a warning where other versions wrote them."""
+"""Files of an identification: model with a checksum, metrics, several written together."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import platform
 import warnings
+from collections.abc import Callable
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,8 +22,6 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import write_atomically
 from skdgp.dynamics import Aircraft
-
-__all__ = ["ModelFileError", "dump_model", "load_model", "model_bunch", "save_model", "software_versions"]
 
 MAGIC = b"\nskdgp model file "
 FORMAT = 2
@@ -150,6 +150,43 @@ def software_versions() -> dict[str, str]:
         except PackageNotFoundError:  # run from a folder that was never installed
             continue
     return found
+
+
+def plain(value):
+    """Return the value as JSON knows it: None for what is not finite, the text of what is no number, list or dict."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, str | int | float) else repr(value)
+
+
+def json_text(value) -> str:
+    """Return a file of JSON."""
+    return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"
+
+
+def write_together(
+    folder: Path, writers: dict[str, Callable[[Path], object]], when_complete: Callable[[], object] = lambda: None
+) -> None:
+    """Write several files: all are complete beside their places before the first is put into its own.
+
+    ``when_complete`` is called in between.
+    """
+    if not writers:
+        when_complete()
+        return
+    (name, writer), *rest = writers.items()
+
+    def write_with_rest(temporary):
+        writer(temporary)
+        write_together(folder, dict(rest), when_complete)
+
+    write_atomically(folder / name, write_with_rest)
 
 
 def _closing(file: BinaryIO, path) -> dict:

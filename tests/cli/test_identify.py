@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
@@ -21,13 +22,14 @@ import pandas as pd
 import pytest
 
 from skdgp import checkpointing, datasets
-from skdgp._cli import _job, _outputs, main
+from skdgp._cli import _identify as _command
+from skdgp._cli import main
 from skdgp._cli._console import CLEAR, Console
-from skdgp._cli._folder import OutputFolder
+from skdgp._cli._output import OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import _evaluation, _source, load_model, predict_flight
+from skdgp.identification import _evaluation, _identify, load_model, predict_flight
 from skdgp.metrics import interval_coverage, median_relative_error
 
 # Fits cut short to be quick say so.
@@ -143,7 +145,7 @@ class TestIdentify:
         assert "No test flight was named" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
     def test_holds_out_the_end_of_a_single_flight(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         assert identify("--json", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert json.loads(capsys.readouterr().out) == metrics
@@ -152,7 +154,7 @@ class TestIdentify:
         assert "truth" not in next(iter(metrics["test"].values()))["coefficients"]
 
     def test_all_samples_of_sparse_inference(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         options = ["--samples", "all", "--inference", "sparse", "--inducing", "8", "--max-iter", "2", "--trend", "none"]
         assert identify(*options, "--test", "test.csv", output=tmp_path) == 0
         fit = json.loads((tmp_path / "metrics.json").read_text())["fit"]
@@ -161,7 +163,7 @@ class TestIdentify:
         assert set(fit["noise_widened"].values()) == {1.0}
 
     def test_rows_without_regressors_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         table = pd.read_csv(folder / "latlon.csv")
         table.loc[100:109, "alpha"] = np.nan
         table.to_csv(tmp_path / "holes.csv", index=False)
@@ -170,7 +172,7 @@ class TestIdentify:
         assert json.loads((tmp_path / "out" / "metrics.json").read_text())["fit"]["flights"] == {"latlon": 690}
 
     def test_a_log_without_attitude_is_scored_but_not_replayed(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
         assert identify("--test", str(tmp_path / "bare.csv"), output=tmp_path / "out") == 0
         said = capsys.readouterr().err
@@ -181,26 +183,26 @@ class TestIdentify:
         assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0
 
     def test_rows_between_gaps_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         table = pd.read_csv(folder / "latlon.csv").drop(index=[*range(100, 150), *range(151, 200)])
         table.to_csv(tmp_path / "gaps.csv", index=False)
         assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]) == 0
         assert "1 rows that stand alone between gaps are left out" in capsys.readouterr().err
 
     def test_a_flight_too_short_for_its_model_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         pd.read_csv(folder / "latlon.csv").iloc[:160].to_csv(tmp_path / "short.csv", index=False)
         assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "short.csv")]) == 0
         assert "The training flights last 3.98 s, in which" in capsys.readouterr().err
 
     def test_a_surface_that_was_never_moved_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         pd.read_csv(folder / "latlon.csv").assign(rudder=0.01).to_csv(tmp_path / "still.csv", index=False)
         assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "still.csv")]) == 0
         assert "['rudder'] never change: what they do cannot be learned" in capsys.readouterr().err
 
     def test_several_test_flights_are_scored_together_too(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         assert identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
@@ -212,13 +214,13 @@ class TestIdentify:
         assert "2 test flights together" in capsys.readouterr().out
 
     def test_without_matplotlib_there_are_no_pictures(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
-        monkeypatch.setattr(_job, "find_spec", lambda name: None)
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "find_spec", lambda name: None)
         assert identify("--test", "test.csv", output=tmp_path) == 0
         assert 'No pictures in the report: they need pip install "skdgp[plot]"' in capsys.readouterr().err
 
     def test_testing_on_what_was_learned_is_remarked_on(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         assert identify("--test", "latlon.csv", output=tmp_path) == 0
         assert "'latlon' is both learned from and tested on" in capsys.readouterr().err
 
@@ -274,7 +276,7 @@ class TestBadInput:
         refused("rename one of the files", train=["latlon.csv", str(tmp_path / "latlon.csv")])
 
     def test_a_test_flight_that_lacks_a_column_is_noticed_before_the_fit(self, refused, folder, tmp_path, monkeypatch):
-        monkeypatch.setattr(_job, "_fit", lambda *arguments: pytest.fail("fitted"))
+        monkeypatch.setattr(_identify, "make_identification_pipeline", lambda *a, **k: pytest.fail("fitted"))
         pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(tmp_path / "bare.csv", index=False)
         refused(r"The flight '\w+' lacks the columns 'alpha'\. Rename or compute", "--test", str(tmp_path / "bare.csv"))
 
@@ -401,7 +403,7 @@ class TestBadInput:
 @pytest.mark.usefixtures("short_fits")
 class TestInterrupt:
     def test_keeps_the_best_so_far(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: "; ".join(content.messages))
+        monkeypatch.setattr(_identify, "render_report", lambda content: "; ".join(content.messages))
         monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
         assert identify("--test", "test.csv", "--max-iter", "50", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
@@ -418,24 +420,26 @@ class TestInterrupt:
         def render(content):
             signal.raise_signal(signal.SIGINT)
 
-        monkeypatch.setattr(_outputs, "render_report", render)
+        monkeypatch.setattr(_identify, "render_report", render)
         monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert not (tmp_path / "new").exists()
         assert capsys.readouterr().err.endswith("stopped: no output was written\n")
 
     def test_twice_within_the_fit_stops(self, tmp_path, monkeypatch):
+        show = Console.progress
+
         def progress(self, stage, n_evaluations, log_likelihood):
             if stage == "fit" and n_evaluations == 1:
                 self.interrupts += 1  # the first one
-            interrupting(lambda *_: None, "fit", 1)(self, stage, n_evaluations, log_likelihood)
+            interrupting(show, "fit", 1)(self, stage, n_evaluations, log_likelihood)
 
         monkeypatch.setattr(Console, "progress", progress)
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert not (tmp_path / "new").exists()
 
     def test_before_there_is_a_model_stops(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(_job, "aerodynamic_coefficients", lambda *a, **k: signal.raise_signal(signal.SIGINT))
+        monkeypatch.setattr(_identify, "aerodynamic_coefficients", lambda *a, **k: signal.raise_signal(signal.SIGINT))
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert not (tmp_path / "new").exists()
 
@@ -482,27 +486,28 @@ class TestKilled:
 
     @pytest.fixture(autouse=True)
     def _at_once(self, monkeypatch):
-        monkeypatch.setattr(_job, "checkpointing", partial(checkpointing, every=0.0))
+        monkeypatch.setattr(_command, "checkpointing", partial(checkpointing, every=0.0))
 
     def identify(self, monkeypatch, output, die_at=None):
         """Return how many evaluations it took; or be killed at one of them."""
-        heard = []
+        count = 0
 
-        def progress(console, *news):
-            heard.append(news)
-            if len(heard) == die_at:
+        def progress(console, stage, n_evaluations, log_likelihood):
+            nonlocal count
+            count += n_evaluations > 0
+            if count == die_at:
                 raise self.Killed
 
         monkeypatch.setattr(Console, "progress", progress)
         assert identify("--test", "test.csv", output=output) == 0
-        return len(heard)
+        return count
 
     def test_within_the_fit_or_after_it(self, tmp_path, monkeypatch):
         output = tmp_path / "new"
         with pytest.raises(self.Killed):
             self.identify(monkeypatch, output, die_at=100)
         with monkeypatch.context() as patch:
-            patch.setattr(_outputs, "render_report", self.die)
+            patch.setattr(_identify, "render_report", self.die)
             with pytest.raises(self.Killed):
                 self.identify(monkeypatch, output)
         assert {path.name for path in output.iterdir()} == {"checkpoint"}
@@ -514,7 +519,7 @@ class TestKilled:
         def render(content):
             signal.raise_signal(signal.SIGINT)
 
-        monkeypatch.setattr(_outputs, "render_report", render)
+        monkeypatch.setattr(_identify, "render_report", render)
         monkeypatch.setattr(Console, "progress", lambda *_: None)
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert "no output was written; run again, the fit goes on where it was" in capsys.readouterr().err
@@ -600,8 +605,8 @@ class TestConsole:
         with Console(stream) as console:
             console.stage("fit")
             console.progress("fit", 1, 0.0)
-            console.warn("look\n out")
-            console.warn("look out")
+            warnings.warn("look\n out", UserWarning, stacklevel=1)
+            warnings.warn("look out", UserWarning, stacklevel=1)
         assert stream.getvalue() == "warning: look out\n"
         assert console.messages == ["look out"]
 
@@ -616,8 +621,8 @@ class TestConsole:
 
 def test_a_horizon_beyond_the_flight_is_remarked_on():
     table = pd.DataFrame({"time": [0.0, 1.0, 2.0, 50.0, 51.0, 52.0, 53.0]})
-    with pytest.warns(UserWarning, match=r"'hop' lasts 3 s without a gap.*--horizons 4 100"):
-        _evaluation._warn_of_long([2.0, 3.0, 4.0, 100.0], "hop", table)
+    with pytest.warns(UserWarning, match=r"'hop' lasts 3 s without a gap.*horizons of 4 100 s"):
+        _evaluation.warn_of_long_horizons([2.0, 3.0, 4.0, 100.0], "hop", table)
 
 
 def test_noise_of_a_flight_too_short_for_a_spectrum():
@@ -626,10 +631,10 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
     rng = np.random.default_rng(0)
     table = pd.DataFrame({"time": t, "p": 0.1 * t + rng.normal(0, 0.01, 100), "phi": np.angle(np.exp(1j * t))})
     table.loc[::17, "p"] = np.nan
-    found = _evaluation._sensor_noise(table)
+    found = _evaluation.sensor_noise(table)
     assert found["p"] == pytest.approx(0.01, rel=0.3)
     assert found["phi"] == pytest.approx(0.0, abs=1e-12)  # a steady turn through pi is no noise
-    assert _evaluation._sensor_noise(table[:2]) == {"phi": 0.0, "p": 0.0}
+    assert _evaluation.sensor_noise(table[:2]) == {"phi": 0.0, "p": 0.0}
 
 
 def wait_for(stream, text):
@@ -661,7 +666,7 @@ def short_flights(monkeypatch):
         return data
 
     monkeypatch.setattr(datasets, "load_example_flights", first)
-    monkeypatch.setattr(_source, "load_example_flights", first)
+    monkeypatch.setattr(_command, "load_example_flights", first)
 
 
 @pytest.mark.usefixtures("short_flights", "short_fits")
@@ -689,7 +694,7 @@ def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     if not PAGE.is_file():
         pytest.skip("the documentation is not beside the tests")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_outputs, "render_report", lambda content: "")
+    monkeypatch.setattr(_identify, "render_report", lambda content: "")
     names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}
     for ours, theirs in names.items():
         (tmp_path / f"{theirs}.csv").write_bytes((folder / f"{ours}.csv").read_bytes())

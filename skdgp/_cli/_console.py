@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 CLEAR = "\r\x1b[K"
-PERIOD = 0.2  # seconds between two states of the progress line
+PERIOD = 0.2  # seconds between two states of the progress line, so that a terminal is not what takes the time
 
 
 class Console:
@@ -24,10 +24,9 @@ class Console:
         self.stream = sys.stderr if stream is None else stream
         self.messages: list[str] = []
         self.interrupts = 0
-        self._is_terminal = self.stream.isatty()
+        self._shows_progress = self.stream.isatty()
         self._lock = threading.RLock()
-        self._stop = threading.Event()
-        self._stage, self._began, self._detail = "", time.monotonic(), ""
+        self._stage, self._began, self._shown = "", 0.0, -PERIOD
         self._evaluations: dict[str, int] = {}
 
     def __enter__(self) -> Console:
@@ -37,27 +36,18 @@ class Console:
         for category in (UserWarning, RuntimeWarning):
             warnings.simplefilter("always", category)
         warnings.showwarning = self._show_warning
-        if self._is_terminal:
-            self._thread = threading.Thread(target=self._refresh, daemon=True)
-            self._thread.start()
         return self
 
     def __exit__(self, kind, error, trace):
-        self.close()
         self._warnings.__exit__(kind, error, trace)
         self._write()
         self.print()
 
-    def close(self) -> None:
-        """Remove the progress line for good."""
-        if self._is_terminal and not self._stop.is_set():
-            self._stop.set()
-            self._thread.join()
-            self._write(CLEAR)
-
     def print(self, text: str | None = None) -> None:
         """Print a result, and flush standard output; raise OSError if it cannot be written."""
-        self.close()
+        if self._shows_progress:
+            self._write(CLEAR)
+            self._shows_progress = False
         try:
             if text is not None:
                 print(text)
@@ -73,29 +63,29 @@ class Console:
         self._write(f"{text}\n")
 
     def stage(self, words: str) -> None:
-        """Show from now on what is being done."""
-        with self._lock:
-            self._stage, self._began, self._detail = words, time.monotonic(), ""
+        """Show what is being done from now on."""
+        self._stage, self._began = words, time.monotonic()
+        self._show(words)
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
         """Show the stage of an identification; the listener of ``skdgp.listening``, called from any thread."""
         if n_evaluations == 0:
             self.stage(stage)
-            if self.interrupts > 1:  # both ended searches of the fit, the second one shall end everything
+            if self.interrupts > 1:  # both ended searches of the fit; the second one shall end everything
                 raise KeyboardInterrupt
             return
-        with self._lock:
-            if self.interrupts == 0:
-                self._stage = "fit"
-            if stage.startswith("output"):
-                self._evaluations[stage] = n_evaluations
-                total = sum(self._evaluations.values())
-                self._detail = f"{len(self._evaluations)} outputs, each alone · {total} evaluations"
-            else:
-                self._detail = f"all outputs together · {n_evaluations} evaluations"
-                if abs(log_likelihood) < float("inf"):
-                    words = "bound on the log likelihood" if stage == "bound" else "log likelihood"
-                    self._detail += f" · {words} {log_likelihood:.1f}"
+        self._evaluations[stage] = n_evaluations
+        if not self._shows_progress or time.monotonic() - self._shown < PERIOD:
+            return
+        if stage.startswith("output"):
+            total = sum(self._evaluations.values())
+            detail = f"{len(self._evaluations)} outputs, each alone · {total} evaluations"
+        else:
+            detail = f"all outputs together · {n_evaluations} evaluations"
+            if abs(log_likelihood) < float("inf"):
+                words = "bound on the log likelihood" if stage == "bound" else "log likelihood"
+                detail += f" · {words} {log_likelihood:.1f}"
+        self._show(f"fit · {detail} · {time.monotonic() - self._began:.0f} s")
 
     @contextmanager
     def counting_interrupts(self) -> Iterator[None]:
@@ -112,31 +102,29 @@ class Console:
 
     def _interrupt(self, number, frame):
         self.interrupts += 1
-        self._stage = "interrupted: keeping the best so far (Ctrl-C again: stop)"  # no printing in a signal handler
+        if self._shows_progress:  # not through the stream, which the handler may have interrupted
+            os.write(self.stream.fileno(), f"{CLEAR}keeping the best model so far (Ctrl-C again: stop)".encode())
         raise KeyboardInterrupt
+
+    def _show(self, line):
+        if self._shows_progress:
+            self._shown = time.monotonic()
+            self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
 
     def _show_warning(self, message, category, filename, lineno, file=None, line=None):
         """Print a warning the first time."""
         place = f" ({Path(filename).name}, line {lineno})" if issubclass(category, RuntimeWarning) else ""
         text = " ".join(str(message).split()) + place
-        with self._lock:
-            if text not in self.messages:
-                self.messages.append(text)
-                self._write(f"{CLEAR if self._is_terminal else ''}warning: {text}\n")
-
-    def _refresh(self):
-        while not self._stop.wait(PERIOD):
-            with self._lock:
-                if self._stage:
-                    parts = [self._stage, self._detail, f"{time.monotonic() - self._began:.0f} s"]
-                    line = " · ".join(part for part in parts if part)
-                    self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
+        if text not in self.messages:
+            self.messages.append(text)
+            self._write(f"{CLEAR if self._shows_progress else ''}warning: {text}\n")
 
     def _write(self, text=None):
         try:
-            if text is not None:  # in UTF-16 even an empty text is a mark
-                self.stream.write(text)
-            self.stream.flush()
+            with self._lock:
+                if text is not None:  # in UTF-16 even an empty text is a mark
+                    self.stream.write(text)
+                self.stream.flush()
         except OSError:  # what can go on without a word goes on
             _redirect_to_null(self.stream)
 

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pandas as pd
 
-from skdgp._cli._options import AIRCRAFT, MODEL, OPTIONAL_FOLDER, SEED, number, option, paths, speed
+from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, Writer, picture_writers, table_writer, text_writer
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model, thrust_of_model
@@ -20,7 +20,16 @@ COLUMN = 11
 
 
 def derivatives(run: Run) -> None:
-    """Print trims, derivatives and modes, and write them where a folder is named."""
+    """Print stability and control derivatives and modes of the model, in level flight at each airspeed.
+
+    CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with the standard deviation over
+    functions drawn from the posterior. With -o writes derivatives.csv, modes.csv, trims.csv, derivatives.json,
+    config.toml and, of several airspeeds, a picture derivatives.png into DIR, all or none.
+
+    For example:
+      python -m skdgp derivatives results/model.joblib --airspeed 35
+      python -m skdgp derivatives results/model.joblib --airspeed 30 35 40 --axes stability -o sweep
+    """
     options = run.options
     run.console.stage("reading")
     model = read_model(options)
@@ -126,38 +135,14 @@ def _mode_rows(modes: pd.DataFrame) -> list[str]:
 
 
 DERIVATIVES = Command(
-    name="derivatives",
-    run=derivatives,
-    summary="trims, stability derivatives and modes",
-    description="""\
-Trim the aircraft in level flight at each airspeed, and print there the stability and control derivatives of the model
-(CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V), and the modes of its motion, each with the
-standard deviation over functions drawn from the posterior.
-
-With -o writes derivatives.csv, modes.csv, trims.csv, derivatives.json, config.toml and, of several airspeeds, a picture
-derivatives.png into DIR, all or none.
-""",
-    examples="""\
-examples:
-  python -m skdgp derivatives results/model.joblib --airspeed 35
-  python -m skdgp derivatives results/model.joblib --airspeed 30 35 40 --axes stability -o sweep
-""",
-    options={
+    derivatives,
+    {
         "": [
-            MODEL,
-            AIRCRAFT,
-            option("--airspeed", nargs="+", type=speed, required=True, metavar="V", help="of the trims [m/s]"),
-            option("--altitude", type=number(), default=0.0, metavar="M", help="of the trims [m] (default: 0)"),
-            option(
-                "--axes",
-                choices=["body", "stability"],
-                default="body",
-                help="of forces, moments and rates: the body's, or those turned to the alpha of the trim "
-                "(default: body)",
-            ),
-            paths(200, "for the standard deviations; 0: none"),
-            SEED,
-            OPTIONAL_FOLDER,
+            *(opt.MODEL, opt.AIRCRAFT, opt.SEED, opt.OPTIONAL_FOLDER),
+            opt.option("--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True),
+            opt.option("--altitude M", "of the trims [m] (default: 0)", opt.number(), default=0.0),
+            opt.choice("--axes", ["body", "stability"], "of forces, moments and rates (default: body)"),
+            opt.paths(200, "for the standard deviations; 0: none"),
         ]
     },
 )

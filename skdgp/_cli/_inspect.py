@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from skdgp._cli._options import SERVOS, FileName, option
+from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
 from skdgp._compute.files import write_atomically
@@ -16,7 +16,17 @@ from skdgp.preprocessing import LagCorrector
 
 
 def inspect(run: Run) -> None:
-    """Print what a log holds, and its lags; write a template of its servo file where one is asked for."""
+    """Print what a log holds: vehicle, firmware, topics with rates and gaps, columns of its flight table, flights.
+
+    And what is missing for coefficients, reconstruction, regressors, replay; and how late air data, surfaces, attitude
+    and GPS are against the inertial unit (identify --lags corrects them).
+
+    LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
+
+    For example:
+      python -m skdgp inspect log.ulg
+      python -m skdgp inspect log.bin --servo-template servo.toml
+    """
     options = run.options
     run.console.stage("reading")
     summary = inspect_log(options.log, servos=options.servos)
@@ -32,7 +42,7 @@ def inspect(run: Run) -> None:
     lines = ["", "  lags              " + (f"not estimated: {why}" if lags is None else "seconds, positive where late")]
     for name, row in {} if lags is None else lags.iterrows():
         known = row["std"] == row["std"]  # not NaN
-        value = f"{row['lag']:>8.3f} +- {row['std']:.3f} s  " if known else " " * 20
+        value = f"{row['lag']:>z8.3f} +- {row['std']:.3f} s  " if known else " " * 20
         lines.append(f"    {name:<16}{value}{row['remark']}")
     numbers = summary.to_dict() | {"lags": None if lags is None else lags.to_dict("index")}
     run.print("\n".join([str(summary), *lines]), numbers)
@@ -50,31 +60,12 @@ def _lags(options) -> tuple[pd.DataFrame | None, str]:
 
 
 INSPECT = Command(
-    name="inspect",
-    run=inspect,
-    summary="what a log holds and what it lacks",
-    description="""\
-Print what a log holds: vehicle, firmware, topics with rates and gaps, the columns of its flight table and where they
-are from, flights, what is missing for coefficients, reconstruction, regressors, replay, and how late air data,
-surfaces, attitude and GPS are against the inertial unit (identify --lags corrects them).
-
-LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
-""",
-    examples="""\
-examples:
-  python -m skdgp inspect log.ulg
-  python -m skdgp inspect log.bin --servo-template servo.toml
-""",
-    options={
+    inspect,
+    {
         "": [
-            option("log", type=FileName, metavar="LOG", help="the log"),
-            SERVOS,
-            option(
-                "--servo-template",
-                type=FileName,
-                metavar="FILE",
-                help="write such a file for this log, to be filled in with the angles",
-            ),
+            opt.option("log LOG", "the log"),
+            opt.SERVOS,
+            opt.option("--servo-template FILE", "write such a file for this log, to be filled in with the angles"),
         ]
     },
 )

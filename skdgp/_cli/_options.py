@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from skdgp.preprocessing._selector import REGRESSOR_SETS
+
+
+class FileName(str):
+    """The name of a file or folder, which a configuration keeps as a whole path."""
+
+    def __new__(cls, text: str):
+        """Raise ArgumentTypeError if the name is not UTF-8, which no configuration and no report could hold."""
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise argparse.ArgumentTypeError(f"got {text!a}, but expected a name in UTF-8: rename it") from None
+        return super().__new__(cls, text)
 
 
 class Option(NamedTuple):
@@ -23,33 +35,24 @@ class Option(NamedTuple):
         return self.names[-1].removeprefix("--")
 
 
-def option(*names: str, **keywords) -> Option:
-    """Return an option; the arguments are those of ``ArgumentParser.add_argument``."""
-    return Option(names, keywords)
+def option(usage: str, help: str, type: Callable = FileName, **keywords) -> Option:
+    """Return an option; ``usage`` is such as "-o --output DIR", or "model MODEL" for an operand."""
+    words = usage.split()
+    names = tuple(word for word in words if word.startswith("-")) or (words[0],)
+    metavar = words[len(names) :]
+    if metavar:
+        keywords |= {"metavar": tuple(metavar) if len(metavar) > 1 else metavar[0], "type": type}
+    return Option(names, keywords | {"help": help})
 
 
-class FileName(str):
-    """The name of a file or folder, which a configuration keeps as a whole path."""
-
-    def __new__(cls, text):
-        """Raise ArgumentTypeError if the name is not UTF-8, which no configuration and no report could hold."""
-        try:
-            text.encode()
-        except UnicodeEncodeError:
-            raise argparse.ArgumentTypeError(f"got {text!a}, but expected a name in UTF-8: rename it") from None
-        return super().__new__(cls, text)
+def choice(name: str, choices: Sequence[str], help: str) -> Option:
+    """Return an option that has one of some values, by default the first."""
+    return Option((name,), {"choices": choices, "default": choices[0], "help": help})
 
 
-def table_file(text: str) -> FileName:
-    """Return the name of a table to write."""
-    if Path(text).suffix not in (".csv", ".parquet"):
-        raise argparse.ArgumentTypeError(f"got {text}, but expected a name that ends in .csv or .parquet")
-    return FileName(text)
-
-
-def regressor_names(text: str) -> str | list[str]:
-    """Return the name of a set of regressors, or names of columns with commas between."""
-    return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",") if name.strip()]
+def flag(name: str, help: str) -> Option:
+    """Return an option without a value."""
+    return Option((name,), {"action": "store_true", "help": help})
 
 
 def number(
@@ -74,85 +77,75 @@ def number(
     return read
 
 
-def at_least(lowest: int, *words: str):
+def at_least(lowest: int, *words: str) -> Callable[[str], float | str]:
     """Return what reads whole numbers from ``lowest`` on, or one of some words."""
     expected = ", or ".join([f"a whole number, {lowest} or more", *words])
     return number(expected, lambda value: value >= lowest, int, words)
 
 
-seconds = number("seconds > 0", lambda value: value > 0)
-speed = number("m/s > 0", lambda value: value > 0)
-path_count = number("0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int)
+def positive(unit: str, *words: str) -> Callable[[str], float | str]:
+    """Return what reads numbers > 0, or one of some words."""
+    return number(", or ".join([f"{unit} > 0", *words]), lambda value: value > 0, words=words)
 
-MODEL = option("model", type=FileName, metavar="MODEL", help="the model.joblib that identify wrote")
-AIRCRAFT = option(
-    "--aircraft",
-    type=FileName,
-    metavar="FILE",
-    help="the aircraft, JSON or TOML, such as with another mass (default: the one in the model)",
-)
-FLIGHTS = option("flight", nargs="+", type=FileName, metavar="FLIGHT", help="flights, as of identify")
-SERVOS = option(
-    "--servos",
-    type=FileName,
-    metavar="FILE",
-    help="TOML for logs of autopilots: which channel moves which surface, and by how much; inspect writes a template",
-)
+
+jobs = number("a number of processes, 1 or more, or -1 for all cores", bool, int)
+
+
+def table_file(text: str) -> FileName:
+    """Return the name of a table to write."""
+    if Path(text).suffix not in (".csv", ".parquet"):
+        raise argparse.ArgumentTypeError(f"got {text}, but expected a name that ends in .csv or .parquet")
+    return FileName(text)
+
+
+def regressor_names(text: str) -> str | list[str]:
+    """Return the name of a set of regressors, or names of columns with commas between."""
+    return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",") if name.strip()]
+
+
+MODEL = option("model MODEL", "the model.joblib that identify wrote")
+FLIGHTS = option("flight FLIGHT", "flights, as of identify", nargs="+")
+AIRCRAFT = option("--aircraft FILE", "the aircraft, JSON or TOML, as with another mass (default: that of the model)")
+SERVOS = option("--servos FILE", "TOML for logs of autopilots: servos and angles; inspect writes a template")
 AIRBORNE = option(
-    "--airborne",
-    type=number("m/s > 0, or all", lambda value: value > 0, words=("all",)),
-    metavar="V|all",
-    help="airspeed [m/s] above which logs of autopilots are flights, or all of a log (default: estimated)",
+    "--airborne V|all",
+    "airspeed [m/s] above which logs of autopilots are flights, or all of a log (default: estimated)",
+    positive("m/s", "all"),
 )
 HORIZONS = option(
-    "--horizons",
+    "--horizons S",
+    "seconds between restarts of the replay (default: 2 10)",
+    positive("seconds"),
     nargs="+",
-    type=seconds,
     default=[2.0, 10.0],
-    metavar="S",
-    help="seconds from restart to restart of the replay (default: 2 10)",
 )
-SEED = option("--seed", type=at_least(0), default=0, metavar="N", help="of random numbers (default: 0)")
-FOLDER = option("-o", "--output", type=FileName, metavar="DIR", required=True, help="folder for the outputs")
-OPTIONAL_FOLDER = option("-o", "--output", type=FileName, metavar="DIR", help="folder for outputs (default: none)")
+SEED = option("--seed N", "of random numbers (default: 0)", at_least(0), default=0)
+FOLDER = option("-o --output DIR", "folder for the outputs", required=True)
+OPTIONAL_FOLDER = option("-o --output DIR", "folder for outputs (default: none)")
 
 
 def loads(thrust: str | None, forces: list[str] | None, default: str) -> list[Option]:
     """Return the options of known loads."""
+    sources = {"choices": ["auto", "columns", "propeller", "none"], "default": thrust}
+    names = "further known loads: tether means the columns tether_x, tether_y, tether_z [N]"
     return [
-        option(
-            "--thrust",
-            choices=["auto", "columns", "propeller", "none"],
-            default=thrust,
-            help=f"where the thrust is from: columns, the aircraft's propeller, or none (default: {default})",
-        ),
-        option(
-            "--external-forces",
-            nargs="+",
-            default=forces,
-            metavar="NAME",
-            help="further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
-        ),
+        Option(("--thrust",), sources | {"help": f"what gives the thrust (default: {default})"}),
+        option("--external-forces NAME", names, str, nargs="+", default=forces),
     ]
 
 
 def paths(default: int, use: str) -> Option:
     """Return the option of how many functions of the posterior are drawn."""
-    return option(
-        "--paths",
-        type=path_count,
-        default=default,
-        metavar="N",
-        help=f"functions of the posterior, {use} (default: {default})",
-    )
+    kind = number("0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int)
+    return option("--paths N", f"functions of the posterior {use} (default: {default})", kind, default=default)
+
+
+def none_of(words: str) -> str | None:
+    """Return None for "none", which the command line says for it."""
+    return None if words == "none" else words
 
 
 def reading(options: argparse.Namespace) -> dict:
     """Return the keywords of ``skdgp.io.read_flight`` for logs of autopilots."""
     airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
     return {"servos": options.servos, "airborne": airborne}
-
-
-def thrust_of(words: str) -> str | None:
-    """Return the thrust as the library takes it: None for "none"."""
-    return None if words == "none" else words

@@ -10,9 +10,10 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from inspect import getdoc
 from pathlib import Path
 
-from skdgp._cli._options import FileName, Option, option
+from skdgp._cli._options import FileName, Option, flag, option
 from skdgp._compute.files import read_toml
 from skdgp.identification._model_file import software_versions
 
@@ -21,23 +22,28 @@ HEAD = f"# {PROGRAM} "
 CHECKSUM = "# sha256 "
 NOT_KEPT = ("config", "output", "traceback")  # in a configuration
 COMPARED = ("skdgp", "scikit-learn", "numpy", "scipy")  # versions that numbers depend on
+PARSED = ("type", "choices", "nargs")  # keywords of an option that a value of a configuration needs
 COMMON = [
-    option("--json", action="store_true", help="print JSON instead of text"),
-    option("--config", type=FileName, metavar="FILE", help="TOML with options by name; the command line wins over it"),
-    option("--traceback", action="store_true", help="on an error also show where it arose"),
+    flag("--json", "print JSON instead of text"),
+    option("--config FILE", "TOML with options by name; the command line wins over it"),
+    flag("--traceback", "on an error also show where it arose"),
 ]
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command of ``python -m skdgp``: what it runs, its help, and its options by the title of their group."""
+    """A command of ``python -m skdgp``: the function that it runs, whose docstring is its help, and its options.
 
-    name: str
+    ``options`` are lists by the title of their group.
+    """
+
     run: Callable
-    summary: str
-    description: str
-    examples: str
     options: dict[str, list[Option]]
+
+    @property
+    def name(self) -> str:
+        """Its name on the command line."""
+        return self.run.__name__
 
     @property
     def all_options(self) -> list[Option]:
@@ -66,8 +72,7 @@ class Command:
         """Return the argument parser; ``values`` are the defaults from a configuration."""
         parser = argparse.ArgumentParser(
             prog=f"{PROGRAM} {self.name}",
-            description=self.description,
-            epilog=self.examples,
+            description=getdoc(self.run),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -112,8 +117,8 @@ class Command:
                 hint = f"did you mean {near[0]!r}?" if near else f"known options are {', '.join(known)}."
                 raise ValueError(f"Got unknown option {name!r} in {path}: {hint}")
             try:
-                found[key] = _converted(known[key].keywords, value)
-            except argparse.ArgumentTypeError as error:
+                found[key] = _converted(known[key], value)
+            except ValueError as error:
                 shown = json.dumps(value, default=str)
                 raise ValueError(f"Got {name} = {shown} in {path}: {error}.") from None
         return found
@@ -180,23 +185,22 @@ def _toml(value) -> str:
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
-def _converted(keywords: dict, value):
+def _converted(each: Option, value):
     """Return a value of a configuration as the same words on the command line would give it."""
-    if keywords.get("action") == "store_true":
+    if each.keywords.get("action") == "store_true":
         if not isinstance(value, bool):
-            raise argparse.ArgumentTypeError("expected true or false")
+            raise ValueError("expected true or false")
         return value
-    nargs, read, choices = keywords.get("nargs"), keywords.get("type", str), keywords.get("choices")
-    if nargs is None and isinstance(value, list):
+    if isinstance(value, list) and "nargs" not in each.keywords:
         value = ",".join(map(str, value))
     words = value if isinstance(value, list) else [value]
     if any(isinstance(word, bool | dict | list) for word in words):
-        raise argparse.ArgumentTypeError("expected text or numbers")
-    if isinstance(nargs, int) and len(words) != nargs:
-        raise argparse.ArgumentTypeError(f"expected {nargs} values")
-    if nargs == "+" and not words and keywords.get("default") != []:
-        raise argparse.ArgumentTypeError("expected one or more")
-    found = [read(str(word)) for word in words]
-    if choices is not None and not set(found) <= set(choices):
-        raise argparse.ArgumentTypeError(f"expected one of {', '.join(choices)}")
-    return found if nargs is not None else found[0]
+        raise ValueError("expected text or numbers")
+    if not words and each.keywords.get("default") == []:
+        return []
+    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
+    parser.add_argument("--value", **{key: each.keywords[key] for key in PARSED if key in each.keywords})
+    try:
+        return parser.parse_args(["--value", *map(str, words)]).value
+    except argparse.ArgumentError as error:
+        raise ValueError(error.message) from None

@@ -9,21 +9,8 @@ from pathlib import Path
 import pandas as pd
 from sklearn.utils import Bunch
 
+from skdgp._cli import _options as opt
 from skdgp._cli._identify import finish
-from skdgp._cli._options import (
-    AIRBORNE,
-    AIRCRAFT,
-    FLIGHTS,
-    HORIZONS,
-    MODEL,
-    OPTIONAL_FOLDER,
-    SERVOS,
-    loads,
-    option,
-    reading,
-    table_file,
-    thrust_of,
-)
 from skdgp._cli._output import Run, check_writable, table_writer
 from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
@@ -62,14 +49,22 @@ def thrust_of_model(model: Bunch) -> str | None:
 
 
 def predict(run: Run) -> None:
-    """Write what a model predicts for flights, row by row."""
+    """Write what a model predicts for flights: flight, time, CX CY CZ Cl Cm Cn, standard deviations CX_std ... Cn_std.
+
+    These are wider in rougher air. Rows whose regressors were not sampled are left out, with a warning. Beside OUT.csv
+    stands OUT.config.toml, all options of this run.
+
+    For example:
+      python -m skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
+      python -m skdgp predict results/model.joblib a.csv b.csv -o coefficients.parquet --include-noise
+    """
     options, output = run.options, Path(run.options.output)
     check_writable(output.suffix)
     if output.resolve() in (Path(flight).resolve() for flight in options.flight):
         raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
     run.console.stage("reading")
     model = read_model(options)
-    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **reading(options)))
+    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **opt.reading(options)))
     tables = []
     for name, table in flights.items():
         run.console.stage(f"predicting {name}")
@@ -89,95 +84,60 @@ def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.Dat
 
 
 def _print(run, whole, flights):
+    options = run.options
     coefficients = {
         name: {"lowest": whole[name].min(), "highest": whole[name].max(), "median_std": whole[f"{name}_std"].median()}
         for name in whole
         if f"{name}_std" in whole
     }
-    numbers = {
-        "model": run.options.model,
-        "output": run.options.output,
-        "flights": {name: len(table) for name, table in flights.items()},
-        "include_noise": run.options.include_noise,
-        "coefficients": coefficients,
-    }
-    lines = [f"{rows} rows of flight {name}" for name, rows in numbers["flights"].items()]
+    rows = {name: len(table) for name, table in flights.items()}
+    numbers = {"model": options.model, "output": options.output, "flights": rows}
+    numbers |= {"include_noise": options.include_noise, "coefficients": coefficients}
+    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     lines += ["", f"{'':6}{'lowest':>12}{'highest':>12}{'std (median)':>15}"]
     for name, row in coefficients.items():
         lines.append(f"{name:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
-    run.print("\n".join([*lines, "", f"table    {run.options.output}"]), numbers)
+    run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
 
 
 def validate(run: Run) -> None:
-    """Compare the predictions of a model with flights, replay them, and print the scores."""
+    """Judge a model on flights that it has not seen, as identify does on its test flights.
+
+    Its coefficients are compared with the measured ones and replayed: integrated from the measured state, restarted
+    every --horizons seconds. Prints the scores, and with -o writes report.html, metrics.json and config.toml into DIR,
+    all or none.
+
+    For example:
+      python -m skdgp validate results/model.joblib thursday.csv
+      python -m skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
+      python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
+    """
     options = run.options
-    known = {} if options.thrust is None else {"thrust": thrust_of(options.thrust)}
+    known = {} if options.thrust is None else {"thrust": opt.none_of(options.thrust)}
     if options.external_forces is not None:
         known["external_forces"] = options.external_forces
     with listening(run.console.progress):
         model = read_model(options)
-        result = judge(model, options.flight, horizons=options.horizons, **reading(options), **known)
+        result = judge(model, options.flight, horizons=options.horizons, **opt.reading(options), **known)
         finish(run, replace(result, command=run.command_line))
 
 
 PREDICT = Command(
-    name="predict",
-    run=predict,
-    summary="coefficients of flights, by a model",
-    description="""\
-Write what a model predicts for flights: a table with flight, time, CX CY CZ Cl Cm Cn, and their standard deviations
-CX_std ... Cn_std, which are wider in rougher air. Rows whose regressors were not sampled are left out, with a warning.
-
-Beside OUT.csv stands OUT.config.toml, all options of this run.
-""",
-    examples="""\
-examples:
-  python -m skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
-  python -m skdgp predict results/model.joblib a.csv b.csv -o coefficients.parquet --include-noise
-""",
-    options={
+    predict,
+    {
         "": [
-            MODEL,
-            FLIGHTS,
-            SERVOS,
-            AIRBORNE,
-            option(
-                "--include-noise",
-                action="store_true",
-                help="standard deviations of new measurements, instead of those of the coefficients themselves",
-            ),
-            option(
-                "-o", "--output", type=table_file, metavar="FILE", required=True, help="the table: .csv or .parquet"
-            ),
+            *(opt.MODEL, opt.FLIGHTS, opt.SERVOS, opt.AIRBORNE),
+            opt.flag("--include-noise", "standard deviations of new measurements, not of the coefficients themselves"),
+            opt.option("-o --output FILE", "the table: .csv or .parquet", opt.table_file, required=True),
         ]
     },
 )
 VALIDATE = Command(
-    name="validate",
-    run=validate,
-    summary="judge a model on other flights",
-    description="""\
-Judge a model on flights that it has not seen, as identify does on its test flights: its coefficients are compared with
-the measured ones, and replayed: integrated from the measured state, restarted every --horizons seconds.
-
-Prints the scores, and with -o writes report.html, metrics.json and config.toml into DIR, all or none.
-""",
-    examples="""\
-examples:
-  python -m skdgp validate results/model.joblib thursday.csv
-  python -m skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
-  python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
-""",
-    options={
+    validate,
+    {
         "": [
-            MODEL,
-            FLIGHTS,
-            AIRCRAFT,
-            SERVOS,
-            AIRBORNE,
-            *loads(None, None, "as of the model's fit"),
-            HORIZONS,
-            OPTIONAL_FOLDER,
+            *(opt.MODEL, opt.FLIGHTS, opt.AIRCRAFT, opt.SERVOS, opt.AIRBORNE, opt.HORIZONS, opt.OPTIONAL_FOLDER),
+            *opt.loads(None, None, "as of the model's fit"),
         ]
     },
 )

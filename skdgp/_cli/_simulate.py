@@ -8,26 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from skdgp._cli._options import (
-    AIRBORNE,
-    AIRCRAFT,
-    FOLDER,
-    MODEL,
-    SEED,
-    SERVOS,
-    FileName,
-    number,
-    option,
-    paths,
-    reading,
-    seconds,
-    speed,
-)
+from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, check_writable, picture_writers, table_writer, text_writer
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model, thrust_of_model
 from skdgp._flight.checks import check_columns
-from skdgp.dynamics import SimulationWarning, as_aerodynamics, simulate, trajectory_bands, trim
+from skdgp.dynamics import SimulationWarning, as_aerodynamics, trajectory_bands, trim
+from skdgp.dynamics import simulate as simulate_flight
 from skdgp.dynamics._simulation.trajectory import REASONS
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import json_text
@@ -56,8 +43,27 @@ class Start:
     log: pd.DataFrame | None = None
 
 
-def simulate_model(run: Run) -> None:
-    """Simulate with a model, write trajectory, bands and picture, and print how it went."""
+def simulate(run: Run) -> None:
+    """Fly a model, from a moment of a log with its controls from there on, or from a trim with its controls held.
+
+    The mean of the model is flown, and functions drawn from its posterior, each an aircraft that the data allow: the
+    band of 95 % of them is how certain the trajectory is. --controls TABLE flies other controls: columns time [s], the
+    first row the start, elevator, aileron, rudder [rad], throttle; from a trim, what the table lacks is held. The air
+    is still, unless --wind says otherwise, or the wind is estimated from the log.
+
+    Writes into DIR, all or none:
+      trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
+                        "ended" says why a trajectory is over
+      bands.csv         median, 2.5 % and 97.5 % of the paths over time
+      trajectory.png    a picture
+      simulation.json   start, end, when it ended or left the training data
+      config.toml       all options of this run
+
+    For example:
+      python -m skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
+      python -m skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
+      python -m skdgp simulate results/model.joblib --trim 35 --controls doublet.csv --paths 100 -o doublet
+    """
     options = run.options
     suffix = f".{options.format}"
     check_writable(suffix)
@@ -66,29 +72,16 @@ def simulate_model(run: Run) -> None:
     thrust = thrust_of_model(model)
     start = _start(options, model, thrust)
     run.console.stage("simulating")
-
-    def simulated(**sampling):
-        return simulate(
-            model.pipeline,
-            model.aircraft,
-            start.state,
-            start.controls,
-            options.dt,
-            duration=start.duration,
-            wind=start.wind,
-            thrust=thrust,
-            **sampling,
-        )
-
-    trajectory, sampled = simulated(), None
+    initial = (model.pipeline, model.aircraft, start.state, start.controls, options.dt)
+    conditions = {"duration": start.duration, "wind": start.wind, "thrust": thrust}
+    trajectory, sampled = simulate_flight(*initial, **conditions), None
     files = {f"trajectory{suffix}": table_writer(trajectory, suffix)}
     if options.paths:
         run.console.stage(f"simulating {options.paths} functions of the posterior")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)  # the summary says which share of them
-            sampled = simulated(n_paths=options.paths, random_state=options.seed)
-        bands = trajectory_bands(sampled).drop(columns="start")
-        files[f"bands{suffix}"] = table_writer(bands, suffix)
+            sampled = simulate_flight(*initial, **conditions, n_paths=options.paths, random_state=options.seed)
+        files[f"bands{suffix}"] = table_writer(trajectory_bands(sampled).drop(columns="start"), suffix)
     numbers = _numbers(options, start, trajectory, sampled)
     drawn = trajectory if sampled is None else sampled
     files |= picture_writers("trajectory.png", TrajectoryDisplay.from_trajectories, drawn, start.log)
@@ -109,16 +102,9 @@ def _start(options, model, thrust) -> Start:
 
 def _trimmed(options, model, thrust) -> Start:
     climb = 0.0 if options.climb is None and thrust is not None else options.climb  # a glider's follows
-    found = trim(
-        model.pipeline,
-        model.aircraft,
-        options.trim,
-        altitude=options.altitude or 0.0,
-        climb=climb,
-        turn_rate=options.turn_rate,
-        bank=options.bank,
-        thrust=thrust,
-    )
+    path = {"climb": climb, "turn_rate": options.turn_rate, "bank": options.bank}
+    altitude = options.altitude or 0.0
+    found = trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path)
     state = {name: getattr(found, name) for name in (*AIR, "phi", "theta", "altitude")}
     state |= dict(zip(("p", "q", "r"), found.rates, strict=True))  # by the air, which the wind carries along
     if options.controls is None:
@@ -134,7 +120,7 @@ def _logged(options, model) -> Start:
     """Start from a moment of a log, its noise removed and its wind estimated by the model's pipeline."""
     if options.at is None:
         raise ValueError("Got --flight without --at, but expected the moment to start from: --at SECONDS.")
-    log = _flight_around(options.at, named_flights(options.flight, **reading(options)))
+    log = _flight_around(options.at, named_flights(options.flight, **opt.reading(options)))
     for step in model.pipeline:
         if isinstance(step, MEASUREMENTS):
             log = step.transform(log)
@@ -172,22 +158,18 @@ def _numbers(options, start, trajectory, paths) -> dict:
     flying = trajectory[trajectory["ended"] == ""]
     first = trajectory.iloc[0]
     last = first if flying.empty else flying.iloc[-1]
-    beyond = flying[flying["beyond"] != ""]
-    ended = next((REASONS[why] for why in trajectory["ended"] if why), None)
+    outside, beyond = flying[flying["beyond"] != ""], None
+    if len(outside):
+        beyond = {"first": outside["time"].iloc[0] - first["time"], "share": len(outside) / len(flying)}
+        beyond["regressors"] = sorted(set(outside["beyond"]))
     return {
         "model": options.model,
         "start": {name: first[name] for name in START},
         "controls": dict(start.controls) if isinstance(start.controls, dict) else None,
         "duration": start.duration,
         "flown": last["time"] - first["time"],
-        "ended": ended,
-        "beyond": None
-        if beyond.empty
-        else {
-            "first": beyond["time"].iloc[0] - first["time"],
-            "share": len(beyond) / len(flying),
-            "regressors": sorted(set(beyond["beyond"])),
-        },
+        "ended": next((REASONS[why] for why in trajectory["ended"] if why), None),
+        "beyond": beyond,
         "end": {name: last[name] for name in START},
         "paths": None if paths is None else _spread(paths),
     }
@@ -206,11 +188,9 @@ def _spread(paths) -> dict:
 
 
 def _text(numbers, files) -> str:
-    lines = []
-    if numbers["ended"] is None:
-        lines.append(f"flown {numbers['flown']:.4g} s, to the end")
-    else:
-        lines.append(f"ended after {numbers['flown']:.4g} of {numbers['duration']:.4g} s: {numbers['ended']}")
+    lines = [f"flown {numbers['flown']:.4g} s, to the end"]
+    if numbers["ended"] is not None:
+        lines = [f"ended after {numbers['flown']:.4g} of {numbers['duration']:.4g} s: {numbers['ended']}"]
     beyond, paths = numbers["beyond"], numbers["paths"]
     if beyond is None:
         lines.append("always within what the model was learned from")
@@ -237,65 +217,32 @@ def _text(numbers, files) -> str:
 
 
 SIMULATE = Command(
-    name="simulate",
-    run=simulate_model,
-    summary="fly a model",
-    description="""\
-Fly a model: from a moment of a log, with the controls that were logged from there on, or from a trim, with its controls
-held. The mean of the model is flown, and functions drawn from its posterior, each an aircraft that the data allow:
-the band of 95 % of them is how certain the trajectory is. --controls TABLE flies other controls: columns time [s], the
-first row the start, elevator, aileron, rudder [rad], throttle; from a trim, what the table lacks is held.
-
-Writes into DIR, all or none:
-  trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
-                    "ended" says why a trajectory is over
-  bands.csv         median, 2.5 % and 97.5 % of the paths over time
-  trajectory.png    a picture
-  simulation.json   start, end, when it ended or left the training data
-  config.toml       all options of this run
-
-The air is still, unless --wind says otherwise, or the wind is estimated from the log.
-""",
-    examples="""\
-examples:
-  python -m skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
-  python -m skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
-  python -m skdgp simulate results/model.joblib --trim 35 --controls doublet.csv --paths 100 -o doublet
-""",
-    options={
+    simulate,
+    {
         "": [
-            MODEL,
-            AIRCRAFT,
-            option("--controls", type=FileName, metavar="TABLE", help="the controls to fly with"),
-            option(
-                "--wind",
+            *(opt.MODEL, opt.AIRCRAFT, opt.FOLDER),
+            opt.option("--controls TABLE", "the controls to fly with"),
+            opt.option(
+                "--wind N E D",
+                "velocity of the air [m/s], north, east, down (default: estimated from the log, else 0 0 0)",
+                opt.number(),
                 nargs=3,
-                type=number(),
-                metavar=("N", "E", "D"),
-                help="velocity of the air [m/s], north, east, down (default: estimated from the log, else 0 0 0)",
             ),
-            option("--duration", type=seconds, metavar="S", help="how long [s] (default: 10, or the rest of the log)"),
-            option("--dt", type=seconds, default=0.02, metavar="S", help="time step [s] (default: 0.02)"),
-            paths(30, "to fly; 0: the mean alone"),
-            SEED,
-            option("--format", choices=["csv", "parquet"], default="csv", help="of the tables (default: %(default)s)"),
-            FOLDER,
+            opt.option("--duration S", "how long [s] (default: 10, or the rest of the log)", opt.positive("seconds")),
+            opt.option("--dt S", "time step [s] (default: 0.02)", opt.positive("seconds"), default=0.02),
+            opt.paths(30, "to fly; 0: the mean alone"),
+            opt.SEED,
+            opt.choice("--format", ["csv", "parquet"], "of the tables (default: csv)"),
         ],
         "start, of a log or of a trim": [
-            option("--flight", type=FileName, metavar="LOG", help="start where this flight was"),
-            option("--at", type=number(), metavar="S", help="when, on the clock of the log [s]"),
-            SERVOS,
-            AIRBORNE,
-            option("--trim", type=speed, metavar="V", help="start from steady flight at this airspeed [m/s]"),
-            option("--altitude", type=number(), metavar="M", help="of the trim [m] (default: 0)"),
-            option(
-                "--climb",
-                type=number(),
-                metavar="RAD",
-                help="flight-path angle [rad] (default: 0; of a glider, what balances)",
-            ),
-            option("--turn-rate", type=number(), metavar="RAD/S", help="of its heading [rad/s] (default: 0)"),
-            option("--bank", type=number(), metavar="RAD", help="its bank angle [rad], instead of a turn rate"),
+            opt.option("--flight LOG", "start where this flight was"),
+            opt.option("--at S", "when, on the clock of the log [s]", opt.number()),
+            *(opt.SERVOS, opt.AIRBORNE),
+            opt.option("--trim V", "start from steady flight at this airspeed [m/s]", opt.positive("m/s")),
+            opt.option("--altitude M", "of the trim [m] (default: 0)", opt.number()),
+            opt.option("--climb RAD", "flight-path angle [rad] (default: 0; a glider's follows)", opt.number()),
+            opt.option("--turn-rate RAD/S", "of the heading [rad/s] (default: 0)", opt.number()),
+            opt.option("--bank RAD", "bank angle [rad], instead of a turn rate", opt.number()),
         ],
     },
 )

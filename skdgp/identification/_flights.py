@@ -28,35 +28,32 @@ MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
 
 
 def named_flights(flights, *, needed: Sequence[str] = (), **reading) -> Flights:
-    """Return one table for each flight, by name.
+    """Return one table for each flight by name, of a table, a path, a dict of tables, or several tables and paths.
 
-    Parameters
-    ----------
-    flights : DataFrame, path, mapping of names to tables, or iterable of tables and paths
-        A table may hold several flights, told apart by its column ``flight``.
-    needed : sequence of str
-        Columns that each flight must have.
-    **reading
-        Options of ``skdgp.io.read_flight`` for logs of autopilots.
+    A column ``flight`` tells several flights in a table apart. ``reading`` are options of ``skdgp.io.read_flight`` for
+    logs of autopilots.
 
     Raises
     ------
     ValueError, OSError
-        What the readers raise; if two flights have the same name, or a flight lacks a column.
+        What the readers raise; if two flights have the same name, or a flight lacks a column that is needed.
     """
     if isinstance(flights, Mapping):
-        return {name: _checked_columns(_only_flight(name, table), needed) for name, table in flights.items()}
+        return {name: _checked_columns(_single_flight(name, table), needed) for name, table in flights.items()}
     if isinstance(flights, str | os.PathLike | pd.DataFrame) or not isinstance(flights, Iterable):
         flights = [flights]
     found: Flights = {}
+    flights = list(flights)
+    if not flights:
+        raise ValueError("Got no flight, but expected at least one.")
     origin: dict[str, object] = {}
     for number, item in enumerate(flights, start=1):
-        is_path = isinstance(item, str | os.PathLike)
-        table = _read(item, **reading) if is_path else check_table(item)
+        path = item if isinstance(item, str | os.PathLike) else None
+        table = check_table(item) if path is None else _read(path, reading)
         for name, part in flights_of(table, f"flight {number}").items():
             if name in found:
-                raise FlightReadError(_same_name(name, origin[name], item if is_path else None))
-            found[name], origin[name] = _checked_columns(part, needed, item if is_path else None), item
+                raise FlightReadError(_same_name(name, origin[name], path))
+            found[name], origin[name] = _checked_columns(part, needed, path), path
     return found
 
 
@@ -68,14 +65,14 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
     return {name: table.iloc[here].reset_index(drop=True).assign(flight=name) for name, here in rows.items()}
 
 
-def _only_flight(name, table) -> pd.DataFrame:
+def _single_flight(name, table) -> pd.DataFrame:
     parts = flights_of(check_table(table))
     if len(parts) != 1:
         raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
     return next(iter(parts.values())).assign(flight=name)
 
 
-def _read(path, **reading) -> pd.DataFrame:
+def _read(path, reading) -> pd.DataFrame:
     return read_flight(path, **(reading if _is_autopilot(path) else {}))
 
 
@@ -94,8 +91,8 @@ def _checked_columns(table, needed, path=None) -> pd.DataFrame:
 
 
 def _same_name(name, first, second) -> str:
-    """Return the error of two flights of one name, with the remedy: another name of a file, or in its column."""
-    if second is None or isinstance(first, pd.DataFrame):
+    """Return the message for two flights of one name, with the remedy."""
+    if first is None or second is None:
         return f"Got flight {name!r} twice, but expected each once: give a dict of names and tables."
     columns = [str(path) for path in (second, first) if Path(path).stem != name]
     if Path(first).resolve() == Path(second).resolve():
@@ -109,17 +106,14 @@ def _same_name(name, first, second) -> str:
 
 def hold_out(flights: Flights) -> tuple[Flights, Flights, str]:
     """Return flights to learn from, those held out (the last, or the last quarter of a single one), and which."""
-    last = list(flights)[-1]
-    if len(flights) > 1:
-        return (
-            {name: table for name, table in flights.items() if name != last},
-            {last: flights[last]},
-            (f"the last flight, {last}"),
-        )
-    table = flights[last]
-    split = round(0.75 * len(table))
-    parts = {f"{last}, first three quarters": table.iloc[:split], f"{last}, last quarter": table.iloc[split:]}
-    first, rest = ({name: part.assign(flight=name).reset_index(drop=True)} for name, part in parts.items())
+    *others, last = flights
+    if others:
+        return {name: flights[name] for name in others}, {last: flights[last]}, f"the last flight, {last}"
+    split = round(0.75 * len(flights[last]))
+    parts = {f"{last}, first three quarters": slice(0, split), f"{last}, last quarter": slice(split, None)}
+    first, rest = (
+        {name: flights[last].iloc[rows].assign(flight=name).reset_index(drop=True)} for name, rows in parts.items()
+    )
     return first, rest, f"the last quarter of the only flight, {last}"
 
 
@@ -138,20 +132,12 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
 
 
 def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flights:
-    """Return flights without faults, and only rows that a model can learn from or predict; warn of what is left out.
-
-    Parameters
-    ----------
-    flights : dict of str to DataFrame
-    regressors : str or list of str
-        As of `make_identification_pipeline`.
-    columns : sequence of str
-        Columns that each flight must have, because the model's flights have them.
+    """Return flights without faults, and only rows that a model can learn from or predict; warn of the others.
 
     Raises
     ------
     ValueError
-        If a flight lacks a column, or no row of it is left.
+        If a flight lacks one of the columns, which the model's flights have, or no row of it is left.
     """
     for table in flights.values():
         check_columns(table, [name for name in columns if name not in MIXED])

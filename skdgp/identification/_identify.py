@@ -47,7 +47,12 @@ from skdgp.identification._model_file import (
     software_versions,
     write_together,
 )
-from skdgp.identification._pipeline import calibrate_noise, make_identification_pipeline, regressor_and_scale
+from skdgp.identification._pipeline import (
+    calibrate_noise,
+    check_aircraft,
+    make_identification_pipeline,
+    regressor_and_scale,
+)
 from skdgp.model_selection import thin_targets
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._style import display_unit
@@ -324,7 +329,7 @@ def check_identified(pipeline: Pipeline) -> None:
 def read_aircraft(aircraft: Aircraft | str | os.PathLike) -> Aircraft:
     """Return the aircraft, read from a file where a path is given."""
     if not isinstance(aircraft, str | os.PathLike):
-        return aircraft
+        return check_aircraft(aircraft)
     path = Path(aircraft)
     if not path.exists():
         raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")

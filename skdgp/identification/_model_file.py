@@ -37,7 +37,7 @@ class ModelFileError(ValueError):
 
 
 def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts) -> Path:
-    """Keep a fitted pipeline, its aircraft and how they came about in one file, which appears whole or not at all.
+    """Write a fitted pipeline, its aircraft and facts into one file, which appears whole or not at all.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
         Fitted.
     aircraft : Aircraft
     **facts
-        What else to remember, such as ``options={"thrust": "columns"}``.
+        Further entries, such as ``options={"thrust": "columns"}``.
 
     Returns
     -------
@@ -88,9 +88,9 @@ def dump_model(path: Path, model: Bunch) -> None:
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
-    """Read a model that :func:`save_model` or ``python -m skdgp identify`` wrote.
+    """Return a model that :func:`save_model` or ``python -m skdgp identify`` wrote.
 
-    Loading runs what the file says (it is a pickle): open only files whose origin you trust.
+    The file is a pickle, and loading may run any code in it: open only files whose origin you trust.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def load_model(path: str | os.PathLike) -> Bunch:
     Returns
     -------
     Bunch
-        ``pipeline`` (fitted, raw flight table in, coefficients out), ``aircraft``, ``created``, ``versions`` and what
-        else was remembered: the command line adds ``options`` (thrust, external forces, ...), ``fit`` (samples,
-        seconds, log likelihood, ...) and ``flights`` learned from.
+        ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``, ``created``, ``versions`` and the
+        facts saved with it: of :func:`identify` ``options`` (thrust, external forces, ...), ``fit`` (samples, seconds,
+        log likelihood, ...) and ``flights`` learned from.
 
     Raises
     ------
@@ -121,16 +121,16 @@ def load_model(path: str | os.PathLike) -> Bunch:
         raise FileNotFoundError(f"Got {path}, but there is no such file: python -m skdgp identify writes model.joblib.")
     with path.open("rb") as file:
         closing = _closing(file, path)
-        _warn_of(closing, path)
+        _warn_of_origin(closing, path)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", InconsistentVersionWarning)  # said above, once for all
+                warnings.simplefilter("ignore", InconsistentVersionWarning)  # warned of above, once for all
                 file.seek(0)
                 model = joblib.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
-                f"Got {path}, written by {_said(closing['versions'])}, which cannot be read here, with "
-                f"{_said(software_versions())} ({type(error).__name__}: {error}): fit it again, or install those "
+                f"Got {path}, written by {_in_words(closing['versions'])}, which cannot be read here, with "
+                f"{_in_words(software_versions())} ({type(error).__name__}: {error}): fit it again, or install those "
                 "versions."
             ) from error
     if not _is_model(model):
@@ -198,7 +198,7 @@ def _closing(file: BinaryIO, path) -> dict:
     before = size - CHECKSUM_LENGTH - len(END)
     try:
         closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
-        form, made_by = closing["format"], _said(closing["versions"])
+        form, made_by = closing["format"], _in_words(closing["versions"])
         whole = closing["bytes"] == size - (len(end) - start)
         whole &= form == UNCHECKED or _checksum(file, before) + END == end[before - size :]
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):  # not what dump_model writes
@@ -227,7 +227,7 @@ def _checksum(file: BinaryIO, size: int) -> bytes:
     return found.hexdigest().encode()
 
 
-def _warn_of(closing, path):
+def _warn_of_origin(closing, path):
     """Warn of a file without a checksum, and of one that other versions wrote."""
     if closing["format"] == UNCHECKED:
         warnings.warn(
@@ -238,7 +238,7 @@ def _warn_of(closing, path):
         )
     if not _same_versions(closing["versions"]):
         warnings.warn(
-            f"{path} was made by {_said(closing['versions'])}, and this is {_said(software_versions())}: its "
+            f"{path} was made by {_in_words(closing['versions'])}, and this is {_in_words(software_versions())}: its "
             "predictions may differ. Compare a few, fit it again, or install those versions.",
             UserWarning,
             stacklevel=3,
@@ -259,5 +259,5 @@ def _same_versions(made_by) -> bool:
     return all(made_by.get(name) == here.get(name) for name in MATTERS)
 
 
-def _said(versions) -> str:
+def _in_words(versions) -> str:
     return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in MATTERS)

@@ -108,11 +108,7 @@ def make_identification_pipeline(
     >>> mean.shape, std.shape
     ((40, 2), (40, 2))
     """
-    if not isinstance(aircraft, Aircraft):
-        raise TypeError(
-            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
-            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
-        )
+    check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
         reconstruction = FlightPathReconstruction(incomplete="pass")
     pipeline = make_pipeline(
@@ -130,6 +126,16 @@ def make_identification_pipeline(
     if lags is not None:
         pipeline.steps.insert(1, ("lagcorrector", LagCorrector(lags)))
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
+
+
+def check_aircraft(aircraft) -> Aircraft:
+    """Return the aircraft, or raise TypeError."""
+    if not isinstance(aircraft, Aircraft):
+        raise TypeError(
+            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
+            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
+        )
+    return aircraft
 
 
 def _derivatives(regressors) -> list[str]:

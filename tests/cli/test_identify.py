@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import warnings
 from contextlib import suppress
 from functools import partial
@@ -21,15 +20,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp import checkpointing, datasets
+from skdgp import DependentGPRegressor, checkpointing, datasets
+from skdgp._cli import _console, main
 from skdgp._cli import _identify as _command
-from skdgp._cli import main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._output import OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _evaluation, _identify, load_model, predict_flight
+from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
 # Fits cut short to be quick say so.
@@ -128,6 +128,25 @@ class TestIdentify:
         inside = interval_coverage(Y, mean, std, multioutput="raw_values")
         np.testing.assert_allclose(error, [of[name]["median_relative_error"] for name in COEFFICIENTS], rtol=1e-9)
         np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9)
+
+    def test_the_function_gives_what_the_command_gives(self, folder, tmp_path, capsys):
+        train = ["lateral.csv", "latlon.csv"]
+        assert identify("--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
+        printed = capsys.readouterr().out.splitlines()
+        regressor = DependentGPRegressor(n_latent=1, max_iter=3, input_noise="learned", random_state=0)
+        options = {"samples": 40, "horizons": [1.0], "regressor": regressor}
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            warnings.showwarning = lambda *_: None
+            result = identify_flights(["lateral.csv", folder / "latlon.csv"], "uav.json", test="test.csv", **options)
+        found, expected = dict(result.metrics), json.loads((tmp_path / "metrics.json").read_text())
+        assert json.loads(json.dumps(found, allow_nan=False)) == found
+        for metrics in (found, expected):
+            metrics["fit"] = metrics["fit"] | {"seconds": None}
+            metrics |= {"created": None, "command": None}
+        assert found == expected
+        lines = result.summary().splitlines()
+        assert lines[1:] == printed[1 : len(lines)]
 
     def test_the_report_shows_the_flights(self, identified):
         page = (identified[0] / "report.html").read_text(encoding="utf-8")
@@ -401,6 +420,90 @@ class TestBadInput:
 
 
 @pytest.mark.usefixtures("short_fits")
+class TestCalibrate:
+    """Bands that hold on training flights, each held out in turn, wherever the model is used."""
+
+    @pytest.fixture
+    def calibrated(self, tmp_path, capsys):
+        train = ["lateral.csv", "latlon.csv"]
+        assert identify("--calibrate", "--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
+        assert "2 flights guarantee no more than 0.667" in capsys.readouterr().err
+        return tmp_path
+
+    def test_of_identify_predict_validate_and_report(self, calibrated, capsys):
+        model = load_model(calibrated / "model.joblib")
+        metrics = json.loads((calibrated / "metrics.json").read_text())
+        table = pd.read_csv("test.csv")
+        mean, std = model.pipeline.predict(table, return_std=True)
+        Y = aerodynamic_coefficients(table, model.aircraft)
+        inside = interval_coverage(Y, mean, std, multioutput="raw_values")
+        of = metrics["test"]["two_altitudes"]["coefficients"]["measured"]
+        np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS])
+        np.testing.assert_allclose(
+            list(metrics["fit"]["std_scale"].values()), model.pipeline["calibratedregressor"].std_scale_
+        )
+        assert metrics["options"]["calibrate"] is True
+        assert set(metrics["fit"]["guaranteed_level"].values()) == {2 / 3}
+        assert set(metrics["fit"]["noise_widened"].values()) == {1.0}
+        report = (calibrated / "report.html").read_text(encoding="utf-8")
+        assert "standard deviations scaled to flights held out in turn" in report
+
+        path, table = str(calibrated / "model.joblib"), str(calibrated / "p.csv")
+        assert main(["predict", path, "test.csv", "--include-noise", "-o", table]) == 0
+        np.testing.assert_allclose(pd.read_csv(table)[[f"{name}_std" for name in COEFFICIENTS]], std, rtol=1e-9)
+        capsys.readouterr()
+        assert main(["validate", path, "test.csv", "--horizons", "1", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["test"] == metrics["test"]
+        assert main(["simulate", path, "--trim", "35", "--duration", ".1", "--paths", "2", "-o", table[:-4]]) == 0
+
+    def test_needs_two_flights(self, tmp_path, capsys):
+        assert identify("--calibrate", "--test", "test.csv", output=tmp_path / "new") == 1
+        assert (
+            "Got one training flight ('latlon') to calibrate on, but expected at least two" in capsys.readouterr().err
+        )
+        assert not (tmp_path / "new").exists()
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory):
+    """Return a flight whose vanes and airspeed are 80 ms late."""
+    data = load_example_flights()
+    table = data.train[data.train["flight"] == "latlon"].iloc[:2400].reset_index(drop=True)
+    table = table[[name for name in table if not name.endswith("_true")]]
+    air = ("airspeed", "alpha", "beta")
+    table = table.assign(**{name: np.interp(table["time"] - 0.08, table["time"], table[name]) for name in air})
+    path = tmp_path_factory.mktemp("late") / "late.csv"
+    table.to_csv(path, index=False)
+    return str(path)
+
+
+@pytest.mark.usefixtures("short_fits")
+class TestLags:
+    def test_are_estimated_by_inspect(self, late, capsys):
+        assert main(["inspect", late]) == 0
+        said = capsys.readouterr().out
+        assert re.search(r"air +0\.07\d \+- 0\.00\d s", said)
+        assert main(["inspect", late, "--json"]) == 0
+        lags = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["lags"]
+        assert set(lags) == {"air", "surfaces", "attitude", "gps"}
+        assert abs(lags["air"]["lag"] - 0.08) < 0.01
+
+    def test_are_corrected_on_request(self, late, tmp_path, monkeypatch):
+        monkeypatch.setattr(_identify, "render_report", lambda content: content.model.extra["Lags"])
+        assert identify("--lags", "--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path) == 0
+        metrics = json.loads((tmp_path / "metrics.json").read_text())
+        assert metrics["options"]["lags"] == "auto"
+        assert abs(metrics["fit"]["lags"]["air"]["applied"] - 0.08) < 0.01
+        assert load_model(tmp_path / "model.joblib").pipeline.named_steps["lagcorrector"].lags == "auto"
+        assert (tmp_path / "report.html").read_text().startswith("air 0.07")
+
+    def test_are_not_looked_for_without_a_flight_that_shows_them(self, tmp_path, capsys):
+        pd.read_csv("test.csv")[["time", "alpha"]].to_csv(tmp_path / "bare.csv", index=False)
+        assert main(["inspect", str(tmp_path / "bare.csv")]) == 0
+        assert re.search("not estimated: The flight .*lacks the columns 'ax'", capsys.readouterr().out)
+
+
+@pytest.mark.usefixtures("short_fits")
 class TestInterrupt:
     def test_keeps_the_best_so_far(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_identify, "render_report", lambda content: "; ".join(content.messages))
@@ -580,15 +683,19 @@ class Terminal(io.StringIO):
 
 
 class TestConsole:
+    @pytest.fixture(autouse=True)
+    def _at_once(self, monkeypatch):
+        monkeypatch.setattr(_console, "PERIOD", 0.0)
+
     def test_one_line_rewritten(self):
         stream = Terminal()
         with Console(stream) as console:
             console.stage("fit")
             for k in range(6):
                 console.progress(f"output {k + 1}", 10, -5.0)
-            wait_for(stream, "6 outputs, each alone · 60 evaluations")
+            assert "6 outputs, each alone · 60 evaluations" in stream.getvalue()
             console.progress("fit", 7, 123.456)
-            wait_for(stream, "all outputs together · 7 evaluations · log likelihood 123.5")
+            assert "all outputs together · 7 evaluations · log likelihood 123.5" in stream.getvalue()
         assert "\n" not in stream.getvalue()
         assert stream.getvalue().endswith(CLEAR)
 
@@ -597,8 +704,15 @@ class TestConsole:
         stream = Terminal()
         with Console(stream) as console:
             console.stage("x" * 200)
-            wait_for(stream, "x" * 29)
         assert max(len(line) for line in stream.getvalue().split(CLEAR)) == 29
+
+    def test_written_now_and_then(self, monkeypatch):
+        monkeypatch.setattr(_console, "PERIOD", 1000.0)
+        stream = Terminal()
+        with Console(stream) as console:
+            for k in range(100):
+                console.progress("fit", k + 1, 0.0)
+        assert stream.getvalue().count("evaluations") == 1
 
     def test_nothing_but_warnings_in_a_pipe(self):
         stream = io.StringIO()
@@ -613,9 +727,8 @@ class TestConsole:
     def test_no_log_likelihood_before_there_is_one(self):
         stream = Terminal()
         with Console(stream) as console:
-            console.stage("fit")
             console.progress("fit", 1, -np.inf)
-            wait_for(stream, "1 evaluations")
+        assert "1 evaluations" in stream.getvalue()
         assert "likelihood" not in stream.getvalue()
 
 
@@ -635,14 +748,6 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
     assert found["p"] == pytest.approx(0.01, rel=0.3)
     assert found["phi"] == pytest.approx(0.0, abs=1e-12)  # a steady turn through pi is no noise
     assert _evaluation.sensor_noise(table[:2]) == {"phi": 0.0, "p": 0.0}
-
-
-def wait_for(stream, text):
-    for _ in range(100):
-        if text in stream.getvalue():
-            return
-        time.sleep(0.05)
-    pytest.fail(f"{text!r} was never shown")
 
 
 def test_demo_is_honest(tmp_path, capsys):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from sklearn.utils import Bunch
@@ -113,7 +114,7 @@ def validate(run: Run) -> None:
       python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
-    known = {} if options.thrust is None else {"thrust": opt.none_of(options.thrust)}
+    known: dict[str, Any] = {} if options.thrust is None else {"thrust": opt.none_of(options.thrust)}
     if options.external_forces is not None:
         known["external_forces"] = options.external_forces
     with listening(run.console.progress):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -73,7 +74,7 @@ def simulate(run: Run) -> None:
     start = _start(options, model, thrust)
     run.console.stage("simulating")
     initial = (model.pipeline, model.aircraft, start.state, start.controls, options.dt)
-    conditions = {"duration": start.duration, "wind": start.wind, "thrust": thrust}
+    conditions: dict[str, Any] = {"duration": start.duration, "wind": start.wind, "thrust": thrust}
     trajectory, sampled = simulate_flight(*initial, **conditions), None
     files = {f"trajectory{suffix}": table_writer(trajectory, suffix)}
     if options.paths:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -62,9 +63,11 @@ def evaluate_flight(
     std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
     measured_std = scale * np.sqrt(std**2 + regressor.noise_variance_)
     replayed = _replay(name, table, aircraft, mean, measured_std, horizons, loads)
-    states = {} if replayed is None else {"measured": replay_errors(replayed, table)}
-    if states and "v_east" + TRUTH_SUFFIX in table:
-        states["truth"] = replay_errors(replayed, table, suffix=TRUTH_SUFFIX)
+    states: dict[str, pd.DataFrame] = {}
+    if replayed is not None:
+        states["measured"] = replay_errors(replayed, table)
+        if "v_east" + TRUTH_SUFFIX in table:
+            states["truth"] = replay_errors(replayed, table, suffix=TRUTH_SUFFIX)
     names = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS]
     evaluation = Evaluation(
         name=name,
@@ -81,7 +84,8 @@ def evaluate_flight(
         states=states,
         regressors=regressors,
     )
-    return replace(evaluation, metrics={against: of.to_dict("list") for against, of in scores([evaluation]).items()})
+    metrics: dict[str, Any] = {against: table.to_dict("list") for against, table in scores([evaluation]).items()}
+    return replace(evaluation, metrics=metrics)
 
 
 def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
@@ -108,12 +112,11 @@ def _scores(evaluations, reference, std) -> pd.DataFrame:
     def rows_with_std(name):
         return np.concatenate([getattr(one, name)[one.rows] for one in evaluations])
 
-    columns = {}
-    for metric in (median_relative_error, normalized_rmse):
-        columns[metric.__name__] = metric(all_rows(reference), all_rows("mean"), multioutput="raw_values")
+    means = all_rows(reference), all_rows("mean")
+    bands = rows_with_std(reference), rows_with_std("mean"), rows_with_std(std)
+    columns = {of.__name__: of(*means, multioutput="raw_values") for of in (median_relative_error, normalized_rmse)}
     for metric in (negative_log_predictive_density, interval_coverage):
-        values = (rows_with_std(name) for name in (reference, "mean", std))
-        columns[metric.__name__] = metric(*values, multioutput="raw_values")
+        columns[metric.__name__] = metric(*bands, multioutput="raw_values")
     return pd.DataFrame(columns, index=list(COEFFICIENTS))
 
 

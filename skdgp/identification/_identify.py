@@ -12,6 +12,7 @@ from datetime import datetime
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -172,7 +173,7 @@ def identify(
             f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "
             "regressors with make_identification_pipeline."
         )
-    loads = {"thrust": thrust, "external_forces": list(external_forces)}
+    loads: dict[str, Any] = {"thrust": thrust, "external_forces": list(external_forces)}
     with recorded_warnings() as messages:
         _announce("reading")
         aircraft = read_aircraft(aircraft)
@@ -543,7 +544,7 @@ class Identification:
         if "std_scale" in fit:
             factors = ", ".join(f"{name} {factor:.2f}" for name, factor in fit["std_scale"].items())
             remarks["Calibration"] = f"standard deviations scaled to flights held out in turn: {factors} times"
-        step = max(-(-len(one.table) // len(one.rows)) for one in self.evaluations)
+        step = max(-(-len(one.time) // len(one.rows)) for one in self.evaluations)
         if step > 1:
             remarks["Bands"] = f"computed at one row in {step}, interpolated between"
         if any(one.truth is not None for one in self.evaluations):

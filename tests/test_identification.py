@@ -280,6 +280,18 @@ class TestIdentify:
         with pytest.raises(error, match=message):
             identify(**{"flights": train, "aircraft": aircraft, "test": test, "regressor": QUICK} | change)
 
+    def test_names_tables_that_have_no_names(self, example):
+        aircraft, train, test = example
+        bare = train[train["flight"] == "latlon"].drop(columns="flight")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            found = identify(
+                [bare], aircraft, test=test.drop(columns="flight"), samples=40, regressor=QUICK, horizons=[1]
+            )
+        assert list(found.train) == ["flight 1"]
+        assert list(found.metrics["test"]) == ["test flight 1"]
+
     def test_refuses_a_flight_that_comes_twice(self, example):
         aircraft, train, test = example
         with pytest.raises(ValueError, match=r"'lateral' twice.*give a dict"):

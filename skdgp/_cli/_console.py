@@ -69,10 +69,10 @@ class Console:
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
         """Show the stage of an identification; the listener of ``skdgp.listening``, called from any thread."""
+        if self.interrupts > 1:  # both ended searches of the fit; the second one shall end everything
+            raise KeyboardInterrupt
         if n_evaluations == 0:
             self.stage(stage)
-            if self.interrupts > 1:  # both ended searches of the fit; the second one shall end everything
-                raise KeyboardInterrupt
             return
         self._evaluations[stage] = n_evaluations
         if not self._shows_progress or time.monotonic() - self._shown < PERIOD:

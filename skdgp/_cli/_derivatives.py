@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -35,14 +36,9 @@ def derivatives(run: Run) -> None:
     model = read_model(options)
     thrust = thrust_of_model(model)
     run.console.stage("trimming")
-    trims = trim(
-        model.pipeline,
-        model.aircraft,
-        sorted(set(options.airspeed)),
-        altitude=options.altitude,
-        climb=None if thrust is None else 0.0,
-        thrust=thrust,
-    )
+    climb = None if thrust is None else 0.0  # a glider's follows
+    conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
+    trims = trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions)
     _warn_of_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}

@@ -51,7 +51,7 @@ def inspect(run: Run) -> None:
 def _lags(options) -> tuple[pd.DataFrame | None, str]:
     """Return the lags of a log, or None and why they cannot be estimated."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the summary has said it
+        warnings.simplefilter("ignore")  # of what the summary shows
         try:
             table = read_flight(options.log, servos=options.servos)
             return LagCorrector().fit(table).lags_, ""

@@ -30,7 +30,6 @@ OPTIONS = {
     "inference='sparse'": "--inference sparse",
     "airborne=False": "--airborne all or --airborne 6",
     "regressors.": "--regressors",
-    "horizons of": "--horizons",
 }
 """How the command line writes what remedies of the library name."""
 DESCRIPTION = """\

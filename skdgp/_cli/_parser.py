@@ -142,8 +142,8 @@ def check_replaceable(path: Path) -> None:
     """Raise FileExistsError if the configuration of a run would replace a file that no run wrote."""
     if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(HEAD):
         raise FileExistsError(
-            f"Got {str(path)!r}, where the configuration of this run would be kept, but it is there already and no run "
-            "wrote it: name another output after -o, or move it."
+            f"Got {str(path)!r}, where the configuration of this run belongs, but it is there already and no run wrote "
+            "it: name another output after -o, or move it."
         )
 
 

@@ -13,7 +13,8 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array, Indices, Matrix
 from skdgp._flight.channels import COEFFICIENTS, EULER, LATERAL, LONGITUDINAL, TRUTH_SUFFIX
-from skdgp._flight.smoothing import flight_segments, noise_level
+from skdgp._flight.clock import flight_segments
+from skdgp._flight.smoothing import noise_level
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
 from skdgp.metrics import (

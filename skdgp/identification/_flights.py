@@ -1,4 +1,4 @@
-"""Flights by name: read, told apart, held out, and cut to the rows that a model can learn from."""
+"""Flights by name: reading, holding out, and the rows that a model can learn from."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.checks import check_columns, check_table
-from skdgp._flight.clock import flight_rows
+from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.smoothing import flight_segments
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
@@ -27,11 +26,11 @@ MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
 """Elevons may stand for elevator and aileron, and the other way round."""
 
 
-def named_flights(flights, *, needed: Sequence[str] = (), **reading) -> Flights:
+def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (), **reading) -> Flights:
     """Return one table for each flight by name, of a table, a path, a dict of tables, or several tables and paths.
 
-    A column ``flight`` tells several flights in a table apart. ``reading`` are options of ``skdgp.io.read_flight`` for
-    logs of autopilots.
+    A column ``flight`` separates several flights in a table; tables without it are ``default`` 1, 2, ... ``reading``
+    are options of ``skdgp.io.read_flight`` for logs of autopilots.
 
     Raises
     ------
@@ -40,17 +39,15 @@ def named_flights(flights, *, needed: Sequence[str] = (), **reading) -> Flights:
     """
     if isinstance(flights, Mapping):
         return {name: _checked_columns(_single_flight(name, table), needed) for name, table in flights.items()}
-    if isinstance(flights, str | os.PathLike | pd.DataFrame) or not isinstance(flights, Iterable):
-        flights = [flights]
-    found: Flights = {}
-    flights = list(flights)
-    if not flights:
+    items = list(flights) if isinstance(flights, list | tuple) else [flights]
+    if not items:
         raise ValueError("Got no flight, but expected at least one.")
+    found: Flights = {}
     origin: dict[str, object] = {}
-    for number, item in enumerate(flights, start=1):
+    for number, item in enumerate(items, start=1):
         path = item if isinstance(item, str | os.PathLike) else None
         table = check_table(item) if path is None else _read(path, reading)
-        for name, part in flights_of(table, f"flight {number}").items():
+        for name, part in flights_of(table, f"{default} {number}").items():
             if name in found:
                 raise FlightReadError(_same_name(name, origin[name], path))
             found[name], origin[name] = _checked_columns(part, needed, path), path
@@ -192,14 +189,14 @@ def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
 
 
 def warn_of_short_flights(flights: Flights, regressors) -> None:
-    """Warn if regressors pass their means less often than there are regressors to tell apart."""
+    """Warn if regressors pass their means less often than there are regressors."""
     columns = [name for name in regressor_columns(list(flights.values())[:1], regressors) if name != "airspeed"]
     crossings = np.sum([[_mean_crossings(table, name) for name in columns] for table in flights.values()], axis=0)
     if np.median(crossings) < len(columns):
         seconds = sum(np.ptp(table["time"]) for table in flights.values())
         warnings.warn(
             f"The training flights last {seconds:.3g} s, in which {columns} pass their means {np.median(crossings):g} "
-            f"times (median): too few changes to tell what each of {len(columns)} does. Fly longer, or name fewer "
+            f"times (median): too few changes to learn the effect of each of {len(columns)}. Fly longer, or name fewer "
             "regressors.",
             FlightDataWarning,
             stacklevel=3,

@@ -23,7 +23,6 @@ from sklearn.utils import Bunch
 from skdgp._compute.progress import tell
 from skdgp._compute.typing import Seed
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.faults import TOLD as FAULTS_WARNING
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
@@ -61,6 +60,7 @@ from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_repor
 
 FORMAT = 1  # of the metrics
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
+FAULTS_WARNING = "Faults in the log"  # how the warning of FlightCheck begins
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 WIDTHS = {
     "spherical": "one width for all regressors",
@@ -101,14 +101,14 @@ def identify(
     the training flights; rows that it did not learn from show whether its noise is large enough (`calibrate_noise`).
     The model then predicts the test flights, and its predictions are scored and replayed.
 
-    `skdgp.listening` hears the stages too, as ``(stage, 0, nan)``: "reading", "coefficients", "transforming",
-    "calibration", "evaluating NAME". In a block of `skdgp.checkpointing` a killed fit resumes. Ctrl-C during the fit
-    keeps the best model so far.
+    Listeners of `skdgp.listening` are called at each stage too, with ``(stage, 0, nan)``: "reading", "coefficients",
+    "transforming", "calibration", "evaluating NAME". In a block of `skdgp.checkpointing` a killed fit resumes. Ctrl-C
+    during the fit keeps the best model so far.
 
     Parameters
     ----------
     flights : DataFrame, path, dict of name to table, or list of tables and paths
-        Training flights at their full rate. A column ``flight`` tells several in one table apart.
+        Training flights at their full rate. A column ``flight`` separates several flights in one table.
     aircraft : Aircraft or path
         A path ends in .json or .toml.
     test : as flights, optional
@@ -127,7 +127,7 @@ def identify(
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     random_state, n_jobs
-        Of the default regressor; a given one has its own.
+        Of the default regressor; not used with a given one.
     servos, airborne
         As of :func:`skdgp.io.read_flight`, for paths of logs of autopilots.
 
@@ -178,9 +178,9 @@ def identify(
         _announce("reading")
         aircraft = read_aircraft(aircraft)
         reading = {"needed": MEASURED, "servos": servos, "airborne": airborne}
-        train, test, held_out = _train_and_test(
-            named_flights(flights, **reading), {} if test is None else named_flights(test, **reading)
-        )
+        train = named_flights(flights, **reading)
+        test = {} if test is None else named_flights(test, default="test flight", **reading)
+        train, test, held_out = _train_and_test(train, test)
         if calibrate and len(train) < 2:
             raise ValueError(
                 f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at least two, to hold "
@@ -246,7 +246,7 @@ def validate(
     model: Bunch,
     flights,
     *,
-    aircraft: Aircraft | None = None,
+    aircraft: Aircraft | str | os.PathLike | None = None,
     horizons: Sequence[float] = (2.0, 10.0),
     servos=None,
     airborne: bool | float = True,
@@ -260,7 +260,7 @@ def validate(
         As of :func:`load_model`.
     flights : as of :func:`identify`
         The flights to predict and replay.
-    aircraft : Aircraft, optional
+    aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
@@ -287,7 +287,7 @@ def validate(
         flights = usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
-        aircraft = model.aircraft if aircraft is None else aircraft
+        aircraft = read_aircraft(model.aircraft if aircraft is None else aircraft)
         evaluations = _evaluated(flights, model.pipeline, aircraft, settings)
     return Identification(
         title=f"{aircraft.name}: a model on other flights",
@@ -510,10 +510,10 @@ class Identification:
         names, scaler = self.pipeline["regressorselector"].regressors_, self.pipeline["standardscaler"]
         if len(names) < 2 or not self.train:
             return None
-        flown = pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
+        training = pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
         tested = [scaler.inverse_transform(one.regressors) for one in self.evaluations]
         path = pd.DataFrame(np.concatenate(tested), columns=names) if tested else None
-        return EnvelopeDisplay.compute(self.pipeline[-2:], flown, flight=path, n_grid=12)
+        return EnvelopeDisplay.compute(self.pipeline[-2:], training, flight=path, n_grid=12)
 
     def _remarks(self) -> dict[str, str]:
         fit, tables = self.fit, [*self.train.values(), *(one.table for one in self.evaluations)]
@@ -550,7 +550,7 @@ class Identification:
         if any(one.truth is not None for one in self.evaluations):
             remarks["Truth"] = "contains gusts that no sensor felt: coverage and NLPD against it are in metrics.json"
         if fit.get("interrupted"):
-            remarks["Fit"] = "interrupted; the best so far was kept"
+            remarks["Fit"] = "interrupted; this is the best model until then"
         return remarks
 
 

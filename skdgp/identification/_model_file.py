@@ -136,7 +136,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
     if not _is_model(model):
         raise ModelFileError(
             f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and its aircraft: fit it "
-            "again, and keep it with skdgp.identification.save_model."
+            "again, and write it with skdgp.identification.save_model."
         )
     return model
 
@@ -190,7 +190,7 @@ def write_together(
 
 
 def _closing(file: BinaryIO, path) -> dict:
-    """Return what the file's last line says, once it is known that the file is whole."""
+    """Return the file's last line, or raise ModelFileError if the file is not whole."""
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - LONGEST_CLOSING))
     end = file.read()
@@ -229,20 +229,21 @@ def _checksum(file: BinaryIO, size: int) -> bytes:
 
 def _warn_of_origin(closing, path):
     """Warn of a file without a checksum, and of one that other versions wrote."""
+    made_by, here = closing["versions"], software_versions()
     if closing["format"] == UNCHECKED:
-        warnings.warn(
+        _warn(
             f"{path} is of a format without a checksum, so damage may go unnoticed. If it is as it was, save it again: "
-            "save_model(path, **load_model(path)).",
-            UserWarning,
-            stacklevel=3,
+            "save_model(path, **load_model(path))."
         )
-    if not _same_versions(closing["versions"]):
-        warnings.warn(
-            f"{path} was made by {_in_words(closing['versions'])}, and this is {_in_words(software_versions())}: its "
-            "predictions may differ. Compare a few, fit it again, or install those versions.",
-            UserWarning,
-            stacklevel=3,
+    if any(made_by.get(name) != here.get(name) for name in MATTERS):
+        _warn(
+            f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its predictions may differ. "
+            "Compare a few, fit it again, or install those versions."
         )
+
+
+def _warn(message):
+    warnings.warn(message, UserWarning, stacklevel=4)
 
 
 def _is_model(found) -> bool:
@@ -252,11 +253,6 @@ def _is_model(found) -> bool:
     except (AttributeError, TypeError, NotFittedError):
         return False
     return isinstance(found, Bunch) and isinstance(found.get("aircraft"), Aircraft)
-
-
-def _same_versions(made_by) -> bool:
-    here = software_versions()
-    return all(made_by.get(name) == here.get(name) for name in MATTERS)
 
 
 def _in_words(versions) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -38,20 +38,17 @@ def derivatives(run: Run) -> None:
     run.console.stage("trimming")
     climb = None if thrust is None else 0.0  # a glider's follows
     conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
-    trims = trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions)
+    trims = cast(list[Trim], trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions))
     _warn_of_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
     table = stability_derivatives(model.pipeline, model.aircraft, trims, axes=options.axes, **spread)
     run.console.stage("modes")
     modes = [linearize(model.pipeline, model.aircraft, point, **spread).modes() for point in trims]
-    numbers = {
-        "model": options.model,
-        "axes": options.axes,
-        "altitude": options.altitude,
-        "points": [_point(one, table.loc[point], modes[point]) for point, one in enumerate(trims)],
-    }
-    blocks = [_text(one, table.loc[point], modes[point]) for point, one in enumerate(trims)]
+    points: list[Any] = [(one, table.loc[number], modes[number]) for number, one in enumerate(trims)]
+    numbers = {"model": options.model, "axes": options.axes, "altitude": options.altitude}
+    numbers["points"] = [_point(*point) for point in points]
+    blocks = [_text(*point) for point in points]
     if run.folder is not None:
         run.write(_writers(trims, table, modes, numbers))
         blocks.append(f"tables and pictures are in {run.folder.path}")
@@ -108,10 +105,12 @@ def _matrix(table: pd.DataFrame) -> list[str]:
     value = _by_regressor(table, "value")
     std = _by_regressor(table, "std") if "std" in table else None
     lines = [f"{'':4}" + "".join(f"{name or 'at trim':>{COLUMN}}" for name in value)]
-    for name, row in value.iterrows():
-        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in row))
+    for name in value.index:
+        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in value.loc[name]))
         if std is not None:
-            lines.append(f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in std.loc[name]))
+            lines.append(
+                f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in std.loc[str(name)])
+            )
     return lines
 
 

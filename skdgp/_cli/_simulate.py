@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ from skdgp._cli._output import Run, check_writable, picture_writers, table_write
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model, thrust_of_model
 from skdgp._flight.checks import check_columns
-from skdgp.dynamics import SimulationWarning, as_aerodynamics, trajectory_bands, trim
+from skdgp.dynamics import SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.dynamics._simulation.trajectory import REASONS
 from skdgp.identification._flights import named_flights
@@ -105,7 +105,7 @@ def _trimmed(options, model, thrust) -> Start:
     climb = 0.0 if options.climb is None and thrust is not None else options.climb  # a glider's follows
     path = {"climb": climb, "turn_rate": options.turn_rate, "bank": options.bank}
     altitude = options.altitude or 0.0
-    found = trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path)
+    found = cast(Trim, trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path))
     state = {name: getattr(found, name) for name in (*AIR, "phi", "theta", "altitude")}
     state |= dict(zip(("p", "q", "r"), found.rates, strict=True))  # by the air, which the wind carries along
     if options.controls is None:

@@ -56,7 +56,7 @@ from skdgp.identification._pipeline import (
 from skdgp.model_selection import thin_targets
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._style import display_unit
-from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_report
+from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_report, write_report
 
 FORMAT = 1  # of the metrics
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
@@ -435,9 +435,7 @@ class Identification:
 
     def report(self, path: str | os.PathLike) -> Path:
         """Write the report, one HTML file, and return its path."""
-        path = Path(path)
-        write_together(path.parent, {path.name: self.writers()["report.html"]})
-        return path
+        return write_report(path, self._report_content())
 
     def save(self, path: str | os.PathLike) -> Path:
         """Write model.joblib, metrics.json and report.html into a folder, all or none, and return the path.

@@ -74,18 +74,19 @@ class Console:
         if n_evaluations == 0:
             self.stage(stage)
             return
-        self._evaluations[stage] = n_evaluations
-        if not self._shows_progress or time.monotonic() - self._shown < PERIOD:
-            return
-        if stage.startswith("output"):
-            total = sum(self._evaluations.values())
-            detail = f"{len(self._evaluations)} outputs, each alone · {total} evaluations"
-        else:
-            detail = f"all outputs together · {n_evaluations} evaluations"
-            if abs(log_likelihood) < float("inf"):
-                words = "bound on the log likelihood" if stage == "bound" else "log likelihood"
-                detail += f" · {words} {log_likelihood:.1f}"
-        self._show(f"fit · {detail} · {time.monotonic() - self._began:.0f} s")
+        with self._lock:
+            self._evaluations[stage] = n_evaluations
+            if not self._shows_progress or time.monotonic() - self._shown < PERIOD:
+                return
+            if stage.startswith("output"):
+                total = sum(self._evaluations.values())
+                detail = f"{len(self._evaluations)} outputs, each alone · {total} evaluations"
+            else:
+                detail = f"all outputs together · {n_evaluations} evaluations"
+                if abs(log_likelihood) < float("inf"):
+                    words = "bound on the log likelihood" if stage == "bound" else "log likelihood"
+                    detail += f" · {words} {log_likelihood:.1f}"
+            self._show(f"fit · {detail} · {time.monotonic() - self._began:.0f} s")
 
     @contextmanager
     def counting_interrupts(self) -> Iterator[None]:

@@ -58,7 +58,7 @@ def main(argv: list[str] | None = None) -> int:
             name = argv[0] if argv and argv[0] in COMMANDS else _parser().parse_args(argv).command
             command = COMMANDS[name]
             options = command.parse(argv[1:])
-            folder = _output_folder(options)
+            folder = _output_folder(command, options)
             run = Run(command, options, console, folder, shlex.join([*PROGRAM.split(), *argv]))
             with folder or nullcontext():
                 if folder is not None:
@@ -98,11 +98,12 @@ def _open_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _output_folder(options) -> OutputFolder | None:
+def _output_folder(command, options) -> OutputFolder | None:
+    """Return the folder that the command writes to: of ``predict`` the one of its table."""
     output = getattr(options, "output", None)
     if output is None:
         return None
-    return OutputFolder(Path(output).parent if Path(output).suffix in (".csv", ".parquet") else output)
+    return OutputFolder(Path(output).parent if command is PREDICT else output)
 
 
 def _interruption(folder) -> str:

@@ -62,7 +62,7 @@ class Command:
         """
         parser = self.parser({})
         self._refuse_unknown(words, parser)
-        finder = argparse.ArgumentParser(prog=parser.prog, usage=parser.usage, add_help=False, allow_abbrev=False)
+        finder = argparse.ArgumentParser(prog=parser.prog, add_help=False, allow_abbrev=False)
         finder.add_argument("--config")
         config = finder.parse_known_args(words)[0].config
         values = {} if config is None else self._read_config(FileName(config))

@@ -208,6 +208,10 @@ class TestSimulate:
         assert low == pytest.approx(bands.iloc[-1]["airspeed_low"])
         assert low < high
 
+    def test_a_folder_may_have_any_name(self, run, tmp_path):
+        run("simulate", "--trim", "35", "--duration", ".1", "--paths", "0", output="flown.csv")
+        assert "trajectory.csv" in files(tmp_path / "flown.csv")
+
     def test_turns_and_climbs(self, run, model):
         said = run("simulate", "--trim", "35", "--bank", ".3", "--duration", ".2", "--paths", "0")
         turning = trim(model.pipeline, model.aircraft, 35.0, bank=0.3)

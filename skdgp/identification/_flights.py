@@ -101,17 +101,27 @@ def _same_name(name, first, second) -> str:
     return f"Got flight {name!r} in {first} and in {second}, but expected each once: {remedy}."
 
 
-def hold_out(flights: Flights) -> tuple[Flights, Flights, str]:
-    """Return flights to learn from, those held out (the last, or the last quarter of a single one), and which."""
-    *others, last = flights
+def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str | None]:
+    """Return flights to learn from and to test on, and words for those held out where no test flight is named.
+
+    Held out are the last flight of several, or the last quarter of a single one.
+    """
+    if test:
+        for name in train.keys() & test.keys():
+            _warn(f"Flight {name!r} is both learned from and tested on: its errors say nothing about other flights.", 4)
+        return train, test, None
+    *others, last = train
     if others:
-        return {name: flights[name] for name in others}, {last: flights[last]}, f"the last flight, {last}"
-    split = round(0.75 * len(flights[last]))
-    parts = {f"{last}, first three quarters": slice(0, split), f"{last}, last quarter": slice(split, None)}
-    first, rest = (
-        {name: flights[last].iloc[rows].assign(flight=name).reset_index(drop=True)} for name, rows in parts.items()
-    )
-    return first, rest, f"the last quarter of the only flight, {last}"
+        held_out, parts = f"the last flight, {last}", ({name: train[name] for name in others}, {last: train[last]})
+    else:
+        held_out, split = f"the last quarter of the only flight, {last}", round(0.75 * len(train[last]))
+        rows = {f"{last}, first three quarters": slice(0, split), f"{last}, last quarter": slice(split, None)}
+        first, rest = (
+            {name: train[last].iloc[part].assign(flight=name).reset_index(drop=True)} for name, part in rows.items()
+        )
+        parts = first, rest
+    _warn(f"No test flight was named: {held_out}, is held out of the fit and tested on.", 4)
+    return *parts, held_out
 
 
 def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
@@ -172,8 +182,8 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
     return complete.iloc[kept].reset_index(drop=True)
 
 
-def _warn(message):
-    warnings.warn(message, UserWarning, stacklevel=5)
+def _warn(message, stacklevel=5):
+    warnings.warn(message, UserWarning, stacklevel=stacklevel)
 
 
 def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:

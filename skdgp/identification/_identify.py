@@ -27,26 +27,9 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification import _flights, _model_file
 from skdgp.identification._evaluation import Evaluation, evaluate_flight, group_means, scores
-from skdgp.identification._flights import (
-    MEASURED,
-    Flights,
-    check_known,
-    hold_out,
-    named_flights,
-    regressor_columns,
-    usable_flights,
-    warn_of_short_flights,
-)
-from skdgp.identification._model_file import (
-    dump_model,
-    json_text,
-    model_bunch,
-    plain,
-    save_model,
-    software_versions,
-    write_together,
-)
+from skdgp.identification._flights import Flights
 from skdgp.identification._pipeline import (
     calibrate_noise,
     check_aircraft,
@@ -177,25 +160,25 @@ def identify(
     with recorded_warnings() as messages:
         _announce("reading")
         aircraft = read_aircraft(aircraft)
-        reading = {"needed": MEASURED, "servos": servos, "airborne": airborne}
-        train = named_flights(flights, **reading)
-        test = {} if test is None else named_flights(test, default="test flight", **reading)
-        train, test, held_out = _train_and_test(train, test)
+        reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
+        train = _flights.named_flights(flights, **reading)
+        test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
+        train, test, held_out = _flights.train_and_test(train, test)
         if calibrate and len(train) < 2:
             raise ValueError(
                 f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at least two, to hold "
                 "each out in turn: give more flights, or do not calibrate."
             )
-        columns = regressor_columns(train.values(), regressors)
-        train, test = (usable_flights(part, regressors, columns) for part in (train, test))
-        warn_of_short_flights(train, regressors)
+        columns = _flights.regressor_columns(train.values(), regressors)
+        train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
+        _flights.warn_of_short_flights(train, regressors)
         # The steps of the pipeline meet the same faults again.
         warnings.filterwarnings("ignore", FAULTS_WARNING, FlightDataWarning)
 
         _announce("coefficients")
         table = pd.concat(train.values(), ignore_index=True)
         Y = aerodynamic_coefficients(table, aircraft, **loads)
-        check_known(Y, table)
+        _flights.check_known(Y, table)
         targets = thin_targets(Y, _n_samples(samples, regressor, len(Y)))
 
         _announce("transforming")
@@ -283,7 +266,7 @@ def validate(
     settings["horizons"] = list(horizons)
     with recorded_warnings() as messages:
         _announce("reading")
-        named = named_flights(flights, servos=servos, airborne=airborne)
+        named = _flights.named_flights(flights, servos=servos, airborne=airborne)
         flights = usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
@@ -311,8 +294,8 @@ def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
     """
     check_identified(pipeline)
     regressors = pipeline["regressorselector"].regressors
-    columns = regressor_columns([pd.DataFrame(columns=pipeline[0].feature_names_in_)], regressors)
-    flights = usable_flights(flights, regressors, columns)
+    columns = _flights.regressor_columns([pd.DataFrame(columns=pipeline[0].feature_names_in_)], regressors)
+    flights = _flights.usable_flights(flights, regressors, columns)
     warnings.filterwarnings("ignore", FAULTS_WARNING, FlightDataWarning)
     return flights
 
@@ -349,24 +332,18 @@ class Identification:
     pipeline : Pipeline
         Fitted: a raw flight table in, six coefficients out.
     aircraft : Aircraft
-    settings : dict
-        What was asked for, and what was chosen where nothing was.
-    fit : dict
-        Facts of the fit: samples, likelihood, noise, seconds.
+    settings, fit : dict
+        What was asked for or chosen; samples, likelihood, noise and time of the fit.
     train : dict of str to DataFrame
-        Usable rows of the training flights; none of a model that existed before.
+        Usable rows of the training flights; empty for a model that existed before.
     evaluations : list of Evaluation
         Predictions and replay of each test flight.
     messages : list of str
         Warnings that arose.
     held_out : str or None
         What was held out because no test flight was named.
-    title : str
-        Heading of the report.
-    command : str or None
-        The command line that made it.
-    created : str
-        Date and time.
+    title, command, created : str
+        Heading of the report, the command line, date and time.
     """
 
     pipeline: Pipeline
@@ -384,12 +361,12 @@ class Identification:
     @cached_property
     def metrics(self) -> dict:
         """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
-        return plain(
+        return _model_file.plain(
             {
                 "format": FORMAT,
                 "created": self.created,
                 "command": self.command,
-                "versions": software_versions(),
+                "versions": _model_file.software_versions(),
                 "aircraft": self.aircraft.to_dict(),
                 "options": self.settings,
                 "held_out": self.held_out,
@@ -428,7 +405,7 @@ class Identification:
     def evaluate(self, flight) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
         with warnings.catch_warnings():
-            flights = usable_flights_of_model(self.pipeline, named_flights(flight))
+            flights = usable_flights_of_model(self.pipeline, _flights.named_flights(flight))
             if len(flights) != 1:
                 raise ValueError(f"Got {len(flights)} flights, but expected one: evaluate each by itself.")
             return _evaluated(flights, self.pipeline, self.aircraft, self.settings)[0]
@@ -444,9 +421,9 @@ class Identification:
         """
         path = Path(path)
         if path.suffix == ".joblib":
-            return save_model(path, self.pipeline, self.aircraft, **self._model_facts())
+            return _model_file.save_model(path, self.pipeline, self.aircraft, **self._model_facts())
         path.mkdir(parents=True, exist_ok=True)
-        write_together(path, self.writers())
+        _model_file.write_together(path, self.writers())
         return path
 
     def writers(self) -> dict[str, Callable[[Path], object]]:
@@ -455,14 +432,14 @@ class Identification:
         if find_spec("matplotlib") is None:
             _warn('No pictures in the report: they need pip install "skdgp[plot]".')
         page = render_report(self._report_content())
-        numbers = json_text(self.metrics)
+        numbers = _model_file.json_text(self.metrics)
         found = {
             "report.html": lambda path: path.write_text(page, encoding="utf-8"),
             "metrics.json": lambda path: path.write_text(numbers, encoding="utf-8"),
         }
         if self.train:
-            model = model_bunch(self.pipeline, self.aircraft, **self._model_facts())
-            found["model.joblib"] = lambda path: dump_model(path, model)
+            model = _model_file.model_bunch(self.pipeline, self.aircraft, **self._model_facts())
+            found["model.joblib"] = lambda path: _model_file.dump_model(path, model)
         return found
 
     def _model_facts(self) -> dict:
@@ -490,7 +467,7 @@ class Identification:
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,
                 correlation=regressor.output_correlation(),
-                versions=software_versions(),
+                versions=_model_file.software_versions(),
                 extra=self._remarks(),
             ),
             aircraft={
@@ -575,17 +552,6 @@ def _announce(stage):
 
 def _warn(message):
     warnings.warn(message, UserWarning, stacklevel=3)
-
-
-def _train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str | None]:
-    """Return the flights, one held out if no test flight is named, and words for that."""
-    if not test:
-        train, test, held_out = hold_out(train)
-        _warn(f"No test flight was named: {held_out}, is held out of the fit and tested on.")
-        return train, test, held_out
-    for name in train.keys() & test.keys():
-        _warn(f"Flight {name!r} is both learned from and tested on: its errors say nothing about other flights.")
-    return train, test, None
 
 
 def _n_samples(samples, regressor, n_rows) -> int:

@@ -6,8 +6,8 @@ From flight logs to predicted coefficients with honest bands, and a picture of t
 
     python examples/identify_example_flights.py
 
-Needs matplotlib: pip install "skdgp[plot]". For your own flights replace ``load_example_flights`` by
-``skdgp.io.read_flights(["monday.csv", "tuesday.csv"])`` and ``Aircraft.from_json("uav.json")``.
+Needs matplotlib: pip install "skdgp[plot]". With your own flights:
+``identify(["monday.csv", "tuesday.csv"], "uav.json", test="wednesday.csv")``.
 """
 
 import argparse
@@ -15,10 +15,7 @@ import argparse
 from matplotlib.figure import Figure
 
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import aerodynamic_coefficients
-from skdgp.identification import calibrate_noise, make_identification_pipeline, predict_flight
-from skdgp.metrics import interval_coverage, normalized_rmse
-from skdgp.model_selection import thin_targets
+from skdgp.identification import identify
 from skdgp.plotting import CoefficientDisplay
 
 
@@ -29,26 +26,14 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
 
     flights = load_example_flights()
-    train, test, aircraft = flights.train, flights.test, flights.aircraft
+    result = identify(flights.train, flights.aircraft, test=flights.test, samples=options.samples)
+    print(result.summary())
 
-    measured = aerodynamic_coefficients(train, aircraft)
-    learned = thin_targets(measured, options.samples)
-
-    model = make_identification_pipeline(aircraft)
-    model.set_params(dependentgpregressor__random_state=0)
-    model.fit(train, learned)
-    calibrate_noise(model, train, measured.mask(learned.notna()))
-
-    mean, std = predict_flight(model, test, include_noise=True)
-
-    measured = aerodynamic_coefficients(test, aircraft)
-    errors = normalized_rmse(measured, mean, multioutput="raw_values")
-    inside = interval_coverage(measured, mean, std, multioutput="raw_values")
-    for name, error, share in zip(measured, errors, inside, strict=True):
-        print(f"{name}: RMSE {error:.3f} of the standard deviation, {100 * share:.0f} % inside the 95 % band")
-
+    (flight,) = result.evaluations
     figure = Figure(figsize=(10, 6.5), layout="constrained")
-    CoefficientDisplay.from_predictions(test["time"], measured, mean, std, ax=figure, time_span=(24, 34))
+    CoefficientDisplay.from_predictions(
+        flight.time, flight.measured, flight.mean, flight.measured_std, ax=figure, time_span=(24, 34)
+    )
     figure.suptitle("Example flights: coefficients of a flight that the model has not seen")
     figure.savefig(options.output, dpi=150)
     print(options.output)

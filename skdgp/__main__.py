@@ -6,17 +6,19 @@ import sys
 
 
 def _stop(number, frame):
-    """End at once: an exception would be lost, or shown with its traceback, in one of a thousand imports."""
+    """Exit immediately: during imports an exception could be lost, or shown with its traceback."""
     os.write(2, b"stopped\n")
     os._exit(130)
 
 
 if __name__ == "__main__":
-    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else Ctrl-C is ignored, as in the background
-    if ours:
+    handles_ctrl_c = (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )  # else Ctrl-C is ignored, as in the background
+    if handles_ctrl_c:
         signal.signal(signal.SIGINT, _stop)
     from skdgp._cli import main
 
-    if ours:
+    if handles_ctrl_c:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

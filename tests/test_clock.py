@@ -12,7 +12,7 @@ from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, part
 from skdgp._flight.faults import find_faults
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import aerodynamic_coefficients
-from skdgp.identification._source import _by_flight
+from skdgp.identification._flights import flights_of
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.metrics import score_flights
 from skdgp.model_selection import BlockSplit, flight_learning_curve
@@ -66,7 +66,7 @@ ASKING = {
         flights[["alpha"]], flights["alpha"], groups=flights["flight"]
     ),
     "plotting": named_flights,
-    "command line": _by_flight,
+    "identify": flights_of,
 }
 
 

@@ -3,25 +3,29 @@
 import hashlib
 import json
 import pickle
+import re
 import subprocess
 import sys
+import warnings
 
 import joblib
 import numpy as np
 import pandas as pd
 import pytest
 from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp import DependentGPRegressor, listening, make_identification_pipeline
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
-from skdgp.identification import ModelFileError, calibrate_noise, load_model, save_model
+from skdgp.identification import ModelFileError, calibrate_noise, identify, load_model, save_model, validate
 from skdgp.identification._model_file import CHECKSUM, END, MAGIC
-from skdgp.metrics import SCORERS
+from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
 
@@ -194,6 +198,106 @@ class TestCalibration:
         factor = calibrate_noise(model, table, pd.DataFrame({"CZ": Y["CZ"] + 1.0, "Cm": np.nan}))
         assert factor[0] > 2
         assert factor[1] == 1
+
+
+@pytest.fixture(scope="module")
+def example():
+    """Return short example flights: two to learn from, one to test."""
+    data = load_example_flights()
+    return data.aircraft, data.train[data.train["time"] < 15], data.test[data.test["time"] < 10]
+
+
+@pytest.fixture(scope="module")
+def result(example):
+    aircraft, train, test = example
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return identify(train, aircraft, test=test, samples=40, regressor=QUICK, horizons=[1.0])
+
+
+class TestIdentify:
+    def test_gives_a_model_its_scores_and_its_facts(self, result):
+        (evaluation,) = result.evaluations
+        of = result.metrics["test"]["two_altitudes"]["coefficients"]["measured"]["CZ"]
+        errors = normalized_rmse(evaluation.measured, evaluation.mean, multioutput="raw_values")
+        assert of["normalized_rmse"] == pytest.approx(errors[2])
+        assert re.search(rf"^  CZ +{100 * of['median_relative_error']:.1f} % ", result.summary(), re.MULTILINE)
+        assert result.fit["samples"] == result.settings["samples"] == 40
+        assert result.fit["flights"] == {"lateral": 600, "latlon": 600}
+        assert result.held_out is None
+
+    def test_evaluates_another_flight_as_its_test_flights(self, result, example):
+        again = result.evaluate(example[2])
+        for name in ("mean", "std", "measured_std"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(result.evaluations[0], name))
+        with pytest.raises(ValueError, match="Got 2 flights, but expected one"):
+            result.evaluate(example[1])
+
+    def test_saves_what_load_model_reads(self, result, example, tmp_path):
+        assert result.save(tmp_path / "new" / "folder") == tmp_path / "new" / "folder"
+        assert {path.name for path in (tmp_path / "new" / "folder").iterdir()} == {
+            *("model.joblib", "metrics.json", "report.html"),
+        }
+        result.save(tmp_path / "alone.joblib")
+        for path in (tmp_path / "new" / "folder" / "model.joblib", tmp_path / "alone.joblib"):
+            model = load_model(path)
+            np.testing.assert_array_equal(model.pipeline.predict(example[2]), result.pipeline.predict(example[2]))
+            assert model.fit == result.fit
+            judged = validate(model, example[2], horizons=[1.0])
+            assert judged.metrics["test"] == result.metrics["test"]
+            assert judged.metrics["fit"] == result.metrics["fit"]
+        assert json.loads((tmp_path / "new" / "folder" / "metrics.json").read_text()) == result.metrics
+        page = result.report(tmp_path / "page.html").read_text(encoding="utf-8")
+        assert "two_altitudes" in page
+
+    def test_takes_tables_by_name_and_holds_out_the_last(self, example):
+        aircraft, train, _ = example
+        tables = {name: table.drop(columns="flight") for name, table in train.groupby("flight", observed=True)}
+        stages = []
+        with listening(lambda stage, *_: stages.append(stage)), pytest.warns() as shown:
+            found = identify(tables, aircraft, samples=40, regressor=QUICK, horizons=[1.0])
+        assert found.held_out == "the last flight, latlon"
+        assert list(found.fit["flights"]) == ["lateral"]
+        assert list(found.metrics["test"]) == ["latlon"]
+        assert {" ".join(str(one.message).split()) for one in shown} == set(found.messages)
+        assert any("No test flight was named" in message for message in found.messages)
+        unique = list(dict.fromkeys(stage for stage in stages if not stage.startswith("output")))
+        assert unique == ["reading", "coefficients", "transforming", "fit", "calibration", "evaluating latlon"]
+
+    @pytest.mark.parametrize(
+        ("change", "error", "message"),
+        [
+            ({"regressor": LinearRegression()}, TypeError, "expected a DependentGPRegressor"),
+            ({"aircraft": {"mass": 3.0}}, TypeError, "Got dict for aircraft"),
+            ({"aircraft": "uav.yaml"}, FileNotFoundError, "no such file"),
+            ({"flights": []}, ValueError, "Got no flight"),
+            ({"flights": 7}, TypeError, "Got int for flight"),
+            ({"thrust": "rocket"}, ValueError, "rocket"),
+        ],
+    )
+    def test_refuses_what_cannot_be(self, example, change, error, message):
+        aircraft, train, test = example
+        with pytest.raises(error, match=message):
+            identify(**{"flights": train, "aircraft": aircraft, "test": test, "regressor": QUICK} | change)
+
+    def test_names_tables_that_have_no_names(self, example):
+        aircraft, train, test = example
+        bare = train[train["flight"] == "latlon"].drop(columns="flight")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            found = identify(
+                [bare], aircraft, test=test.drop(columns="flight"), samples=40, regressor=QUICK, horizons=[1]
+            )
+        assert list(found.train) == ["flight 1"]
+        assert list(found.metrics["test"]) == ["test flight 1"]
+
+    def test_refuses_a_flight_that_comes_twice(self, example):
+        aircraft, train, test = example
+        with pytest.raises(ValueError, match=r"'lateral' twice.*give a dict"):
+            identify([train, train], aircraft, test=test)
+        with pytest.raises(ValueError, match="Got 2 flights in the table 'both'"):
+            identify({"both": train}, aircraft, test=test)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The command line, ``python -m skdgp COMMAND``: a command is a function of a `Task`."""
+"""The command line, ``python -m skdgp COMMAND``: it parses, calls and prints."""
 
 from skdgp._cli._main import main
 

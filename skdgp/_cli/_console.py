@@ -1,4 +1,4 @@
-"""Progress line and warnings on standard error."""
+"""Results on standard output; progress line, warnings and errors on standard error."""
 
 from __future__ import annotations
 
@@ -9,137 +9,127 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-SHOWN = (UserWarning, RuntimeWarning)
 CLEAR = "\r\x1b[K"
-PERIOD = 0.2
-"""Seconds between two states of the line."""
+PERIOD = 0.2  # seconds between two states of the progress line, so that a terminal is not what takes the time
 
 
 class Console:
-    """Progress and warnings on standard error; used as a context manager, which clears the line at its end."""
+    """What a command shows; a context manager, which removes the progress line at its end."""
 
     def __init__(self, stream=None):
         self.stream = sys.stderr if stream is None else stream
         self.messages: list[str] = []
         self.interrupts = 0
-        self._live = self.stream.isatty()
+        self._shows_progress = self.stream.isatty()
         self._lock = threading.RLock()
-        self._stop = threading.Event()
-        self._stage, self._began, self._detail, self._alone = "", time.monotonic(), "", {}
+        self._stage, self._began, self._shown = "", 0.0, -PERIOD
+        self._evaluations: dict[str, int] = {}
 
     def __enter__(self) -> Console:
-        self._catching = warnings.catch_warnings()
-        self._catching.__enter__()
+        self._warnings = warnings.catch_warnings()
+        self._warnings.__enter__()
         warnings.simplefilter("ignore")
-        for category in SHOWN:
+        for category in (UserWarning, RuntimeWarning):
             warnings.simplefilter("always", category)
-        warnings.showwarning = self._show
-        if self._live:
-            self._ticker = threading.Thread(target=self._tick, daemon=True)
-            self._ticker.start()
+        warnings.showwarning = self._show_warning
         return self
 
     def __exit__(self, kind, error, trace):
-        self.close()
-        self._catching.__exit__(kind, error, trace)
+        self._warnings.__exit__(kind, error, trace)
         self._write()
         self.print()
 
-    def close(self) -> None:
-        """Take the line away for good."""
-        if self._live and not self._stop.is_set():
-            self._stop.set()
-            self._ticker.join()
-            self._write(CLEAR)
-
     def print(self, text: str | None = None) -> None:
-        """Print a result on standard output, and what waits there; raise an OSError if it cannot be written."""
-        self.close()
+        """Print a result, and flush standard output; raise OSError if it cannot be written."""
+        if self._shows_progress:
+            self._write(CLEAR)
+            self._shows_progress = False
         try:
             if text is not None:
                 print(text)
             sys.stdout.flush()
         except BrokenPipeError:  # nobody reads any more
-            _give_up(sys.stdout)
+            _redirect_to_null(sys.stdout)
         except OSError as error:
-            _give_up(sys.stdout)
+            _redirect_to_null(sys.stdout)
             raise OSError(error.errno, error.strerror, "standard output") from error
 
     def print_error(self, text: str) -> None:
         """Print on standard error, where it is open."""
         self._write(f"{text}\n")
 
-    def _show(self, message, category, filename, lineno, file=None, line=None):
-        where = f" ({Path(filename).name}, line {lineno})" if issubclass(category, RuntimeWarning) else ""
-        self.warn(str(message) + where)
-
     def stage(self, words: str) -> None:
-        """Say what is being done from now on."""
-        with self._lock:
-            self._stage, self._began, self._detail = words, time.monotonic(), ""
+        """Show what is being done from now on."""
+        self._stage, self._began = words, time.monotonic()
+        self._show(words)
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
-        """Show where a fit is; the listener of ``skdgp._compute.progress.listening``, called from any thread."""
+        """Show the stage of an identification; the listener of ``skdgp.listening``, called from any thread."""
+        if self.interrupts > 1:  # both ended searches of the fit; the second one shall end everything
+            raise KeyboardInterrupt
+        if n_evaluations == 0:
+            self.stage(stage)
+            return
         with self._lock:
+            self._evaluations[stage] = n_evaluations
+            if not self._shows_progress or time.monotonic() - self._shown < PERIOD:
+                return
             if stage.startswith("output"):
-                self._alone[stage] = n_evaluations
-                self._detail = f"{len(self._alone)} outputs, each alone · {sum(self._alone.values())} evaluations"
+                total = sum(self._evaluations.values())
+                detail = f"{len(self._evaluations)} outputs, each alone · {total} evaluations"
             else:
-                self._detail = f"all outputs together · {n_evaluations} evaluations"
+                detail = f"all outputs together · {n_evaluations} evaluations"
                 if abs(log_likelihood) < float("inf"):
                     words = "bound on the log likelihood" if stage == "bound" else "log likelihood"
-                    self._detail += f" · {words} {log_likelihood:.1f}"
-
-    def warn(self, message: str) -> None:
-        """Print a warning the first time, and keep it for the report."""
-        message = " ".join(message.split())
-        with self._lock:
-            if message not in self.messages:
-                self.messages.append(message)
-                self._write(f"{CLEAR if self._live else ''}warning: {message}\n")
+                    detail += f" · {words} {log_likelihood:.1f}"
+            self._show(f"fit · {detail} · {time.monotonic() - self._began:.0f} s")
 
     @contextmanager
-    def keeping_the_best(self):
-        """Let the first Ctrl-C end the fit with the best model so far, and the second one end everything."""
-        if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) in (
-            signal.SIG_IGN,  # started in the background, where Ctrl-C is not ours
-            None,
-        ):
-            yield
+    def counting_interrupts(self) -> Iterator[None]:
+        """Count Ctrl-C: the first one ends a fit, which keeps the best model so far, the second one everything."""
+        handler = signal.getsignal(signal.SIGINT)
+        if threading.current_thread() is not threading.main_thread() or handler in (signal.SIG_IGN, None):
+            yield  # started in the background, where Ctrl-C is for others
             return
-        before = signal.signal(signal.SIGINT, self._interrupt)
+        signal.signal(signal.SIGINT, self._interrupt)
         try:
             yield
         finally:
-            signal.signal(signal.SIGINT, before)
-        if self.interrupts > 1:
-            raise KeyboardInterrupt
+            signal.signal(signal.SIGINT, handler)
 
     def _interrupt(self, number, frame):
         self.interrupts += 1
-        self._stage = "interrupted: keeping the best so far (Ctrl-C again: stop)"  # no printing in a signal handler
+        if self._shows_progress:  # not through the stream, which the handler may have interrupted
+            os.write(self.stream.fileno(), f"{CLEAR}keeping the best model so far (Ctrl-C again: stop)".encode())
         raise KeyboardInterrupt
 
-    def _tick(self):
-        while not self._stop.wait(PERIOD):
-            with self._lock:
-                if self._stage:
-                    parts = [self._stage, self._detail, f"{time.monotonic() - self._began:.0f} s"]
-                    line = " · ".join(part for part in parts if part)
-                    self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
+    def _show(self, line):
+        if self._shows_progress:
+            self._shown = time.monotonic()
+            self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
+
+    def _show_warning(self, message, category, filename, lineno, file=None, line=None):
+        """Print a warning the first time."""
+        place = f" ({Path(filename).name}, line {lineno})" if issubclass(category, RuntimeWarning) else ""
+        text = " ".join(str(message).split()) + place
+        if text not in self.messages:
+            self.messages.append(text)
+            self._write(f"{CLEAR if self._shows_progress else ''}warning: {text}\n")
 
     def _write(self, text=None):
         try:
-            if text is not None:  # in UTF-16 even an empty text is a mark
-                self.stream.write(text)
-            self.stream.flush()
-        except OSError:  # no reason to end what can go on in silence
-            _give_up(self.stream)
+            with self._lock:
+                if text is not None:  # in UTF-16 even an empty text is a mark
+                    self.stream.write(text)
+                self.stream.flush()
+        except OSError:  # what can go on without a word goes on
+            _redirect_to_null(self.stream)
 
 
-def _give_up(stream) -> None:
-    """Throw away what a stream cannot write: at its end the interpreter would try once more, and complain."""
+def _redirect_to_null(stream) -> None:
+    """Discard what a stream cannot write: at its end the interpreter would try once more, and complain."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -3,52 +3,56 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 
-from skdgp._cli._model import engine_of, read_model
-from skdgp._cli._task import Task
-from skdgp._cli._writers import Writer, json_writer, picture_writers, table_writer
+from skdgp._cli import _options as opt
+from skdgp._cli._output import Run, Writer, picture_writers, table_writer, text_writer
+from skdgp._cli._parser import Command
+from skdgp._cli._predict import read_model, thrust_of_model
 from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
+from skdgp.identification._model_file import json_text
 from skdgp.plotting import DerivativeDisplay
 
 DEGREE = np.pi / 180
 COLUMN = 11
 
 
-def derivatives(task: Task) -> None:
-    """Print trims, derivatives and modes, and write them where a folder is named."""
-    options = task.options
-    task.console.stage("reading")
+def derivatives(run: Run) -> None:
+    """Print stability and control derivatives and modes of the model, in level flight at each airspeed.
+
+    CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with the standard deviation over
+    functions drawn from the posterior. With -o writes derivatives.csv, modes.csv, trims.csv, derivatives.json,
+    config.toml and, of several airspeeds, a picture derivatives.png into DIR, all or none.
+
+    For example:
+      python -m skdgp derivatives results/model.joblib --airspeed 35
+      python -m skdgp derivatives results/model.joblib --airspeed 30 35 40 --axes stability -o sweep
+    """
+    options = run.options
+    run.console.stage("reading")
     model = read_model(options)
-    engine = engine_of(model)
-    task.console.stage("trimming")
-    trims = trim(
-        model.pipeline,
-        model.aircraft,
-        sorted(set(options.airspeed)),
-        altitude=options.altitude,
-        climb=None if engine is None else 0.0,
-        thrust=engine,
-    )
+    thrust = thrust_of_model(model)
+    run.console.stage("trimming")
+    climb = None if thrust is None else 0.0  # a glider's follows
+    conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
+    trims = cast(list[Trim], trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions))
     _warn_of_beyond(trims)
-    task.console.stage("derivatives")
-    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": engine}
+    run.console.stage("derivatives")
+    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
     table = stability_derivatives(model.pipeline, model.aircraft, trims, axes=options.axes, **spread)
-    task.console.stage("modes")
+    run.console.stage("modes")
     modes = [linearize(model.pipeline, model.aircraft, point, **spread).modes() for point in trims]
-    numbers = {
-        "model": options.model,
-        "axes": options.axes,
-        "altitude": options.altitude,
-        "points": [_point(one, table.loc[point], modes[point]) for point, one in enumerate(trims)],
-    }
-    if task.folder is not None:
-        task.write(_writers(trims, table, modes, numbers))
-    blocks = [_text(one, table.loc[point], modes[point]) for point, one in enumerate(trims)]
-    where = [] if task.folder is None else [f"tables and pictures are in {task.folder.path}"]
-    task.say("\n\n".join([*blocks, *where]), numbers)
+    points: list[Any] = [(one, table.loc[number], modes[number]) for number, one in enumerate(trims)]
+    numbers = {"model": options.model, "axes": options.axes, "altitude": options.altitude}
+    numbers["points"] = [_point(*point) for point in points]
+    blocks = [_text(*point) for point in points]
+    if run.folder is not None:
+        run.write(_writers(trims, table, modes, numbers))
+        blocks.append(f"tables and pictures are in {run.folder.path}")
+    run.print("\n\n".join(blocks), numbers)
 
 
 def _warn_of_beyond(trims: list[Trim]) -> None:
@@ -85,7 +89,7 @@ def _writers(trims, table, modes, numbers) -> dict[str, Writer]:
         "derivatives.csv": table_writer(table.reset_index(names=["point", "derivative"]), ".csv"),
         "modes.csv": table_writer(named.reset_index(), ".csv"),
         "trims.csv": table_writer(pd.concat([one.to_frame() for one in trims]), ".csv"),
-        "derivatives.json": json_writer(numbers),
+        "derivatives.json": text_writer(json_text(numbers)),
     }
     return files | (picture_writers("derivatives.png", DerivativeDisplay.from_sweep, table) if len(trims) > 1 else {})
 
@@ -101,10 +105,12 @@ def _matrix(table: pd.DataFrame) -> list[str]:
     value = _by_regressor(table, "value")
     std = _by_regressor(table, "std") if "std" in table else None
     lines = [f"{'':4}" + "".join(f"{name or 'at trim':>{COLUMN}}" for name in value)]
-    for name, row in value.iterrows():
-        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in row))
+    for name in value.index:
+        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in value.loc[name]))
         if std is not None:
-            lines.append(f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in std.loc[name]))
+            lines.append(
+                f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in std.loc[str(name)])
+            )
     return lines
 
 
@@ -121,3 +127,17 @@ def _mode_rows(modes: pd.DataFrame) -> list[str]:
             frequency, damping = f"{frequency} +- {row['frequency_std']:.2g}", f"{damping} +- {row['damping_std']:.2f}"
         lines.append(f"{name:14}{frequency + ' rad/s':>25}{damping:>15}{row['time_constant']:>13.3g} s")
     return lines
+
+
+DERIVATIVES = Command(
+    derivatives,
+    {
+        "": [
+            *(opt.MODEL, opt.AIRCRAFT, opt.SEED, opt.OPTIONAL_FOLDER),
+            opt.option("--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True),
+            opt.option("--altitude M", "of the trims [m] (default: 0)", opt.number(), default=0.0),
+            opt.choice("--axes", ["body", "stability"], "of forces, moments and rates (default: body)"),
+            opt.paths(200, "for the standard deviations; 0: none"),
+        ]
+    },
+)

@@ -1,31 +1,71 @@
-"""The command ``inspect``: what a log holds, and a template of its servo file."""
+"""The command ``inspect``: what a log holds, its lags, and a template of its servo file."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
-from skdgp._cli._task import Task
+import pandas as pd
+
+from skdgp._cli import _options as opt
+from skdgp._cli._output import Run
+from skdgp._cli._parser import Command
 from skdgp._compute.files import write_atomically
-from skdgp.io import inspect_log, servo_template
+from skdgp.io import inspect_log, read_flight, servo_template
+from skdgp.preprocessing import LagCorrector
 
 
-def inspect(task: Task) -> None:
-    """Print what a log holds; write a template of its servo file where one is asked for.
+def inspect(run: Run) -> None:
+    """Print what a log holds: vehicle, firmware, topics with rates and gaps, columns of its flight table, flights.
 
-    Raises
-    ------
-    ValueError, OSError
-        If the log or the servo file cannot be read, or the template would replace a file.
+    And what is missing for coefficients, reconstruction, regressors, replay; and how late air data, surfaces, attitude
+    and GPS are against the inertial unit (identify --lags corrects them).
+
+    LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
+
+    For example:
+      python -m skdgp inspect log.ulg
+      python -m skdgp inspect log.bin --servo-template servo.toml
     """
-    options = task.options
-    task.console.stage("reading")
+    options = run.options
+    run.console.stage("reading")
     summary = inspect_log(options.log, servos=options.servos)
     if options.servo_template is not None:
-        _write_template(Path(options.servo_template), servo_template(options.log))
-    task.say(str(summary), summary.to_dict())
+        path, text = Path(options.servo_template), servo_template(options.log)
+        if path.exists():
+            raise FileExistsError(
+                f"Got {str(path)!r} for the servo template, but it is there already: name another file."
+            )
+        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    run.console.stage("estimating lags")
+    lags, why = _lags(options) if summary.flights else (None, "there is no flight")
+    lines = ["", "  lags              " + (f"not estimated: {why}" if lags is None else "seconds, positive where late")]
+    for name, row in {} if lags is None else lags.iterrows():
+        known = row["std"] == row["std"]  # not NaN
+        value = f"{row['lag']:>z8.3f} +- {row['std']:.3f} s  " if known else " " * 20
+        lines.append(f"    {name:<16}{value}{row['remark']}")
+    numbers = summary.to_dict() | {"lags": None if lags is None else lags.to_dict("index")}
+    run.print("\n".join([str(summary), *lines]), numbers)
 
 
-def _write_template(path, text):
-    if path.exists():
-        raise FileExistsError(f"Got {str(path)!r} for the servo template, but it is there already: name another file.")
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+def _lags(options) -> tuple[pd.DataFrame | None, str]:
+    """Return the lags of a log, or None and why they cannot be estimated."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what the summary shows
+        try:
+            table = read_flight(options.log, servos=options.servos)
+            return LagCorrector().fit(table).lags_, ""
+        except ValueError as error:
+            return None, str(error)
+
+
+INSPECT = Command(
+    inspect,
+    {
+        "": [
+            opt.option("log LOG", "the log"),
+            opt.SERVOS,
+            opt.option("--servo-template FILE", "write such a file for this log, to be filled in with the angles"),
+        ]
+    },
+)

@@ -2,73 +2,94 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import shlex
 import sys
 import traceback
 from contextlib import nullcontext
+from importlib.metadata import version
 from pathlib import Path
 
-from skdgp._cli._config import check_replaceable
 from skdgp._cli._console import Console
-from skdgp._cli._derivatives import derivatives
-from skdgp._cli._folder import OutputFolder
-from skdgp._cli._inspect import inspect
-from skdgp._cli._job import CHECKPOINT, demo, identify
-from skdgp._cli._parser import build_parser
-from skdgp._cli._predict import predict
-from skdgp._cli._simulate import fly
-from skdgp._cli._task import Task
-from skdgp._cli._validate import validate
+from skdgp._cli._derivatives import DERIVATIVES
+from skdgp._cli._identify import CHECKPOINT, DEMO, IDENTIFY
+from skdgp._cli._inspect import INSPECT
+from skdgp._cli._output import OutputFolder, Run
+from skdgp._cli._parser import PROGRAM, check_replaceable
+from skdgp._cli._predict import PREDICT, VALIDATE
+from skdgp._cli._simulate import SIMULATE
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-COMMANDS = {
-    "demo": demo,
-    "inspect": inspect,
-    "identify": identify,
-    "validate": validate,
-    "predict": predict,
-    "simulate": fly,
-    "derivatives": derivatives,
-}
+COMMANDS = {command.name: command for command in (DEMO, INSPECT, IDENTIFY, VALIDATE, PREDICT, SIMULATE, DERIVATIVES)}
 OPTIONS = {
     "thrust=None": "--thrust none",
     "thin_targets(": "--samples 755",
     "inference='sparse'": "--inference sparse",
     "airborne=False": "--airborne all or --airborne 6",
+    "regressors.": "--regressors",
 }
-"""What remedies of the library are called here."""
+"""How the command line writes what remedies of the library name."""
+DESCRIPTION = """\
+Learn an aircraft's six aerodynamic coefficients from flight logs.
+
+  python -m skdgp demo                                     simulated example flights, nothing else needed
+  python -m skdgp inspect log.ulg                          what a log holds, and lacks for which step
+  python -m skdgp identify a.csv b.csv --aircraft uav.json -o results
+  python -m skdgp validate results/model.joblib c.csv      is the model right about another flight?
+  python -m skdgp predict results/model.joblib c.csv -o coefficients.csv
+  python -m skdgp simulate results/model.joblib --trim 35 -o flown
+  python -m skdgp derivatives results/model.joblib --airspeed 30 35 40
+
+COMMAND --help explains each. SI units and radians throughout. Exit codes: 0 done, 1 an error, in one line, 2 wrong
+usage, 130 stopped by Ctrl-C.
+"""
 
 
-def main(argv=None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
     _open_streams()
     folder, console = None, Console()
     try:
         with console:
-            options = build_parser().parse_args(argv)
-            folder = _folder(options)
-            task = Task(options, console, folder, shlex.join(["python", "-m", "skdgp", *argv]))
+            name = argv[0] if argv and argv[0] in COMMANDS else _parser().parse_args(argv).command
+            command = COMMANDS[name]
+            options = command.parse(argv[1:])
+            folder = _output_folder(command, options)
+            run = Run(command, options, console, folder, shlex.join([*PROGRAM.split(), *argv]))
             with folder or nullcontext():
                 if folder is not None:
-                    check_replaceable(folder.path / task.config)
-                COMMANDS[options.command](task)
+                    check_replaceable(folder.path / run.config_name)
+                command.run(run)
     except KeyboardInterrupt:
-        console.print_error(_stopped(folder))
+        console.print_error(_interruption(folder))
         return INTERRUPTED
     except Exception as error:
         if "--traceback" in argv:
             console.print_error(traceback.format_exc().rstrip())
-        console.print_error(f"error: {_words(error)}")
+        console.print_error(f"error: {_message(error)}")
         return FAILED
     return DONE
 
 
-def _open_streams():
-    """Let standard output and error take any text in any encoding, and none where they are closed."""
+def _parser() -> argparse.ArgumentParser:
+    """Return the parser of a command line that does not begin with a command."""
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"skdgp {version('skdgp')}", help="the version")
+    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help=", ".join(COMMANDS))
+    return parser
+
+
+def _open_streams() -> None:
+    """Let standard output and error take any text in any encoding, and discard it where they are closed."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
@@ -77,24 +98,23 @@ def _open_streams():
             stream.reconfigure(errors="backslashreplace")
 
 
-def _folder(options) -> OutputFolder | None:
-    """Return the folder that the command writes to: the one of its table, where it writes a single one."""
+def _output_folder(command, options) -> OutputFolder | None:
+    """Return the folder that the command writes to: of ``predict`` the one of its table."""
     output = getattr(options, "output", None)
     if output is None:
         return None
-    return OutputFolder(Path(output).parent if options.command == "predict" else output)
+    return OutputFolder(Path(output).parent if command is PREDICT else output)
 
 
-def _stopped(folder) -> str:
-    """Return what is said at the end by Ctrl-C."""
-    if folder is None or folder.written:
+def _interruption(folder) -> str:
+    if folder is None or folder.is_written:
         return "stopped"
     words = "stopped: no output was written"
     return f"{words}; run again, the fit goes on where it was" if (folder.path / CHECKPOINT).exists() else words
 
 
-def _words(error: Exception) -> str:
-    """Return the message on one line, its remedies as options; the system's own errors with the name of the file."""
+def _message(error: Exception) -> str:
+    """Return the message on one line, with its remedies as options; of the system's errors with the file's name."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or ''}: {error.strerror}".removeprefix(": ")
     words = " ".join(str(error).split()) or type(error).__name__

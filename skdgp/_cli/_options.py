@@ -1,287 +1,151 @@
-"""The options of each command."""
+"""Values of options, and the options that several commands have."""
 
 from __future__ import annotations
 
-from skdgp._cli import _help as words
-from skdgp._cli import _values as read
-from skdgp._cli._values import FileName
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 
-def _add_identify(parser):
-    parser.add_argument("train", nargs="+", type=FileName, metavar="TRAIN", help="flights to learn from")
-    parser.add_argument("--aircraft", type=FileName, required=True, metavar="FILE", help="the aircraft, JSON or TOML")
-    parser.add_argument(
-        "--test",
-        nargs="+",
-        type=FileName,
-        default=[],
-        metavar="TEST",
-        help="flights to try the model on (default: the last training flight, or the last quarter of a single one, "
-        "is held out)",
-    )
-    _add_logs(parser)
-    _add_loads(parser, thrust="auto", forces=[], said="auto, columns where they stand, else the propeller")
-    _add_learning(parser)
-    _add_horizons(parser)
-    _add_folder(parser, required=True)
+class FileName(str):
+    """The name of a file or folder, which a configuration keeps as a whole path."""
+
+    def __new__(cls, text: str):
+        """Raise ArgumentTypeError if the name is not UTF-8, which no configuration and no report could hold."""
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise argparse.ArgumentTypeError(f"got {text!a}, but expected a name in UTF-8: rename it") from None
+        return super().__new__(cls, text)
 
 
-def _add_demo(parser):
-    _add_learning(parser)
-    _add_horizons(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=FileName,
-        metavar="DIR",
-        default="skdgp-demo",
-        help="folder for the outputs (default: %(default)s)",
-    )
+class Option(NamedTuple):
+    """An option or an operand of a command: what ``ArgumentParser.add_argument`` takes."""
+
+    names: tuple[str, ...]
+    keywords: dict
+
+    @property
+    def key(self) -> str:
+        """Its name in a configuration."""
+        return self.names[-1].removeprefix("--")
 
 
-def _add_inspect(parser):
-    parser.add_argument("log", type=FileName, metavar="LOG", help="the log")
-    _add_servos(parser)
-    parser.add_argument(
-        "--servo-template",
-        type=FileName,
-        metavar="FILE",
-        help="write such a file for this log, to be filled in with the angles",
-    )
+def option(usage: str, help: str, type: Callable = FileName, **keywords) -> Option:
+    """Return an option; ``usage`` is such as "-o --output DIR", or "model MODEL" for an operand."""
+    words = usage.split()
+    names = tuple(word for word in words if word.startswith("-")) or (words[0],)
+    metavar = words[len(names) :]
+    if metavar:
+        keywords |= {"metavar": tuple(metavar) if len(metavar) > 1 else metavar[0], "type": type}
+    return Option(names, keywords | {"help": help})
 
 
-def _add_predict(parser):
-    _add_model(parser)
-    parser.add_argument("flight", nargs="+", type=FileName, metavar="FLIGHT", help="flights to predict")
-    _add_logs(parser)
-    parser.add_argument(
-        "--include-noise",
-        action="store_true",
-        help="standard deviations of new measurements, instead of those of the coefficients themselves",
-    )
-    parser.add_argument(
-        "-o", "--output", type=read.table_file, metavar="FILE", required=True, help="the table: .csv or .parquet"
-    )
+def choice(name: str, choices: Sequence[str], help: str) -> Option:
+    """Return an option that has one of some values, by default the first."""
+    return Option((name,), {"choices": choices, "default": choices[0], "help": help})
 
 
-def _add_validate(parser):
-    _add_model(parser)
-    parser.add_argument("flight", nargs="+", type=FileName, metavar="FLIGHT", help="flights to try it on")
-    _add_aircraft(parser)
-    _add_logs(parser)
-    _add_loads(parser, thrust=None, forces=None, said="as the model was learned")
-    _add_horizons(parser)
-    _add_folder(parser, required=False)
+def flag(name: str, help: str) -> Option:
+    """Return an option without a value."""
+    return Option((name,), {"action": "store_true", "help": help})
 
 
-def _add_simulate(parser):
-    _add_model(parser)
-    _add_aircraft(parser)
-    start = parser.add_argument_group("start, of a log or of a trim")
-    start.add_argument("--flight", type=FileName, metavar="LOG", help="start where this flight was")
-    start.add_argument("--at", type=read.number, metavar="S", help="when, on the clock of the log [s]")
-    _add_logs(start)
-    start.add_argument("--trim", type=read.speed, metavar="V", help="start from steady flight at this airspeed [m/s]")
-    start.add_argument("--altitude", type=read.number, metavar="M", help="of the trim [m] (default: 0)")
-    start.add_argument(
-        "--climb",
-        type=read.number,
-        metavar="RAD",
-        help="angle of its flight path [rad] (default: 0; of a glider, what follows)",
-    )
-    start.add_argument("--turn-rate", type=read.number, metavar="RAD/S", help="of its heading [rad/s] (default: 0)")
-    start.add_argument("--bank", type=read.number, metavar="RAD", help="its bank angle [rad], instead of a turn rate")
-    parser.add_argument("--controls", type=FileName, metavar="TABLE", help="the controls to fly with")
-    parser.add_argument(
-        "--wind",
-        nargs=3,
-        type=read.number,
-        metavar=("N", "E", "D"),
-        help="velocity of the air [m/s], north, east, down (default: what the log tells, else 0 0 0)",
-    )
-    parser.add_argument(
-        "--duration", type=read.seconds, metavar="S", help="how long [s] (default: 10, or as long as the log lasts)"
-    )
-    parser.add_argument("--dt", type=read.seconds, default=0.02, metavar="S", help="time step [s] (default: 0.02)")
-    _add_paths(parser, default=30, said="to fly; 0: the mean alone")
-    parser.add_argument(
-        "--format", choices=["csv", "parquet"], default="csv", help="of the tables (default: %(default)s)"
-    )
-    _add_folder(parser, required=True)
+def number(
+    expected: str = "a number",
+    accept: Callable[[float], bool] = math.isfinite,
+    kind: type = float,
+    words: tuple[str, ...] = (),
+) -> Callable[[str], float | str]:
+    """Return what reads a finite number that is accepted, or one of some words."""
+
+    def read(text):
+        if text in words:
+            return text
+        try:
+            value = kind(text)
+            if math.isfinite(value) and accept(value):
+                return value
+        except (ValueError, OverflowError):
+            pass
+        raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}")
+
+    return read
 
 
-def _add_derivatives(parser):
-    _add_model(parser)
-    _add_aircraft(parser)
-    parser.add_argument(
-        "--airspeed", nargs="+", type=read.speed, required=True, metavar="V", help="of the trims [m/s], one or several"
-    )
-    parser.add_argument("--altitude", type=read.number, default=0.0, metavar="M", help="of the trims [m] (default: 0)")
-    parser.add_argument(
-        "--axes",
-        choices=["body", "stability"],
-        default="body",
-        help="of forces, moments and rates: the body's, or those turned to the alpha of the trim (default: body)",
-    )
-    _add_paths(parser, default=200, said="that tell the standard deviations; 0: none")
-    _add_folder(parser, required=False)
+def at_least(lowest: int, *words: str) -> Callable[[str], float | str]:
+    """Return what reads whole numbers from ``lowest`` on, or one of some words."""
+    expected = ", or ".join([f"a whole number, {lowest} or more", *words])
+    return number(expected, lambda value: value >= lowest, int, words)
 
 
-def _add_model(parser):
-    parser.add_argument("model", type=FileName, metavar="MODEL", help="the model.joblib that identify wrote")
+def positive(unit: str, *words: str) -> Callable[[str], float | str]:
+    """Return what reads numbers > 0, or one of some words."""
+    return number(", or ".join([f"{unit} > 0", *words]), lambda value: value > 0, words=words)
 
 
-def _add_aircraft(parser):
-    parser.add_argument(
-        "--aircraft",
-        type=FileName,
-        metavar="FILE",
-        help="the aircraft, JSON or TOML, such as with another mass (default: the one in the model)",
-    )
+jobs = number("a number of processes, 1 or more, or -1 for all cores", bool, int)
 
 
-def _add_logs(parser):
-    _add_servos(parser)
-    parser.add_argument(
-        "--airborne",
-        type=read.airborne,
-        metavar="V|all",
-        help="airspeed [m/s] above which logs of autopilots are flights, or all of a log (default: told by the log)",
-    )
+def table_file(text: str) -> FileName:
+    """Return the name of a table to write."""
+    if Path(text).suffix not in (".csv", ".parquet"):
+        raise argparse.ArgumentTypeError(f"got {text}, but expected a name that ends in .csv or .parquet")
+    return FileName(text)
 
 
-def _add_servos(parser):
-    parser.add_argument(
-        "--servos",
-        type=FileName,
-        metavar="FILE",
-        help="TOML for logs of autopilots: which channel moves which surface, and by how much; inspect begins one",
-    )
+def regressor_names(text: str) -> str | list[str]:
+    """Return the name of a set of regressors, or names of columns with commas between."""
+    return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",") if name.strip()]
 
 
-def _add_loads(parser, *, thrust, forces, said):
-    parser.add_argument(
-        "--thrust",
-        choices=["auto", "columns", "propeller", "none"],
-        default=thrust,
-        help=f"what tells the propulsion: thrust columns, the aircraft's propeller, or there is none (default: {said})",
-    )
-    parser.add_argument(
-        "--external-forces",
-        nargs="+",
-        default=forces,
-        metavar="NAME",
-        help="further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
-    )
+MODEL = option("model MODEL", "the model.joblib that identify wrote")
+FLIGHTS = option("flight FLIGHT", "flights, as of identify", nargs="+")
+AIRCRAFT = option("--aircraft FILE", "the aircraft, JSON or TOML, as with another mass (default: that of the model)")
+SERVOS = option("--servos FILE", "TOML for logs of autopilots: servos and angles; inspect writes a template")
+AIRBORNE = option(
+    "--airborne V|all",
+    "airspeed [m/s] above which logs of autopilots are flights, or all of a log (default: estimated)",
+    positive("m/s", "all"),
+)
+HORIZONS = option(
+    "--horizons S",
+    "seconds between restarts of the replay (default: 2 10)",
+    positive("seconds"),
+    nargs="+",
+    default=[2.0, 10.0],
+)
+SEED = option("--seed N", "of random numbers (default: 0)", at_least(0), default=0)
+FOLDER = option("-o --output DIR", "folder for the outputs", required=True)
+OPTIONAL_FOLDER = option("-o --output DIR", "folder for outputs (default: none)")
 
 
-def _add_horizons(parser):
-    parser.add_argument(
-        "--horizons",
-        nargs="+",
-        type=read.seconds,
-        default=[2.0, 10.0],
-        metavar="S",
-        help="seconds from restart to restart of the replay (default: 2 10)",
-    )
+def loads(thrust: str | None, forces: list[str] | None, default: str) -> list[Option]:
+    """Return the options of known loads."""
+    sources = {"choices": ["auto", "columns", "propeller", "none"], "default": thrust}
+    names = "further known loads: tether means the columns tether_x, tether_y, tether_z [N]"
+    return [
+        Option(("--thrust",), sources | {"help": f"what gives the thrust (default: {default})"}),
+        option("--external-forces NAME", names, str, nargs="+", default=forces),
+    ]
 
 
-def _add_paths(parser, *, default, said):
-    parser.add_argument(
-        "--paths",
-        type=read.paths,
-        default=default,
-        metavar="N",
-        help=f"functions of the posterior {said} (default: {default})",
-    )
-    parser.add_argument("--seed", type=read.at_least(0), default=0, metavar="N", help="of these functions (default: 0)")
+def paths(default: int, use: str) -> Option:
+    """Return the option of how many functions of the posterior are drawn."""
+    kind = number("0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int)
+    return option("--paths N", f"functions of the posterior {use} (default: {default})", kind, default=default)
 
 
-def _add_folder(parser, *, required):
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=FileName,
-        metavar="DIR",
-        required=required,
-        help="folder for the outputs" if required else "folder for outputs (default: none are written)",
-    )
+def none_of(words: str) -> str | None:
+    """Return None for "none", which the command line says for it."""
+    return None if words == "none" else words
 
 
-def _add_learning(parser):
-    group = parser.add_argument_group("model")
-    group.add_argument(
-        "--samples",
-        type=read.samples,
-        metavar="N|all",
-        help="rows to learn from, spread over the flights (default: all; 755 with --inference exact)",
-    )
-    group.add_argument(
-        "--inference",
-        choices=["auto", "exact", "sparse"],
-        default="auto",
-        help="exact conditions on every row learned from, in time that grows with their cube; sparse on inducing "
-        "variables, so that it learns from all rows of a long flight (default: auto, exact up to a thousand rows)",
-    )
-    group.add_argument("--inducing", type=read.at_least(1), metavar="N", help="inducing inputs of sparse inference")
-    group.add_argument(
-        "--regressors",
-        type=read.regressors,
-        default="quasi-steady",
-        metavar="SET",
-        help="quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot too), paper (accelerations "
-        "too), or columns such as alpha,beta,q_hat,elevator (default: quasi-steady)",
-    )
-    group.add_argument(
-        "--reconstruction",
-        choices=["auto", "none"],
-        default="auto",
-        help="auto reconstructs the path of each flight from all its sensors, where the log holds accelerations, "
-        "attitude, ground velocity and airspeed; none smooths channel by channel (default: auto)",
-    )
-    group.add_argument(
-        "--input-noise",
-        choices=["learned", "none"],
-        default="learned",
-        help="learned: the model finds how noisy its regressors are; none takes them for exact (default: learned)",
-    )
-    group.add_argument(
-        "--trend",
-        choices=["linear", "constant", "none"],
-        default="linear",
-        help="what the process is added to: linear goes on where there were no data (default: linear)",
-    )
-    group.add_argument(
-        "--latents",
-        type=read.latents,
-        metavar="M|auto",
-        help="latent processes that the outputs share; auto: as many as the data show (default: 2)",
-    )
-    group.add_argument("--max-iter", type=read.at_least(1), metavar="N", help="iterations of the fit")
-    group.add_argument(
-        "--restarts",
-        type=read.at_least(0),
-        default=0,
-        metavar="N",
-        help="further starting points of the fit (default: 0)",
-    )
-    group.add_argument(
-        "--seed", type=read.at_least(0), default=0, metavar="N", help="of the starting values (default: 0)"
-    )
-    group.add_argument("--n-jobs", type=read.jobs, metavar="N", help="processes for the restarts; -1: all cores")
-
-
-COMMANDS = {
-    "demo": (_add_demo, "identify, on simulated example flights", words.DEMO, words.DEMO_EXAMPLES),
-    "inspect": (_add_inspect, "what a log holds and what it lacks", words.INSPECT, words.INSPECT_EXAMPLES),
-    "identify": (_add_identify, "learn a model from flight logs", words.IDENTIFY, words.TABLES),
-    "validate": (_add_validate, "try a model on other flights", words.VALIDATE, words.VALIDATE_EXAMPLES),
-    "predict": (_add_predict, "coefficients of flights, by a model", words.PREDICT, words.PREDICT_EXAMPLES),
-    "simulate": (_add_simulate, "fly a model", words.SIMULATE, words.SIMULATE_EXAMPLES),
-    "derivatives": (
-        _add_derivatives,
-        "trims, stability derivatives and modes",
-        words.DERIVATIVES,
-        words.DERIVATIVES_EXAMPLES,
-    ),
-}
+def reading(options: argparse.Namespace) -> dict:
+    """Return the keywords of ``skdgp.io.read_flight`` for logs of autopilots."""
+    airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
+    return {"servos": options.servos, "airborne": airborne}

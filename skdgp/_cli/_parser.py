@@ -1,67 +1,206 @@
-"""The argument parser, which also reads a configuration file."""
+"""Commands: their arguments, from words and from a configuration, and the configuration that repeats a run."""
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
 from difflib import get_close_matches
-from importlib.metadata import version
+from inspect import getdoc
+from pathlib import Path
 
-from skdgp._cli import _help as words
-from skdgp._cli._config import take_config
-from skdgp._cli._options import COMMANDS
-from skdgp._cli._values import FileName
+from skdgp._cli._options import FileName, Option, flag, option
+from skdgp._compute.files import read_toml
+from skdgp.identification._model_file import software_versions
+
+PROGRAM = "python -m skdgp"
+HEAD = f"# {PROGRAM} "
+CHECKSUM = "# sha256 "
+NOT_KEPT = ("config", "output", "traceback")  # in a configuration
+COMPARED = ("skdgp", "scikit-learn", "numpy", "scipy")  # versions that numbers depend on
+PARSED = ("type", "choices", "nargs")  # keywords of an option that a value of a configuration needs
+COMMON = [
+    flag("--json", "print JSON instead of text"),
+    option("--config FILE", "TOML with options by name; the command line wins over it"),
+    flag("--traceback", "on an error also show where it arose"),
+]
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose options stand in full, and that names the nearest to an unknown one.
+@dataclass(frozen=True)
+class Command:
+    """A command of ``python -m skdgp``: the function that it runs, whose docstring is its help, and its options.
 
-    That of a command takes its files in any order with the options, and what ``--config`` holds for its defaults.
+    ``options`` are lists by the title of their group.
     """
 
-    _within = False
+    run: Callable
+    options: dict[str, list[Option]]
 
-    def parse_known_args(self, args=None, namespace=None):
-        """Parse, but refuse unknown options before anything else is found wrong."""
-        is_command = not any(action.dest == "command" for action in self._actions)
-        if not is_command or self._within:
-            return super().parse_known_args(args, namespace)
-        self._refuse_unknown(args)
-        for place, word in enumerate(args):
-            if word.split("=")[0] == "--config" and (path := [*word.split("=", 1)[1:], *args[place + 1 :]]):
-                take_config(self, self.prog.split()[-1], path[0])
-        self._within = True
-        try:
-            return self.parse_known_intermixed_args(args, namespace)
-        finally:
-            self._within = False
+    @property
+    def name(self) -> str:
+        """Its name on the command line."""
+        return self.run.__name__
 
-    def _refuse_unknown(self, words):
-        words = words[: words.index("--")] if "--" in words else words
-        known = [option[2:] for option in self._option_string_actions if option.startswith("--")]
-        for word in (word[2:].split("=")[0] for word in words if word.startswith("--")):
-            if word not in known:
-                near = get_close_matches(word, known, n=1)
-                hint = f"did you mean --{near[0]}?" if near else "--help lists the options"
-                self.error(f"unknown option --{word}: {hint}")
+    @property
+    def all_options(self) -> list[Option]:
+        """Its options, and those of every command."""
+        return [*(each for group in self.options.values() for each in group), *COMMON]
 
+    def parse(self, words: list[str]) -> argparse.Namespace:
+        """Return the options of a command line; those that it lacks are the ones of ``--config``.
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of ``python -m skdgp``."""
-    parser = _parser(Parser, prog="python -m skdgp", description=words.DESCRIPTION)
-    parser.add_argument(
-        "--version", action="version", version=f"skdgp {version('skdgp')}", help="the version, and exit"
-    )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (add_options, said, description, epilog) in COMMANDS.items():
-        command = _parser(commands.add_parser, name, help=said, description=description, epilog=epilog)
-        add_options(command)
-        command.add_argument("--json", action="store_true", help="print JSON instead of text")
-        command.add_argument(
-            "--config", type=FileName, metavar="FILE", help="TOML with options by name; words here win over it"
+        Raises
+        ------
+        SystemExit
+            2, after a message, if the usage is wrong; 0 after ``--help``.
+        ValueError, OSError
+            If the configuration cannot be read or holds what the command does not know.
+        """
+        parser = self.parser({})
+        self._refuse_unknown(words, parser)
+        finder = argparse.ArgumentParser(prog=parser.prog, add_help=False, allow_abbrev=False)
+        finder.add_argument("--config")
+        config = finder.parse_known_args(words)[0].config
+        values = {} if config is None else self._read_config(FileName(config))
+        return (self.parser(values) if values else parser).parse_intermixed_args(words)
+
+    def parser(self, values: dict) -> argparse.ArgumentParser:
+        """Return the argument parser; ``values`` are the defaults from a configuration."""
+        parser = argparse.ArgumentParser(
+            prog=f"{PROGRAM} {self.name}",
+            description=getdoc(self.run),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
         )
-        command.add_argument("--traceback", action="store_true", help="on an error also show where it arose")
-    return parser
+        for title, options in (self.options | {"every command": COMMON}).items():
+            group = parser.add_argument_group(title) if title else parser
+            for each in options:
+                keywords = dict(each.keywords)
+                if each.key in values:
+                    keywords["default"] = values[each.key]
+                    keywords.pop("required", None)
+                    if not each.names[0].startswith("-"):
+                        keywords["nargs"] = "*" if "nargs" in keywords else "?"
+                group.add_argument(*each.names, **keywords)
+        return parser
+
+    def _refuse_unknown(self, words, parser) -> None:
+        """End with a message that names the nearest option, before a missing operand is complained of."""
+        known = ["help", *(each.key for each in self.all_options if each.names[-1].startswith("--"))]
+        words = words[: words.index("--")] if "--" in words else words
+        for key in (word[2:].split("=")[0] for word in words if word.startswith("--")):
+            if key not in known:
+                near = get_close_matches(key, known, n=1)
+                parser.error(
+                    f"unknown option --{key}: {f'did you mean --{near[0]}?' if near else '--help lists the options'}"
+                )
+
+    def _read_config(self, path: FileName) -> dict:
+        if not Path(path).exists():
+            raise FileNotFoundError(f"Got {path} as the configuration, but there is no such file.")
+        values = read_toml(path)
+        _warn_of_changes(path)
+        command = values.pop("command", self.name)
+        if command != self.name:
+            raise ValueError(f"Got {path} of the command {command}, but the command is {self.name}: say {command}.")
+        _warn_of_versions(path, values.pop("versions", {}))
+        known = {each.key: each for each in self.all_options if each.key != "config"}
+        found = {}
+        for name, value in values.items():
+            key = name.replace("_", "-")
+            if key not in known:
+                near = get_close_matches(key, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"known options are {', '.join(known)}."
+                raise ValueError(f"Got unknown option {name!r} in {path}: {hint}")
+            try:
+                found[key] = _converted(known[key], value)
+            except ValueError as error:
+                shown = json.dumps(value, default=str)
+                raise ValueError(f"Got {name} = {shown} in {path}: {error}.") from None
+        return found
+
+    def config_text(self, options: argparse.Namespace) -> str:
+        """Return all options of a run as TOML, files by their whole paths, and the versions that it ran on."""
+        kept = {name: value for name, value in vars(options).items() if name not in NOT_KEPT and value is not None}
+        lines = [
+            f"{HEAD}{self.name} --config THIS_FILE -o ELSEWHERE runs the same again.",
+            f"command = {_toml(self.name)}",
+            *(f"{name.replace('_', '-')} = {_toml(value)}" for name, value in kept.items()),
+            "",
+            "[versions]",
+            *(f"{name} = {_toml(value)}" for name, value in software_versions().items()),
+        ]
+        text = "\n".join(lines) + "\n"
+        return f"{text}{CHECKSUM}{_checksum(text)} of the lines above: remove this line when you change them.\n"
 
 
-def _parser(make, *args, **kwargs):
-    return make(*args, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **kwargs)
+def check_replaceable(path: Path) -> None:
+    """Raise FileExistsError if the configuration of a run would replace a file that no run wrote."""
+    if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(HEAD):
+        raise FileExistsError(
+            f"Got {str(path)!r}, where the configuration of this run belongs, but it is there already and no run wrote "
+            "it: name another output after -o, or move it."
+        )
+
+
+def _checksum(text) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _warn_of_changes(path) -> None:
+    above, found, line = Path(path).read_text(encoding="utf-8-sig").rpartition(CHECKSUM)
+    if found and line.split(" ")[0] != _checksum(above):
+        warnings.warn(
+            f"{path} is not as the run wrote it, which it would no longer repeat. If you changed it, remove its last "
+            "line.",
+            UserWarning,
+            stacklevel=2,
+        )
+
+
+def _warn_of_versions(path, made_by) -> None:
+    if not isinstance(made_by, dict):
+        raise ValueError(f"Got versions = {made_by!r} in {path}, but expected a table of names and versions.")
+    here = software_versions()
+    others = [f"{name} {made_by[name]}" for name in COMPARED if made_by.get(name, here.get(name)) != here.get(name)]
+    if others:
+        now = ", ".join(f"{name} {here.get(name)}" for name in COMPARED)
+        warnings.warn(
+            f"{path} is of a run with {', '.join(others)}, and this is {now}: the numbers may differ.",
+            UserWarning,
+            stacklevel=2,
+        )
+
+
+def _toml(value) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, str):
+        text = os.path.abspath(value) if isinstance(value, FileName) else value
+        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def _converted(each: Option, value):
+    """Return a value of a configuration as the same words on the command line would give it."""
+    if each.keywords.get("action") == "store_true":
+        if not isinstance(value, bool):
+            raise ValueError("expected true or false")
+        return value
+    if isinstance(value, list) and "nargs" not in each.keywords:
+        value = ",".join(map(str, value))
+    words = value if isinstance(value, list) else [value]
+    if any(isinstance(word, bool | dict | list) for word in words):
+        raise ValueError("expected text or numbers")
+    if not words and each.keywords.get("default") == []:
+        return []
+    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
+    parser.add_argument("--value", **{key: each.keywords[key] for key in PARSED if key in each.keywords})
+    try:
+        return parser.parse_args(["--value", *map(str, words)]).value
+    except argparse.ArgumentError as error:
+        raise ValueError(error.message) from None

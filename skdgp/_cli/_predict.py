@@ -1,34 +1,78 @@
-"""The command ``predict``: coefficients of flights, with standard deviations."""
+"""The commands ``predict`` and ``validate``: a saved model on flights."""
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+from sklearn.utils import Bunch
 
-from skdgp._cli._model import read_flights, read_model
-from skdgp._cli._task import Task
-from skdgp._cli._writers import check_writable, table_writer
-from skdgp.identification import predict_flight
+from skdgp._cli import _options as opt
+from skdgp._cli._identify import finish
+from skdgp._cli._output import Run, check_writable, table_writer
+from skdgp._cli._parser import Command
+from skdgp._compute.progress import listening
+from skdgp.identification import load_model, predict_flight
+from skdgp.identification import validate as judge
+from skdgp.identification._flights import named_flights
+from skdgp.identification._identify import check_identified, read_aircraft, usable_flights_of_model
 
 
-def predict(task: Task) -> None:
-    """Write what a model says of flights, row by row."""
-    options = task.options
-    output = Path(options.output)
+def read_model(options) -> Bunch:
+    """Return the model that the options name, with its own aircraft or the one that they name.
+
+    Raises
+    ------
+    ValueError, OSError
+        What the reader raises; or if it is not a model of ``identify``.
+    """
+    model = load_model(options.model)
+    check_identified(model.pipeline)
+    if getattr(options, "aircraft", None) is not None:
+        model.aircraft = read_aircraft(options.aircraft)
+    return model
+
+
+def thrust_of_model(model: Bunch) -> str | None:
+    """Return the thrust of a simulation, "auto" or None; warn of known loads that it does not have."""
+    learned = model.get("options", {})
+    if learned.get("external_forces"):
+        warnings.warn(
+            f"The simulation flies without the external forces {learned['external_forces']} of the flights that the "
+            "model was learned from.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return None if learned.get("thrust", "auto") in (None, "none") else "auto"
+
+
+def predict(run: Run) -> None:
+    """Write what a model predicts for flights: flight, time, CX CY CZ Cl Cm Cn, standard deviations CX_std ... Cn_std.
+
+    These are wider in rougher air. Rows whose regressors were not sampled are left out, with a warning. Beside OUT.csv
+    stands OUT.config.toml, all options of this run.
+
+    For example:
+      python -m skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
+      python -m skdgp predict results/model.joblib a.csv b.csv -o coefficients.parquet --include-noise
+    """
+    options, output = run.options, Path(run.options.output)
     check_writable(output.suffix)
     if output.resolve() in (Path(flight).resolve() for flight in options.flight):
         raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
-    task.console.stage("reading")
+    run.console.stage("reading")
     model = read_model(options)
-    flights = read_flights(options.flight, model, options)
+    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **opt.reading(options)))
     tables = []
     for name, table in flights.items():
-        task.console.stage(f"predicting {name}")
+        run.console.stage(f"predicting {name}")
         tables.append(predictions(model.pipeline, table, include_noise=options.include_noise))
     whole = pd.concat(tables, ignore_index=True)
-    task.write({output.name: table_writer(whole, output.suffix)})
-    task.say(*_summary(whole, flights, options))
+    run.write({output.name: table_writer(whole, output.suffix)})
+    _print(run, whole, flights)
 
 
 def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.DataFrame:
@@ -40,24 +84,61 @@ def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.Dat
     return table[["flight", "time"]].reset_index(drop=True).assign(**found)
 
 
-def _summary(whole, flights, options) -> tuple[str, dict]:
-    names = [name.removesuffix("_std") for name in whole if name.endswith("_std")]
-    numbers = {
-        "model": options.model,
-        "output": options.output,
-        "flights": {name: len(table) for name, table in flights.items()},
-        "include_noise": options.include_noise,
-        "coefficients": {
-            name: {
-                "lowest": whole[name].min(),
-                "highest": whole[name].max(),
-                "median_std": whole[f"{name}_std"].median(),
-            }
-            for name in names
-        },
+def _print(run, whole, flights):
+    options = run.options
+    coefficients = {
+        name: {"lowest": whole[name].min(), "highest": whole[name].max(), "median_std": whole[f"{name}_std"].median()}
+        for name in whole
+        if f"{name}_std" in whole
     }
-    lines = [f"{rows} rows of flight {name}" for name, rows in numbers["flights"].items()]
+    rows = {name: len(table) for name, table in flights.items()}
+    numbers = {"model": options.model, "output": options.output, "flights": rows}
+    numbers |= {"include_noise": options.include_noise, "coefficients": coefficients}
+    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     lines += ["", f"{'':6}{'lowest':>12}{'highest':>12}{'std (median)':>15}"]
-    for name, row in numbers["coefficients"].items():
+    for name, row in coefficients.items():
         lines.append(f"{name:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
-    return "\n".join([*lines, "", f"table    {options.output}"]), numbers
+    run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
+
+
+def validate(run: Run) -> None:
+    """Judge a model on flights that it has not seen, as identify does on its test flights.
+
+    Its coefficients are compared with the measured ones and replayed: integrated from the measured state, restarted
+    every --horizons seconds. Prints the scores, and with -o writes report.html, metrics.json and config.toml into DIR,
+    all or none.
+
+    For example:
+      python -m skdgp validate results/model.joblib thursday.csv
+      python -m skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
+      python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
+    """
+    options = run.options
+    known: dict[str, Any] = {} if options.thrust is None else {"thrust": opt.none_of(options.thrust)}
+    if options.external_forces is not None:
+        known["external_forces"] = options.external_forces
+    with listening(run.console.progress):
+        model = read_model(options)
+        result = judge(model, options.flight, horizons=options.horizons, **opt.reading(options), **known)
+        finish(run, replace(result, command=run.command_line))
+
+
+PREDICT = Command(
+    predict,
+    {
+        "": [
+            *(opt.MODEL, opt.FLIGHTS, opt.SERVOS, opt.AIRBORNE),
+            opt.flag("--include-noise", "standard deviations of new measurements, not of the coefficients themselves"),
+            opt.option("-o --output FILE", "the table: .csv or .parquet", opt.table_file, required=True),
+        ]
+    },
+)
+VALIDATE = Command(
+    validate,
+    {
+        "": [
+            *(opt.MODEL, opt.FLIGHTS, opt.AIRCRAFT, opt.SERVOS, opt.AIRBORNE, opt.HORIZONS, opt.OPTIONAL_FOLDER),
+            *opt.loads(None, None, "as of the model's fit"),
+        ]
+    },
+)

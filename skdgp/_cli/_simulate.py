@@ -4,35 +4,38 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 
-from skdgp._cli._model import engine_of, read_model
-from skdgp._cli._task import Task
-from skdgp._cli._writers import Writer, check_writable, json_writer, picture_writers, table_writer
+from skdgp._cli import _options as opt
+from skdgp._cli._output import Run, check_writable, picture_writers, table_writer, text_writer
+from skdgp._cli._parser import Command
+from skdgp._cli._predict import read_model, thrust_of_model
 from skdgp._flight.checks import check_columns
-from skdgp.dynamics import SimulationWarning, as_aerodynamics, simulate, trajectory_bands, trim
+from skdgp.dynamics import SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
+from skdgp.dynamics import simulate as simulate_flight
 from skdgp.dynamics._simulation.trajectory import REASONS
-from skdgp.identification._rows import checked
-from skdgp.identification._source import read_named
+from skdgp.identification._flights import named_flights
+from skdgp.identification._model_file import json_text
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
 from skdgp.plotting._style import display_unit
-from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother
+from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 DURATION = 10.0
 AIR = ("airspeed", "alpha", "beta")
 START = (*AIR, "phi", "theta", "psi", "p", "q", "r", "altitude")
 WIND = ("wind_north", "wind_east", "wind_down")
 THRUST = ("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n")
-MEASUREMENTS = (FlightCheck, FlightPathReconstruction, FlightSmoother)
-"""Steps of a pipeline that make of what sensors said what the flight was."""
+MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
+"""Steps of a pipeline that estimate from sensors what the flight was."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where a simulation begins, its controls and its air; ``log`` is what happened in flight under these controls."""
+    """Initial state, controls and air of a simulation; ``log`` is the flight that it starts from."""
 
     state: dict[str, float]
     controls: dict | pd.DataFrame
@@ -41,58 +44,68 @@ class Start:
     log: pd.DataFrame | None = None
 
 
-def fly(task: Task) -> None:
-    """Fly a model, write trajectory, bands and picture, and print how it went."""
-    options = task.options
+def simulate(run: Run) -> None:
+    """Fly a model, from a moment of a log with its controls from there on, or from a trim with its controls held.
+
+    The mean of the model is flown, and functions drawn from its posterior, each an aircraft that the data allow: the
+    band of 95 % of them is how certain the trajectory is. --controls TABLE flies other controls: columns time [s], the
+    first row the start, elevator, aileron, rudder [rad], throttle; from a trim, what the table lacks is held. The air
+    is still, unless --wind says otherwise, or the wind is estimated from the log.
+
+    Writes into DIR, all or none:
+      trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
+                        "ended" says why a trajectory is over
+      bands.csv         median, 2.5 % and 97.5 % of the paths over time
+      trajectory.png    a picture
+      simulation.json   start, end, when it ended or left the training data
+      config.toml       all options of this run
+
+    For example:
+      python -m skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
+      python -m skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
+      python -m skdgp simulate results/model.joblib --trim 35 --controls doublet.csv --paths 100 -o doublet
+    """
+    options = run.options
     suffix = f".{options.format}"
     check_writable(suffix)
-    task.console.stage("reading")
+    run.console.stage("reading")
     model = read_model(options)
-    engine = engine_of(model)
-    start = _start(options, model, engine)
-    task.console.stage("flying")
-    conditions = {"duration": start.duration, "wind": start.wind, "thrust": engine}
-
-    def flown(**paths):
-        return simulate(model.pipeline, model.aircraft, start.state, start.controls, options.dt, **conditions, **paths)
-
-    trajectory, paths = flown(), None
+    thrust = thrust_of_model(model)
+    start = _start(options, model, thrust)
+    run.console.stage("simulating")
+    initial = (model.pipeline, model.aircraft, start.state, start.controls, options.dt)
+    conditions: dict[str, Any] = {"duration": start.duration, "wind": start.wind, "thrust": thrust}
+    trajectory, sampled = simulate_flight(*initial, **conditions), None
     files = {f"trajectory{suffix}": table_writer(trajectory, suffix)}
     if options.paths:
-        task.console.stage(f"flying {options.paths} functions of the posterior")
+        run.console.stage(f"simulating {options.paths} functions of the posterior")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)  # the summary says which share of them
-            paths = flown(n_paths=options.paths, random_state=options.seed)
-        bands = trajectory_bands(paths).drop(columns="start")
-        files[f"bands{suffix}"] = table_writer(bands, suffix)
-    numbers = _numbers(options, start, trajectory, paths)
-    files |= _picture(trajectory if paths is None else paths, start.log) | {"simulation.json": json_writer(numbers)}
-    task.say(_text(numbers, task.write(files)), numbers)
+            sampled = simulate_flight(*initial, **conditions, n_paths=options.paths, random_state=options.seed)
+        files[f"bands{suffix}"] = table_writer(trajectory_bands(sampled).drop(columns="start"), suffix)
+    numbers = _numbers(options, start, trajectory, sampled)
+    drawn = trajectory if sampled is None else sampled
+    files |= picture_writers("trajectory.png", TrajectoryDisplay.from_trajectories, drawn, start.log)
+    files["simulation.json"] = text_writer(json_text(numbers))
+    run.print(_text(numbers, run.write(files)), numbers)
 
 
-def _start(options, model, engine) -> Start:
+def _start(options, model, thrust) -> Start:
     if (options.flight is None) == (options.trim is None):
         raise ValueError("Got both or none of --flight and --trim, but expected one of them to start from.")
-    only = {"flight": ("at", "servos", "airborne"), "trim": ("altitude", "climb", "turn_rate", "bank")}
+    belonging = {"flight": ("at", "servos", "airborne"), "trim": ("altitude", "climb", "turn_rate", "bank")}
     other = "trim" if options.trim is None else "flight"
-    given = [f"--{name.replace('_', '-')}" for name in only[other] if getattr(options, name) is not None]
+    given = [f"--{name.replace('_', '-')}" for name in belonging[other] if getattr(options, name) is not None]
     if given:
         raise ValueError(f"Got {', '.join(given)} without --{other}, to which it belongs: leave it out.")
-    return _trimmed(options, model, engine) if options.flight is None else _logged(options, model)
+    return _trimmed(options, model, thrust) if options.flight is None else _logged(options, model)
 
 
-def _trimmed(options, model, engine) -> Start:
-    climb = 0.0 if options.climb is None and engine is not None else options.climb  # a glider's follows
-    found = trim(
-        model.pipeline,
-        model.aircraft,
-        options.trim,
-        altitude=options.altitude or 0.0,
-        climb=climb,
-        turn_rate=options.turn_rate,
-        bank=options.bank,
-        thrust=engine,
-    )
+def _trimmed(options, model, thrust) -> Start:
+    climb = 0.0 if options.climb is None and thrust is not None else options.climb  # a glider's follows
+    path = {"climb": climb, "turn_rate": options.turn_rate, "bank": options.bank}
+    altitude = options.altitude or 0.0
+    found = cast(Trim, trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path))
     state = {name: getattr(found, name) for name in (*AIR, "phi", "theta", "altitude")}
     state |= dict(zip(("p", "q", "r"), found.rates, strict=True))  # by the air, which the wind carries along
     if options.controls is None:
@@ -105,10 +118,10 @@ def _trimmed(options, model, engine) -> Start:
 
 
 def _logged(options, model) -> Start:
-    """Start from a moment of a log, as the pipeline sees it: noise out, and the wind told where that can be known."""
+    """Start from a moment of a log, its noise removed and its wind estimated by the model's pipeline."""
     if options.at is None:
         raise ValueError("Got --flight without --at, but expected the moment to start from: --at SECONDS.")
-    log = _around(options.at, read_named([options.flight], options))
+    log = _flight_around(options.at, named_flights(options.flight, **opt.reading(options)))
     for step in model.pipeline:
         if isinstance(step, MEASUREMENTS):
             log = step.transform(log)
@@ -126,23 +139,19 @@ def _logged(options, model) -> Start:
     return Start(state, table, wind, _duration(options, log, table))
 
 
-def _around(at, flights) -> pd.DataFrame:
-    """Return the flight that a moment lies in."""
+def _flight_around(at, flights) -> pd.DataFrame:
+    """Return the flight that a moment lies in, its faults removed."""
     spans = {name: (table["time"].iloc[0], table["time"].iloc[-1]) for name, table in flights.items()}
     inside = [name for name, (first, last) in spans.items() if first <= at < last]
     if len(inside) != 1:
-        said = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
-        raise ValueError(f"Got --at {at:g}, but expected a moment of exactly one flight of the log: {said}.")
-    return checked({inside[0]: flights[inside[0]]})[inside[0]]
+        times = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
+        raise ValueError(f"Got --at {at:g}, but expected a moment of exactly one flight of the log: {times}.")
+    return FlightCheck(bridge=0).fit_transform(flights[inside[0]])
 
 
 def _duration(options, *tables) -> float:
-    lasts = min(np.ptp(table["time"].to_numpy(float)) for table in tables)
-    return min(DURATION, lasts) if options.duration is None else options.duration
-
-
-def _picture(trajectories, log) -> dict[str, Writer]:
-    return picture_writers("trajectory.png", TrajectoryDisplay.from_trajectories, trajectories, log)
+    longest = min(np.ptp(table["time"].to_numpy(float)) for table in tables)
+    return min(DURATION, longest) if options.duration is None else options.duration
 
 
 def _numbers(options, start, trajectory, paths) -> dict:
@@ -150,22 +159,18 @@ def _numbers(options, start, trajectory, paths) -> dict:
     flying = trajectory[trajectory["ended"] == ""]
     first = trajectory.iloc[0]
     last = first if flying.empty else flying.iloc[-1]
-    beyond = flying[flying["beyond"] != ""]
-    ended = next((REASONS[why] for why in trajectory["ended"] if why), None)
+    outside, beyond = flying[flying["beyond"] != ""], None
+    if len(outside):
+        beyond = {"first": outside["time"].iloc[0] - first["time"], "share": len(outside) / len(flying)}
+        beyond["regressors"] = sorted(set(outside["beyond"]))
     return {
         "model": options.model,
         "start": {name: first[name] for name in START},
         "controls": dict(start.controls) if isinstance(start.controls, dict) else None,
         "duration": start.duration,
         "flown": last["time"] - first["time"],
-        "ended": ended,
-        "beyond": None
-        if beyond.empty
-        else {
-            "first": beyond["time"].iloc[0] - first["time"],
-            "share": len(beyond) / len(flying),
-            "regressors": sorted(set(beyond["beyond"])),
-        },
+        "ended": next((REASONS[why] for why in trajectory["ended"] if why), None),
+        "beyond": beyond,
         "end": {name: last[name] for name in START},
         "paths": None if paths is None else _spread(paths),
     }
@@ -184,11 +189,9 @@ def _spread(paths) -> dict:
 
 
 def _text(numbers, files) -> str:
-    lines = []
-    if numbers["ended"] is None:
-        lines.append(f"flown {numbers['flown']:.4g} s, to the end")
-    else:
-        lines.append(f"ended after {numbers['flown']:.4g} of {numbers['duration']:.4g} s: {numbers['ended']}")
+    lines = [f"flown {numbers['flown']:.4g} s, to the end"]
+    if numbers["ended"] is not None:
+        lines = [f"ended after {numbers['flown']:.4g} of {numbers['duration']:.4g} s: {numbers['ended']}"]
     beyond, paths = numbers["beyond"], numbers["paths"]
     if beyond is None:
         lines.append("always within what the model was learned from")
@@ -210,5 +213,37 @@ def _text(numbers, files) -> str:
             low, high = (factor * edge for edge in paths["end"][name])
             row += f"{low:>z12.2f} to {high:<z8.2f}"
         lines.append(f"{row}  {unit}".rstrip())
-    width = max(map(len, files)) + 2
-    return "\n".join([*lines, "", *(f"{name:<{width}}{path}" for name, path in files.items())])
+    width = max(len(path.name) for path in files) + 2
+    return "\n".join([*lines, "", *(f"{path.name:<{width}}{path}" for path in files)])
+
+
+SIMULATE = Command(
+    simulate,
+    {
+        "": [
+            *(opt.MODEL, opt.AIRCRAFT, opt.FOLDER),
+            opt.option("--controls TABLE", "the controls to fly with"),
+            opt.option(
+                "--wind N E D",
+                "velocity of the air [m/s], north, east, down (default: estimated from the log, else 0 0 0)",
+                opt.number(),
+                nargs=3,
+            ),
+            opt.option("--duration S", "how long [s] (default: 10, or the rest of the log)", opt.positive("seconds")),
+            opt.option("--dt S", "time step [s] (default: 0.02)", opt.positive("seconds"), default=0.02),
+            opt.paths(30, "to fly; 0: the mean alone"),
+            opt.SEED,
+            opt.choice("--format", ["csv", "parquet"], "of the tables (default: csv)"),
+        ],
+        "start, of a log or of a trim": [
+            opt.option("--flight LOG", "start where this flight was"),
+            opt.option("--at S", "when, on the clock of the log [s]", opt.number()),
+            *(opt.SERVOS, opt.AIRBORNE),
+            opt.option("--trim V", "start from steady flight at this airspeed [m/s]", opt.positive("m/s")),
+            opt.option("--altitude M", "of the trim [m] (default: 0)", opt.number()),
+            opt.option("--climb RAD", "flight-path angle [rad] (default: 0; a glider's follows)", opt.number()),
+            opt.option("--turn-rate RAD/S", "of the heading [rad/s] (default: 0)", opt.number()),
+            opt.option("--bank RAD", "bank angle [rad], instead of a turn rate", opt.number()),
+        ],
+    },
+)

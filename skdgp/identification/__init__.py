@@ -1,5 +1,7 @@
-"""From flights to a model of the aircraft: the pipeline that learns it, and the file that keeps it."""
+"""From flights to a judged model: the workflow, the pipeline that learns, and the file that keeps the model."""
 
+from skdgp.identification._evaluation import Evaluation
+from skdgp.identification._identify import Identification, identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     calibrate_noise,
@@ -9,11 +11,15 @@ from skdgp.identification._pipeline import (
 )
 
 __all__ = [
+    "Evaluation",
+    "Identification",
     "ModelFileError",
     "calibrate_noise",
     "flight_regressors",
+    "identify",
     "load_model",
     "make_identification_pipeline",
     "predict_flight",
     "save_model",
+    "validate",
 ]

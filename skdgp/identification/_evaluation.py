@@ -1,89 +1,98 @@
-"""Evaluation of a fitted model on one flight."""
+"""Evaluation of a fitted pipeline on one flight: predictions, scores, replay."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.pipeline import Pipeline
 
+from skdgp._compute.typing import Array, Indices, Matrix
 from skdgp._flight.channels import COEFFICIENTS, EULER, LATERAL, LONGITUDINAL, TRUTH_SUFFIX
-from skdgp._flight.smoothing import flight_segments, noise_level
-from skdgp.dynamics import aerodynamic_coefficients, replay, replay_errors
-from skdgp.identification import flight_regressors
+from skdgp._flight.clock import flight_segments
+from skdgp._flight.smoothing import noise_level
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
+from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
 from skdgp.metrics import (
     interval_coverage,
     median_relative_error,
     negative_log_predictive_density,
     normalized_rmse,
 )
+from skdgp.report import FlightResult
 
 STD_ROWS = 3000
 """Rows of a flight at which standard deviations are computed; they cost N^2 each, means only N."""
 STATES = ("north", "east", "v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
 
 
-@dataclass(frozen=True)
-class Loads:
-    """What is taken away from the forces on the aircraft before they are called aerodynamic."""
+@dataclass(frozen=True, kw_only=True)
+class Evaluation(FlightResult):
+    """Predictions for one flight and their replay: a `skdgp.report.FlightResult`, and how it was computed.
 
-    thrust: str | None = "auto"
-    external_forces: list[str] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, thrust: str | None, external_forces) -> Loads:
-        """Return the loads as options say them."""
-        return cls(None if thrust == "none" else thrust, list(external_forces))
-
-    def keywords(self) -> dict:
-        """Return the keywords of ``aerodynamic_coefficients`` and ``replay``."""
-        return {"thrust": self.thrust, "external_forces": self.external_forces}
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Predictions of one flight, (n, 6) each, and how they replay.
-
-    ``std`` is of the function at regressors as noisy as this flight's, ``measured_std`` of a new measurement: computed
-    at ``rows``, interpolated between.
-    ``states`` maps "measured" and, where it is known, "truth" to the errors of the replay. ``regressors`` (n, d) are
-    what the last step of the pipeline was given.
+    Attributes
+    ----------
+    rows : ndarray of int
+        Where standard deviations were computed; between them they are interpolated.
+    states : dict of str to DataFrame
+        Errors of the replay, as of ``skdgp.dynamics.replay_errors``, against "measured" and, where it is known,
+        "truth".
+    regressors : ndarray (n, d)
+        What the last step of the pipeline predicted from.
     """
 
-    name: str
-    table: pd.DataFrame
-    measured: np.ndarray
-    truth: np.ndarray | None
-    mean: np.ndarray
-    std: np.ndarray
-    measured_std: np.ndarray
-    rows: np.ndarray
-    replay: pd.DataFrame | None
+    rows: Indices
     states: dict[str, pd.DataFrame]
-    regressors: np.ndarray
+    regressors: Matrix
 
 
-def evaluate(pipeline, aircraft, name: str, table: pd.DataFrame, *, loads: Loads, horizons) -> Evaluation:
-    """Predict a flight and replay it."""
-    measured = aerodynamic_coefficients(table, aircraft, **loads.keywords()).to_numpy()
-    (regressors, times), regressor = flight_regressors(pipeline, table), pipeline[-1]
+def evaluate_flight(
+    pipeline: Pipeline, aircraft: Aircraft, name: str, table: pd.DataFrame, horizons: Sequence[float], loads: dict
+) -> Evaluation:
+    """Predict a flight and replay it; ``loads`` are the keywords ``thrust`` and ``external_forces``."""
+    measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
+    regressors, noise_ratio = flight_regressors(pipeline, table)
+    regressor, scale = regressor_and_scale(pipeline)
     mean = regressor.predict(regressors)
     step = -(-len(table) // STD_ROWS)
     rows = np.arange(step // 2, len(table), step)
-    std = regressor.predict(regressors[rows], return_std=True, include_input_noise=times[rows])[1]
-    std = _between(len(table), rows, std)
-    measured_std = np.sqrt(std**2 + regressor.noise_variance_)
-    flown = _replay(name, table, aircraft, mean, measured_std, loads, horizons)
-    states = _state_errors(flown, table)
-    return Evaluation(name, table, measured, _truth(table), mean, std, measured_std, rows, flown, states, regressors)
+    std = regressor.predict(regressors[rows], return_std=True, include_input_noise=noise_ratio[rows])[1]
+    std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
+    measured_std = scale * np.sqrt(std**2 + regressor.noise_variance_)
+    replayed = _replay(name, table, aircraft, mean, measured_std, horizons, loads)
+    states: dict[str, pd.DataFrame] = {}
+    if replayed is not None:
+        states["measured"] = replay_errors(replayed, table)
+        if "v_east" + TRUTH_SUFFIX in table:
+            states["truth"] = replay_errors(replayed, table, suffix=TRUTH_SUFFIX)
+    names = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS]
+    evaluation = Evaluation(
+        name=name,
+        time=table["time"].to_numpy(float),
+        measured=measured,
+        mean=mean,
+        std=scale * std,
+        measured_std=measured_std,
+        truth=table[names].to_numpy(float) if set(names) <= set(table) else None,
+        table=table,
+        replay=replayed,
+        replay_errors=states.get("measured"),
+        rows=rows,
+        states=states,
+        regressors=regressors,
+    )
+    metrics: dict[str, Any] = {against: table.to_dict("list") for against, table in scores([evaluation]).items()}
+    return replace(evaluation, metrics=metrics)
 
 
 def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
     """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it.
 
-    What needs a standard deviation is taken over the rows where that was computed.
+    Metrics of a standard deviation are taken over the rows where that was computed.
     """
     pairs = {"measured": ("measured", "measured_std"), "truth": ("truth", "std")}
     if any(evaluation.truth is None for evaluation in evaluations):
@@ -91,68 +100,57 @@ def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
     return {against: _scores(evaluations, *names) for against, names in pairs.items()}
 
 
-def grouped(table: pd.DataFrame) -> pd.DataFrame:
+def group_means(table: pd.DataFrame) -> pd.DataFrame:
     """Return the means of the scores over the longitudinal, the lateral and all coefficients."""
     groups = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
     return pd.DataFrame({group: table.loc[list(members)].mean() for group, members in groups.items()}).T
 
 
-def _truth(table) -> np.ndarray | None:
-    names = [name + TRUTH_SUFFIX for name in COEFFICIENTS]
-    return table[names].to_numpy(float) if all(name in table for name in names) else None
+def _scores(evaluations, reference, std) -> pd.DataFrame:
+    def all_rows(name):
+        return np.concatenate([getattr(one, name) for one in evaluations])
 
+    def rows_with_std(name):
+        return np.concatenate([getattr(one, name)[one.rows] for one in evaluations])
 
-def _between(n, rows, values) -> np.ndarray:
-    return np.column_stack([np.interp(np.arange(n), rows, column) for column in values.T])
-
-
-def _scores(evaluations, of, std) -> pd.DataFrame:
-    def joined(name, some):
-        parts = [getattr(one, name)[one.rows] if some else getattr(one, name) for one in evaluations]
-        return np.concatenate(parts)
-
-    columns = {}
-    for metric in (median_relative_error, normalized_rmse):
-        columns[metric.__name__] = metric(joined(of, False), joined("mean", False), multioutput="raw_values")
+    means = all_rows(reference), all_rows("mean")
+    bands = rows_with_std(reference), rows_with_std("mean"), rows_with_std(std)
+    columns = {of.__name__: of(*means, multioutput="raw_values") for of in (median_relative_error, normalized_rmse)}
     for metric in (negative_log_predictive_density, interval_coverage):
-        values = (joined(name, True) for name in (of, "mean", std))
-        columns[metric.__name__] = metric(*values, multioutput="raw_values")
+        columns[metric.__name__] = metric(*bands, multioutput="raw_values")
     return pd.DataFrame(columns, index=list(COEFFICIENTS))
 
 
-def _replay(name, table, aircraft, mean, std, loads, horizons) -> pd.DataFrame | None:
+def _replay(name, table, aircraft, mean, std, horizons, loads) -> pd.DataFrame | None:
     velocity = ["u", "v", "w"] if {"u", "v", "w"} <= set(table.columns) else ["v_north", "v_east", "v_down"]
     lacking = [column for column in [*EULER, *velocity] if column not in table]
     if lacking:
-        warnings.warn(
-            f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration would start.",
-            UserWarning,
-            stacklevel=3,
-        )
+        _warn(f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration would start.")
         return None
-    _warn_of_long(horizons, name, table)
-    return replay(
-        table, aircraft, mean, std=std, horizon=horizons, initial_std=_sensor_noise(table), **loads.keywords()
-    )
+    warn_of_long_horizons(horizons, name, table)
+    return replay(table, aircraft, mean, std=std, horizon=horizons, initial_std=sensor_noise(table), **loads)
 
 
-def _warn_of_long(horizons, name, table):
+def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFrame) -> None:
+    """Warn of horizons that the flight is too short for."""
     time = table["time"].to_numpy(float)
-    lasts = max(time[run][-1] - time[run][0] for run in flight_segments(time))
-    long = [horizon for horizon in horizons if horizon > lasts]
+    longest = max(time[run][-1] - time[run][0] for run in flight_segments(time))
+    long = [horizon for horizon in horizons if horizon > longest]
     if long:
-        warnings.warn(
-            f"Flight {name!r} lasts {lasts:.3g} s without a gap, so the replay never reaches --horizons "
-            f"{' '.join(f'{horizon:g}' for horizon in long)}: it runs to the end of each stretch.",
-            UserWarning,
-            stacklevel=4,
+        _warn(
+            f"Flight {name!r} lasts {longest:.3g} s without a gap, so the replay never reaches horizons of "
+            f"{' '.join(f'{horizon:g}' for horizon in long)} s: it runs to the end of each gap-free segment."
         )
 
 
-def _sensor_noise(table) -> dict[str, float]:
-    """Return the white noise of the measured states: how uncertain a restart from them is.
+def _warn(message):
+    warnings.warn(message, UserWarning, stacklevel=5)
 
-    Where the spectrum of a short flight does not tell it, second differences do: those of white noise have
+
+def sensor_noise(table: pd.DataFrame) -> dict[str, float]:
+    """Return the white noise of the measured states, by name: how uncertain a restart from them is.
+
+    Where the spectrum of a short flight does not show it, second differences do: those of white noise have
     1 + 4 + 1 = 6 times its variance. Motion adds to them, so the noise is rather over- than understated.
     """
     names = [name for name in STATES if name in table]
@@ -163,22 +161,13 @@ def _sensor_noise(table) -> dict[str, float]:
             values[known, j] = np.unwrap(values[known, j])
     time = table["time"].to_numpy(float)
     found = noise_level(values, time).measured
-    found = np.where(np.isfinite(found), found, _rough_noise(values, time))
+    found = np.where(np.isfinite(found), found, _noise_of_differences(values, time))
     return {name: float(level) for name, level in zip(names, found, strict=True)}
 
 
-def _rough_noise(values, time) -> np.ndarray:
+def _noise_of_differences(values, time) -> Array:
     """Return the root mean square of second differences over sqrt(6), (k,); 0 of less than three rows in a run."""
-    curls = [np.diff(values[run], 2, axis=0) for run in flight_segments(time)]
-    squares = np.concatenate(curls) ** 2
+    differences = [np.diff(values[run], 2, axis=0) for run in flight_segments(time)]
+    squares = np.concatenate(differences) ** 2
     known = np.isfinite(squares)
     return np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0)
-
-
-def _state_errors(flown, table) -> dict[str, pd.DataFrame]:
-    if flown is None:
-        return {}
-    errors = {"measured": replay_errors(flown, table)}
-    if "v_east" + TRUTH_SUFFIX in table:
-        errors["truth"] = replay_errors(flown, table, suffix=TRUTH_SUFFIX)
-    return errors

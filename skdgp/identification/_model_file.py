@@ -1,12 +1,14 @@
-"""Model files: with a checksum, and a warning where other versions wrote them."""
+"""Files of an identification: model with a checksum, metrics, several written together."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import platform
 import warnings
+from collections.abc import Callable
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,8 +22,6 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import write_atomically
 from skdgp.dynamics import Aircraft
-
-__all__ = ["ModelFileError", "dump_model", "load_model", "model_bunch", "save_model", "software_versions"]
 
 MAGIC = b"\nskdgp model file "
 FORMAT = 2
@@ -37,7 +37,7 @@ class ModelFileError(ValueError):
 
 
 def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts) -> Path:
-    """Keep a fitted pipeline, its aircraft and how they came about in one file, which appears whole or not at all.
+    """Write a fitted pipeline, its aircraft and facts into one file, which appears whole or not at all.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
         Fitted.
     aircraft : Aircraft
     **facts
-        What else to remember, such as ``options={"thrust": "columns"}``.
+        Further entries, such as ``options={"thrust": "columns"}``.
 
     Returns
     -------
@@ -88,9 +88,9 @@ def dump_model(path: Path, model: Bunch) -> None:
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
-    """Read a model that :func:`save_model` or ``python -m skdgp identify`` wrote.
+    """Return a model that :func:`save_model` or ``python -m skdgp identify`` wrote.
 
-    Loading runs what the file says (it is a pickle): open only files whose origin you trust.
+    The file is a pickle, and loading may run any code in it: open only files whose origin you trust.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def load_model(path: str | os.PathLike) -> Bunch:
     Returns
     -------
     Bunch
-        ``pipeline`` (fitted, raw flight table in, coefficients out), ``aircraft``, ``created``, ``versions`` and what
-        else was remembered: the command line adds ``options`` (thrust, external forces, ...), ``fit`` (samples,
-        seconds, log likelihood, ...) and ``flights`` learned from.
+        ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``, ``created``, ``versions`` and the
+        facts saved with it: of :func:`identify` ``options`` (thrust, external forces, ...), ``fit`` (samples, seconds,
+        log likelihood, ...) and ``flights`` learned from.
 
     Raises
     ------
@@ -121,22 +121,22 @@ def load_model(path: str | os.PathLike) -> Bunch:
         raise FileNotFoundError(f"Got {path}, but there is no such file: python -m skdgp identify writes model.joblib.")
     with path.open("rb") as file:
         closing = _closing(file, path)
-        _warn_of(closing, path)
+        _warn_of_origin(closing, path)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", InconsistentVersionWarning)  # said above, once for all
+                warnings.simplefilter("ignore", InconsistentVersionWarning)  # warned of above, once for all
                 file.seek(0)
                 model = joblib.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
-                f"Got {path}, written by {_said(closing['versions'])}, which cannot be read here, with "
-                f"{_said(software_versions())} ({type(error).__name__}: {error}): fit it again, or install those "
+                f"Got {path}, written by {_in_words(closing['versions'])}, which cannot be read here, with "
+                f"{_in_words(software_versions())} ({type(error).__name__}: {error}): fit it again, or install those "
                 "versions."
             ) from error
     if not _is_model(model):
         raise ModelFileError(
             f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and its aircraft: fit it "
-            "again, and keep it with skdgp.identification.save_model."
+            "again, and write it with skdgp.identification.save_model."
         )
     return model
 
@@ -152,8 +152,45 @@ def software_versions() -> dict[str, str]:
     return found
 
 
+def plain(value):
+    """Return the value as JSON knows it: None for what is not finite, the text of what is no number, list or dict."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, str | int | float) else repr(value)
+
+
+def json_text(value) -> str:
+    """Return a file of JSON."""
+    return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"
+
+
+def write_together(
+    folder: Path, writers: dict[str, Callable[[Path], object]], when_complete: Callable[[], object] = lambda: None
+) -> None:
+    """Write several files: all are complete beside their places before the first is put into its own.
+
+    ``when_complete`` is called in between.
+    """
+    if not writers:
+        when_complete()
+        return
+    (name, writer), *rest = writers.items()
+
+    def write_with_rest(temporary):
+        writer(temporary)
+        write_together(folder, dict(rest), when_complete)
+
+    write_atomically(folder / name, write_with_rest)
+
+
 def _closing(file: BinaryIO, path) -> dict:
-    """Return what the file's last line says, once it is known that the file is whole."""
+    """Return the file's last line, or raise ModelFileError if the file is not whole."""
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - LONGEST_CLOSING))
     end = file.read()
@@ -161,7 +198,7 @@ def _closing(file: BinaryIO, path) -> dict:
     before = size - CHECKSUM_LENGTH - len(END)
     try:
         closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
-        form, made_by = closing["format"], _said(closing["versions"])
+        form, made_by = closing["format"], _in_words(closing["versions"])
         whole = closing["bytes"] == size - (len(end) - start)
         whole &= form == UNCHECKED or _checksum(file, before) + END == end[before - size :]
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):  # not what dump_model writes
@@ -190,22 +227,23 @@ def _checksum(file: BinaryIO, size: int) -> bytes:
     return found.hexdigest().encode()
 
 
-def _warn_of(closing, path):
+def _warn_of_origin(closing, path):
     """Warn of a file without a checksum, and of one that other versions wrote."""
+    made_by, here = closing["versions"], software_versions()
     if closing["format"] == UNCHECKED:
-        warnings.warn(
+        _warn(
             f"{path} is of a format without a checksum, so damage may go unnoticed. If it is as it was, save it again: "
-            "save_model(path, **load_model(path)).",
-            UserWarning,
-            stacklevel=3,
+            "save_model(path, **load_model(path))."
         )
-    if not _same_versions(closing["versions"]):
-        warnings.warn(
-            f"{path} was made by {_said(closing['versions'])}, and this is {_said(software_versions())}: its "
-            "predictions may differ. Compare a few, fit it again, or install those versions.",
-            UserWarning,
-            stacklevel=3,
+    if any(made_by.get(name) != here.get(name) for name in MATTERS):
+        _warn(
+            f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its predictions may differ. "
+            "Compare a few, fit it again, or install those versions."
         )
+
+
+def _warn(message):
+    warnings.warn(message, UserWarning, stacklevel=4)
 
 
 def _is_model(found) -> bool:
@@ -217,10 +255,5 @@ def _is_model(found) -> bool:
     return isinstance(found, Bunch) and isinstance(found.get("aircraft"), Aircraft)
 
 
-def _same_versions(made_by) -> bool:
-    here = software_versions()
-    return all(made_by.get(name) == here.get(name) for name in MATTERS)
-
-
-def _said(versions) -> str:
+def _in_words(versions) -> str:
     return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in MATTERS)

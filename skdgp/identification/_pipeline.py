@@ -11,20 +11,23 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
 from skdgp._regressor import DependentGPRegressor
+from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
     FlightPathReconstruction,
     FlightSmoother,
+    LagCorrector,
     RateNondimensionalizer,
     RegressorSelector,
 )
 
 CALIBRATION_ROWS = 1500
 CALM = 0.1
-"""Change of the air in one second [m/s] that is as much as the sensors leave unknown without any gusts."""
+"""Change of the air in one second [m/s] that sensors leave unknown without any gusts."""
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 
 
@@ -37,16 +40,18 @@ def make_identification_pipeline(
     mixer=None,
     regressor=None,
     memory=None,
+    lags: str | dict | None = None,
 ) -> Pipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
     ============================ ======================================================================================
-    ``flightcheck``              faults of the log named and taken out, short gaps bridged
+    ``flightcheck``              faults of the log named and removed, short gaps bridged
+    ``lagcorrector``             lags of channels removed; only with ``lags``
     ``flightpathreconstruction`` airspeed, alpha, beta, rates and attitude that fit each other and all sensors
-    ``flightsmoother``           the rest of the sensor noise out, rates of change in, flight by flight, without delay
+    ``flightsmoother``           the rest of the sensor noise removed, rates of change added, without delay
     ``elevonsplitter``           elevons into elevator and aileron; tables that hold these already pass
     ``ratenondimensionalizer``   p b / 2V, q c / 2V, ... with the aircraft's span and chord
-    ``regressorselector``        the columns that are learned from
+    ``regressorselector``        the columns to learn from
     ``standardscaler``           each to mean zero and variance one
     ``dependentgpregressor``     all six coefficients at once
     ============================ ======================================================================================
@@ -74,6 +79,8 @@ def make_identification_pipeline(
         do: a linear model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
+    lags : "auto", dict or None, default=None
+        As for :class:`skdgp.preprocessing.LagCorrector`; None: no such step.
 
     Returns
     -------
@@ -101,11 +108,7 @@ def make_identification_pipeline(
     >>> mean.shape, std.shape
     ((40, 2), (40, 2))
     """
-    if not isinstance(aircraft, Aircraft):
-        raise TypeError(
-            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
-            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
-        )
+    check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
         reconstruction = FlightPathReconstruction(incomplete="pass")
     pipeline = make_pipeline(
@@ -120,27 +123,40 @@ def make_identification_pipeline(
         memory=memory,
     )
     pipeline.set_params(flightpathreconstruction=reconstruction)
+    if lags is not None:
+        pipeline.steps.insert(1, ("lagcorrector", LagCorrector(lags)))
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def _derivatives(regressors):
-    """Every rate of change of the named sets, so that a search may choose among them; of a list what it names."""
+def check_aircraft(aircraft) -> Aircraft:
+    """Return the aircraft, or raise TypeError."""
+    if not isinstance(aircraft, Aircraft):
+        raise TypeError(
+            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
+            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
+        )
+    return aircraft
+
+
+def _derivatives(regressors) -> list[str]:
+    """Return the channels to differentiate: all for a named set, so that a search may choose; of a list its own."""
     if isinstance(regressors, str):
         return list(DIFFERENTIATED)
     named = {str(name).removesuffix("_hat") for name in regressors}
     return [name for name in DIFFERENTIATED if f"{name}_dot" in named]
 
 
-def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
     r"""Return the regressors of a flight, (n, d), and how much noisier they are than those of the fit, (n,).
 
-    In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors goes with that of the
-    gusts. How gusty a flight is, :math:`\sigma_g` [m/s in one second], its own sensors tell where the pipeline
-    reconstructs flight paths, and the variance is
+    In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is proportional to that
+    of the gusts. Where the pipeline reconstructs flight paths, it estimates :math:`\sigma_g` [m/s in one second] of
+    the flight from its own sensors, and the ratio of variances is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
-    times that of the fit: what ``include_input_noise`` of ``DependentGPRegressor.predict`` takes. Elsewhere it is 1.
+    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1. It is 1 too where
+    the pipeline ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
 
     Parameters
     ----------
@@ -153,26 +169,35 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[np.ndar
     -------
     regressors : ndarray (n, d)
         What the last step of the pipeline predicts from.
-    times : ndarray (n,)
-        The factor.
+    ratio : ndarray (n,)
+        The ratio of variances.
     """
-    times = np.ones(len(flight))
+    ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
         if step in (None, "passthrough"):
             continue
         flight = step.transform(flight)
         if isinstance(step, FlightPathReconstruction) and not step.missing_ and "gust" in flight:
-            times = (flight["gust"].to_numpy() ** 2 + CALM**2) / (step.gust_std_**2 + CALM**2)
-    return np.asarray(flight), times
+            ratio = (flight["gust"].to_numpy() ** 2 + CALM**2) / (step.gust_std_**2 + CALM**2)
+    if isinstance(pipeline[-1], CalibratedRegressor):
+        ratio = np.ones(len(flight))
+    return np.asarray(flight), ratio
 
 
-def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False):
-    """Predict a flight with all that is known to be uncertain: the function, and the regressors in this flight's air.
+def regressor_and_scale(pipeline: Pipeline) -> tuple[DependentGPRegressor, Array | float]:
+    """Return the fitted regressor of a pipeline, and the factor of its standard deviations: 1 unless calibrated."""
+    last = pipeline[-1]
+    return (last.estimator_, last.std_scale_) if isinstance(last, CalibratedRegressor) else (last, 1.0)
+
+
+def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False) -> tuple[Matrix, Matrix]:
+    """Return mean and standard deviation of a flight's coefficients, with the noise of its regressors.
 
     Parameters
     ----------
     pipeline : Pipeline
-        Fitted; ends in a :class:`skdgp.DependentGPRegressor`.
+        Fitted; ends in a :class:`skdgp.DependentGPRegressor`, or one in a
+        :class:`skdgp.calibration.CalibratedRegressor`: then standard deviations are the calibrated ones.
     flight : DataFrame (n, ...)
         One or more flights at their full rate.
     include_noise : bool, default=False
@@ -181,7 +206,7 @@ def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: b
     Returns
     -------
     mean, std : ndarray (n, P)
-        See :func:`flight_regressors` for the part of the regressors.
+        See :func:`flight_regressors` for the noise of the regressors.
 
     Examples
     --------
@@ -196,21 +221,22 @@ def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: b
     >>> mean.shape, std.shape
     ((40, 2), (40, 2))
     """
-    X, times = flight_regressors(pipeline, flight)
-    return pipeline[-1].predict(X, return_std=True, include_noise=include_noise, include_input_noise=times)
+    X, ratio = flight_regressors(pipeline, flight)
+    regressor, scale = regressor_and_scale(pipeline)
+    mean, std = regressor.predict(X, return_std=True, include_noise=include_noise, include_input_noise=ratio)
+    return mean, scale * std
 
 
-def calibrate_noise(pipeline: Pipeline, flight: pd.DataFrame, Y: pd.DataFrame) -> np.ndarray:
-    r"""Widen the noise of a fitted pipeline to what measurements that it did not learn from show.
+def calibrate_noise(pipeline: Pipeline, flight: pd.DataFrame, Y: ArrayLike) -> Vector:
+    r"""Raise the noise of a fitted pipeline to what measurements show that it did not learn from.
 
-    The likelihood sees a few hundred rows. At others of the same flights the residuals may be larger than it believes:
-    gusts that no sensor feels differ from minute to minute. With residual e and standard deviation s of the function,
-    at regressors as noisy as they are, the noise variance of each output becomes the larger of what it was and what
-    makes
+    The likelihood sees a few hundred rows. At others of the same flights the residuals may be larger: gusts that no
+    sensor feels differ from minute to minute. With residual e and standard deviation s of the function at noisy
+    regressors, the noise variance of each output becomes the larger of its old value and the solution of
 
     .. math:: \frac{1}{n} \sum \frac{e^2}{s^2 + \sigma^2} = 1.
 
-    The function and its standard deviation stay as they are; only ``include_noise=True`` gives wider bands.
+    The function and its standard deviation do not change; only bands of ``include_noise=True`` widen.
 
     Parameters
     ----------
@@ -248,15 +274,15 @@ def calibrate_noise(pipeline: Pipeline, flight: pd.DataFrame, Y: pd.DataFrame) -
     regressor = pipeline[-1]
     factor = np.ones(Y.shape[1])
     if len(rows):
-        X, times = flight_regressors(pipeline, flight)
-        mean, std = regressor.predict(X[rows], return_std=True, include_input_noise=times[rows])
+        X, ratio = flight_regressors(pipeline, flight)
+        mean, std = regressor.predict(X[rows], return_std=True, include_input_noise=ratio[rows])
         squares = (Y[rows] - mean.reshape(len(rows), -1)) ** 2
         variances = std.reshape(len(rows), -1) ** 2
         noise = np.array(regressor.noise_variance_)
         for i, (e2, s2) in enumerate(zip(squares.T, variances.T, strict=True)):
-            seen = np.isfinite(e2)
-            if seen.any():
-                factor[i] = np.sqrt(_noise_that_fits(e2[seen], s2[seen], noise[i]) / noise[i])
+            known = np.isfinite(e2)
+            if known.any():
+                factor[i] = np.sqrt(_noise_that_fits(e2[known], s2[known], noise[i]) / noise[i])
         regressor.noise_variance_ = noise * factor**2
     return factor
 

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _outputs, _predict, _writers, main
+from skdgp._cli import _output, _predict, main
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
-from skdgp.identification import load_model, predict_flight, save_model
+from skdgp.identification import _identify, load_model, predict_flight, save_model
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ class TestPredict:
         assert table.read_bytes() == Path("test.csv").read_bytes()
 
     def test_no_pyarrow(self, refused, monkeypatch):
-        monkeypatch.setattr(_writers, "find_spec", lambda name: None)
+        monkeypatch.setattr(_output, "find_spec", lambda name: None)
         refused("Parquet needs pyarrow", "predict", "test.csv", output="new/out.parquet")
 
 
@@ -171,7 +171,7 @@ class TestValidate:
         assert "a model on other flights" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     def test_needs_no_folder_and_no_facts(self, path, model, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(_outputs, "render_report", lambda content: pytest.fail("rendered"))
+        monkeypatch.setattr(_identify, "render_report", lambda content: pytest.fail("rendered"))
         save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
         assert main(["validate", str(tmp_path / "bare.joblib"), "test.csv", "--horizons", "1"]) == 0
         said = capsys.readouterr()
@@ -207,6 +207,10 @@ class TestSimulate:
         low, high = said["paths"]["end"]["airspeed"]
         assert low == pytest.approx(bands.iloc[-1]["airspeed_low"])
         assert low < high
+
+    def test_a_folder_may_have_any_name(self, run, tmp_path):
+        run("simulate", "--trim", "35", "--duration", ".1", "--paths", "0", output="flown.csv")
+        assert "trajectory.csv" in files(tmp_path / "flown.csv")
 
     def test_turns_and_climbs(self, run, model):
         said = run("simulate", "--trim", "35", "--bank", ".3", "--duration", ".2", "--paths", "0")
@@ -358,7 +362,7 @@ class TestDerivatives:
         refused("There is no trim of brumby", "derivatives", "--airspeed", "35", "350")
 
     def test_without_matplotlib(self, path, monkeypatch, capsys, tmp_path):
-        monkeypatch.setattr(_writers, "find_spec", lambda name: None)
+        monkeypatch.setattr(_output, "find_spec", lambda name: None)
         words = ["--airspeed", "34", "35", "--paths", "0", "-o", str(tmp_path / "out")]
         assert main(["derivatives", path, *words]) == 0
         assert "No picture: it needs pip install" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 
 import pytest
 
@@ -114,10 +115,10 @@ class TestDisk:
 
 
 def test_an_error_that_nobody_expected_is_one_line_too(monkeypatch, tmp_path, capsys):
-    def demo(task):
+    def demo(run):
         raise KeyError("wing")
 
-    monkeypatch.setitem(_main.COMMANDS, "demo", demo)
+    monkeypatch.setitem(_main.COMMANDS, "demo", replace(_main.COMMANDS["demo"], run=demo))
     assert main(["demo", "-o", str(tmp_path / "out")]) == 1
     assert capsys.readouterr().err == (
         "error: Got an unexpected KeyError: 'wing'. Run again with --traceback, and report what it says.\n"

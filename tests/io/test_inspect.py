@@ -1,14 +1,13 @@
 """What a log holds, its sources, and what each step lacks."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from skdgp._cli import main
 from skdgp.dynamics._equations import inverse as _inverse
-from skdgp.identification._source import read_named
+from skdgp.identification._flights import named_flights
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS
 from skdgp.preprocessing import _path_equations
@@ -165,14 +164,12 @@ class TestCommand:
 
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
         (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")
-        flights = read_named([whole, tmp_path / "table.csv"], SimpleNamespace(servos=SERVOS, airborne=None))
+        flights = named_flights([whole, tmp_path / "table.csv"], servos=SERVOS)
         assert set(SERVOS) <= set(flights["whole"].columns)
         assert set(flights["table"].columns) == {"time", "flight", "alpha"}
 
     def test_identify_is_told_what_of_a_log_is_a_flight(self, whole, tmp_path, capsys):
-        flown, everything = (
-            read_named([whole], SimpleNamespace(servos=None, airborne=airborne))["whole"] for airborne in (None, "all")
-        )
+        flown, everything = (named_flights([whole], airborne=airborne)["whole"] for airborne in (True, False))
         assert len(flown) == len(read_flight(whole))
         assert len(everything) == len(read_flight(whole, airborne=False)) > 0
         (tmp_path / "uav.json").write_text(

@@ -10,7 +10,7 @@ from sklearn.pipeline import make_pipeline
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification._rows import checked
+from skdgp.identification._flights import usable_flights
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import (
     FlightCheck,
@@ -256,10 +256,13 @@ class TestDownstream:
             .all(axis=None)
         )
 
-    def test_the_command_line_tells_and_takes_out(self):
-        with pytest.warns(FlightDataWarning, match="alpha is stuck"):
-            flights = checked({"sortie": held(log(), "alpha", 700, 712)})
-        assert flights["sortie"].alpha.isna().sum() == 12
+    def test_identify_warns_of_them_and_leaves_their_rows_out(self):
+        with (
+            pytest.warns(FlightDataWarning, match="alpha is stuck"),
+            pytest.warns(UserWarning, match="12 of 2400 rows are left out"),
+        ):
+            flights = usable_flights({"sortie": held(log(), "alpha", 700, 712)}, ["alpha"], ["alpha"])
+        assert len(flights["sortie"]) == 2388
 
 
 class TestWhatCannotBeLearned:

@@ -1,0 +1,172 @@
+"""The commands ``identify`` and ``demo``: learn a model from flights and judge it on others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from skdgp._cli import _options as opt
+from skdgp._cli._output import Run
+from skdgp._cli._parser import Command
+from skdgp._compute.checkpoint import checkpointing
+from skdgp._compute.progress import listening
+from skdgp._regressor import DependentGPRegressor
+from skdgp.datasets import load_example_flights
+from skdgp.identification import Identification
+from skdgp.identification import identify as learn
+
+CHECKPOINT = "checkpoint"  # in the folder of the outputs, until these are written
+CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model", "config.toml": "options"}
+
+
+def identify(run: Run) -> None:
+    """Learn the coefficients CX CY CZ Cl Cm Cn from the flights TRAIN, and judge the model on other flights.
+
+     1. Inverse dynamics: forces and moments from accelerations and rates, less thrust and other known loads, over
+        rho V^2 S / 2.
+     2. The path of each flight is reconstructed from all its sensors, and a dependent Gaussian process learns all six
+        coefficients at once from --samples rows.
+     3. On flights it has not seen its coefficients are compared with the measured ones and replayed: integrated from
+        the measured state, restarted every --horizons seconds.
+
+    Writes into DIR, all or none:
+      report.html    tables and pictures; open it in a browser, print it
+      metrics.json   the same numbers for other programs
+      model.joblib   the model with its aircraft, for the other commands and skdgp.identification.load_model
+      config.toml    all options of this run: --config DIR/config.toml -o ELSEWHERE runs the same again
+
+    Flight tables:
+      CSV, Parquet or MATLAB (v7), one row per sample, SI units and radians (or units in the header: "alpha [deg]"):
+      time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force, what accelerometers read),
+      elevator, aileron, rudder (or elevon_left, elevon_right), throttle, and thrust_x, thrust_y, thrust_z
+      (or propeller_speed, with a propeller in the aircraft's file). For the replay also phi, theta, psi,
+      v_north, v_east, v_down. A column "flight" tells several flights in one file apart.
+      Logs of PX4 (.ulg) and ArduPilot (.bin) are read too; --servos gives the angles of their surfaces.
+
+    Aircraft file:
+      {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
+       "wing_area": 1.3, "span": 2.6, "chord": 0.55}
+      kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or TOML.
+
+    Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing is written.
+    A killed fit goes on where it was when the same command is run again: DIR/checkpoint holds what it needs.
+
+    For example:
+      python -m skdgp identify train.csv --aircraft uav.json --test test.csv -o results
+      python -m skdgp identify mon.parquet tue.parquet --aircraft uav.toml -o results    (holds out the last flight)
+      python -m skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
+    """
+    options = run.options
+    known = {"thrust": opt.none_of(options.thrust), "external_forces": options.external_forces}
+    _learn(run, options.train, options.aircraft, options.test or None, **known, **opt.reading(options))
+
+
+def demo(run: Run) -> None:
+    """Do what identify does on the example flights: a simulated delta-wing UAV in turbulence, 45 kg.
+
+    Its true coefficients are known. Two flights to learn from, one to be tested on. About a minute on two cores.
+
+    For example:
+      python -m skdgp demo
+      python -m skdgp demo --samples 250 --inference exact -o quick
+    """
+    run.console.stage("simulating the example flights")
+    example = load_example_flights()
+    _learn(run, example.train, example.aircraft, example.test, title="Example flights: a simulated UAV")
+
+
+def _learn(run, train, aircraft, test, title=None, **known):
+    options, console = run.options, run.console
+    given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
+    regressor = DependentGPRegressor(
+        trend=opt.none_of(options.trend),
+        inference=options.inference,
+        input_noise=opt.none_of(options.input_noise),
+        n_restarts_optimizer=options.restarts,
+        n_jobs=options.n_jobs,
+        random_state=options.seed,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    with checkpointing(run.folder.path / CHECKPOINT), listening(console.progress):
+        with console.counting_interrupts():
+            result = learn(
+                train,
+                aircraft,
+                test=test,
+                regressors=options.regressors,
+                reconstruction="passthrough" if options.reconstruction == "none" else "auto",
+                lags="auto" if options.lags else None,
+                samples=options.samples,
+                regressor=regressor,
+                calibrate=options.calibrate,
+                horizons=options.horizons,
+                **known,
+            )
+        finish(run, replace(result, command=run.command_line, title=title or result.title))
+
+
+def finish(run: Run, result: Identification) -> None:
+    """Write the outputs, where a folder is named, and print the summary."""
+    files = run.write(result.writers()) if run.folder is not None else []
+    lines = [f"{CONTENTS[path.name]:<9}{path}" for path in files]
+    run.print("\n".join([result.summary(), "", *lines]).rstrip(), result.metrics)
+
+
+LEARNING = [
+    opt.option(
+        "--samples N|all", "rows to learn from (default: all; 755 with --inference exact)", opt.at_least(2, "all")
+    ),
+    opt.choice(
+        "--inference",
+        ["auto", "exact", "sparse"],
+        "exact conditions on every row, in time that grows with their cube; sparse on inducing variables, in time "
+        "that grows with the rows (default: auto, exact up to a thousand rows)",
+    ),
+    opt.option("--inducing N", "inducing inputs of sparse inference", opt.at_least(1)),
+    opt.option(
+        "--regressors SET",
+        "quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot too), paper (accelerations too), "
+        "or columns such as alpha,beta,q_hat,elevator (default: quasi-steady)",
+        opt.regressor_names,
+        default="quasi-steady",
+    ),
+    opt.choice(
+        "--reconstruction",
+        ["auto", "none"],
+        "auto reconstructs the path of each flight from all its sensors, where the log holds accelerations, attitude, "
+        "ground velocity and airspeed; none smooths channel by channel (default: auto)",
+    ),
+    opt.flag("--lags", "estimate and correct lags of air data, surfaces, attitude and GPS"),
+    opt.choice("--input-noise", ["learned", "none"], "noise of the regressors (default: learned)"),
+    opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
+    opt.option("--latents M|auto", "latent processes that the outputs share (default: 2)", opt.at_least(0, "auto")),
+    opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),
+    opt.option("--max-iter N", "iterations of the fit", opt.at_least(1)),
+    opt.option("--restarts N", "further starting points of the fit (default: 0)", opt.at_least(0), default=0),
+    opt.SEED,
+    opt.option("--n-jobs N", "processes for the restarts; -1: all cores", opt.jobs),
+]
+IDENTIFY = Command(
+    identify,
+    {
+        "": [
+            opt.option("train TRAIN", "flights to learn from", nargs="+"),
+            opt.option("--aircraft FILE", "the aircraft, JSON or TOML", required=True),
+            opt.option(
+                "--test TEST",
+                "flights to judge the model on (default: the last of several, or the last quarter of one, is held out)",
+                nargs="+",
+                default=[],
+            ),
+            *opt.loads("auto", [], "auto, columns where the flights have them, else the propeller"),
+            *(opt.SERVOS, opt.AIRBORNE, opt.HORIZONS, opt.FOLDER),
+        ],
+        "model": LEARNING,
+    },
+)
+DEMO = Command(
+    demo,
+    {
+        "": [opt.HORIZONS, opt.option("-o --output DIR", "folder (default: skdgp-demo)", default="skdgp-demo")],
+        "model": LEARNING,
+    },
+)

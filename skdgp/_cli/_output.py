@@ -1,0 +1,140 @@
+"""Output files: the folder, written to by all or none, and writers of tables and pictures."""
+
+from __future__ import annotations
+
+import signal
+import tempfile
+import threading
+import warnings
+from argparse import Namespace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import pandas as pd
+
+from skdgp._cli._console import Console
+from skdgp._cli._parser import Command
+from skdgp.identification._model_file import json_text, write_together
+
+Writer = Callable[[Path], object]
+
+
+class OutputFolder:
+    """A folder made for outputs, and removed again if nothing was written into it.
+
+    Raises
+    ------
+    OSError
+        At the beginning of the ``with`` block, if it cannot be made or written to.
+    """
+
+    def __init__(self, path):
+        self.path = Path(path)
+        self.is_written = False
+
+    def __enter__(self) -> OutputFolder:
+        self._made = [p for p in (self.path, *self.path.parents) if not p.exists()]
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.path):
+                pass
+        except OSError as error:
+            self._remove()
+            reason = "it is a file" if self.path.is_file() else error.strerror
+            raise OSError(
+                f"Got {str(self.path)!r} as the folder for the outputs, but nothing can be written there ({reason}): "
+                "name another one after -o."
+            ) from error
+        return self
+
+    def __exit__(self, kind, error, trace):
+        if kind is not None:
+            self._remove()
+
+    def _remove(self):
+        for path in self._made:  # innermost first
+            try:
+                path.rmdir()
+            except OSError:  # not empty, or never made
+                return
+
+    def write(self, writers: dict[str, Writer]) -> None:
+        """Write all files or none; once all are complete, Ctrl-C waits until they are in their places."""
+        with _ctrl_c_restored() as ignore_ctrl_c:
+            write_together(self.path, writers, ignore_ctrl_c)
+            self.is_written = True
+
+
+@contextmanager
+def _ctrl_c_restored() -> Iterator[Callable[[], object]]:
+    """Yield a function that makes Ctrl-C do nothing until the end of the block."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or handler is None:
+        yield lambda: None
+        return
+    try:
+        yield lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A running command; ``folder`` is None where nothing is to be written."""
+
+    command: Command
+    options: Namespace
+    console: Console
+    folder: OutputFolder | None
+    command_line: str
+
+    @property
+    def config_name(self) -> str:
+        """Name of the configuration: beside a single table it has the name of that."""
+        is_table = self.command.name == "predict"
+        return f"{Path(self.options.output).stem}.config.toml" if is_table else "config.toml"
+
+    def write(self, writers: dict[str, Writer]) -> list[Path]:
+        """Write all outputs, and the configuration that repeats them, or none; return where they are."""
+        if self.folder is None:
+            return []
+        self.console.stage("writing")
+        writers = writers | {self.config_name: text_writer(self.command.config_text(self.options))}
+        self.folder.write(writers)
+        return [self.folder.path / name for name in writers]
+
+    def print(self, text: str, numbers: dict) -> None:
+        """Print the result: text, or on request JSON."""
+        self.console.print(json_text(numbers).rstrip() if self.options.json else text)
+
+
+def text_writer(text: str) -> Writer:
+    """Return what writes the text."""
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def table_writer(table: pd.DataFrame, suffix: str) -> Writer:
+    """Return what writes a table as ".csv" or ".parquet", every digit of it."""
+    if suffix == ".parquet":
+        return lambda path: table.to_parquet(path, index=False)
+    return lambda path: table.to_csv(path, index=False)
+
+
+def check_writable(suffix: str) -> None:
+    """Raise ImportError if tables of this suffix cannot be written here."""
+    if suffix == ".parquet" and find_spec("pyarrow") is None:
+        raise ImportError('Parquet needs pyarrow, which is not installed: pip install "skdgp[parquet]", or write CSV.')
+
+
+def picture_writers(name: str, draw: Callable, *data) -> dict[str, Writer]:
+    """Return what writes the picture that ``draw`` of a display makes; nothing, and a warning, without matplotlib."""
+    if find_spec("matplotlib") is None:
+        warnings.warn('No picture: it needs pip install "skdgp[plot]".', UserWarning, stacklevel=2)
+        return {}
+    from matplotlib.figure import Figure
+
+    display = draw(*data, ax=Figure(layout="constrained"))
+    return {name: lambda path: display.figure_.savefig(path, dpi=150)}

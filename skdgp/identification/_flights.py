@@ -1,0 +1,221 @@
+"""Flights by name: reading, holding out, and the rows that a model can learn from."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.clock import flight_rows, flight_segments
+from skdgp._flight.faults import FlightDataWarning
+from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
+from skdgp.preprocessing import FlightCheck
+from skdgp.preprocessing._selector import REGRESSOR_SETS
+
+Flights = dict[str, pd.DataFrame]
+
+MEASURED = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r")
+"""Columns that the coefficients follow from."""
+FORCES = (*MEASURED, "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
+MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
+"""Elevons may stand for elevator and aileron, and the other way round."""
+
+
+def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (), **reading) -> Flights:
+    """Return one table for each flight by name, of a table, a path, a dict of tables, or several tables and paths.
+
+    A column ``flight`` separates several flights in a table; tables without it are ``default`` 1, 2, ... ``reading``
+    are options of ``skdgp.io.read_flight`` for logs of autopilots.
+
+    Raises
+    ------
+    ValueError, OSError
+        What the readers raise; if two flights have the same name, or a flight lacks a column that is needed.
+    """
+    if isinstance(flights, Mapping):
+        return {name: _checked_columns(_single_flight(name, table), needed) for name, table in flights.items()}
+    items = list(flights) if isinstance(flights, list | tuple) else [flights]
+    if not items:
+        raise ValueError("Got no flight, but expected at least one.")
+    found: Flights = {}
+    origin: dict[str, object] = {}
+    for number, item in enumerate(items, start=1):
+        path = item if isinstance(item, str | os.PathLike) else None
+        table = check_table(item) if path is None else _read(path, reading)
+        for name, part in flights_of(table, f"{default} {number}").items():
+            if name in found:
+                raise FlightReadError(_same_name(name, origin[name], path))
+            found[name], origin[name] = _checked_columns(part, needed, path), path
+    return found
+
+
+def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
+    """Return one table for each flight, in their order."""
+    if "flight" not in table:
+        return {default: table.reset_index(drop=True).assign(flight=default)}
+    rows = flight_rows(table["flight"])
+    return {name: table.iloc[here].reset_index(drop=True).assign(flight=name) for name, here in rows.items()}
+
+
+def _single_flight(name, table) -> pd.DataFrame:
+    parts = flights_of(check_table(table))
+    if len(parts) != 1:
+        raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
+    return next(iter(parts.values())).assign(flight=name)
+
+
+def _read(path, reading) -> pd.DataFrame:
+    return read_flight(path, **(reading if _is_autopilot(path) else {}))
+
+
+def _is_autopilot(path) -> bool:
+    return Path(path).suffix.lower() in AUTOPILOTS
+
+
+def _checked_columns(table, needed, path=None) -> pd.DataFrame:
+    try:
+        check_columns(table, needed)
+    except ValueError as error:
+        if path is None or not _is_autopilot(path):
+            raise
+        raise ValueError(f"{error} What a log has, and why it lacks them: python -m skdgp inspect {path}") from None
+    return table
+
+
+def _same_name(name, first, second) -> str:
+    """Return the message for two flights of one name, with the remedy."""
+    if first is None or second is None:
+        return f"Got flight {name!r} twice, but expected each once: give a dict of names and tables."
+    columns = [str(path) for path in (second, first) if Path(path).stem != name]
+    if Path(first).resolve() == Path(second).resolve():
+        remedy = "name the file once"
+    elif columns:
+        remedy = f"the name stands in column 'flight' of {columns[0]}; change it there"
+    else:
+        remedy = "rename one of the files, or where a file has a column 'flight', change the name there"
+    return f"Got flight {name!r} in {first} and in {second}, but expected each once: {remedy}."
+
+
+def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str | None]:
+    """Return flights to learn from and to test on, and words for those held out where no test flight is named.
+
+    Held out are the last flight of several, or the last quarter of a single one.
+    """
+    if test:
+        for name in train.keys() & test.keys():
+            _warn(f"Flight {name!r} is both learned from and tested on: its errors say nothing about other flights.", 4)
+        return train, test, None
+    *others, last = train
+    if others:
+        held_out, parts = f"the last flight, {last}", ({name: train[name] for name in others}, {last: train[last]})
+    else:
+        held_out, split = f"the last quarter of the only flight, {last}", round(0.75 * len(train[last]))
+        rows = {f"{last}, first three quarters": slice(0, split), f"{last}, last quarter": slice(split, None)}
+        first, rest = (
+            {name: train[last].iloc[part].assign(flight=name).reset_index(drop=True)} for name, part in rows.items()
+        )
+        parts = first, rest
+    _warn(f"No test flight was named: {held_out}, is held out of the fit and tested on.", 4)
+    return *parts, held_out
+
+
+def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
+    """Return the measured columns of the tables that regressors are made from."""
+    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
+    found: list[str] = []
+    for table in tables:
+        needed = {"airspeed"}
+        for name in (str(name).removesuffix("_hat") for name in names):
+            needed |= {name} if name in table else {name.removesuffix("_dot")}
+        if {"elevator", "aileron"} & set(names):
+            needed |= {"elevon_left", "elevon_right"}
+        found += [name for name in table.columns if name in needed and name not in found]
+    return found
+
+
+def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flights:
+    """Return flights without faults, and only rows that a model can learn from or predict; warn of the others.
+
+    Raises
+    ------
+    ValueError
+        If a flight lacks one of the columns, which the model's flights have, or no row of it is left.
+    """
+    for table in flights.values():
+        check_columns(table, [name for name in columns if name not in MIXED])
+    check = FlightCheck(bridge=0)
+    checked = {name: check.fit_transform(table) for name, table in flights.items()}
+    return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
+
+
+def _complete_rows(flight, table, regressors) -> pd.DataFrame:
+    """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
+    columns = regressor_columns([table], regressors)
+    missing = ~np.isfinite(table[columns].to_numpy(dtype=float))
+    counts = {name: int(count) for name, count in zip(columns, missing.sum(axis=0), strict=True) if count}
+    complete = table[~missing.any(axis=1)]
+    if complete.empty:
+        raise ValueError(
+            f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by rows: {counts}): bring "
+            "slow sensors to the clock of the others, drop columns that are empty, or name other regressors."
+        )
+    if counts:
+        _warn(
+            f"Flight {flight!r}: {len(table) - len(complete)} of {len(table)} rows are left out, because regressors "
+            f"are missing there (by rows: {counts}). Bring slow sensors to the clock of the others if these are many."
+        )
+    segments = flight_segments(complete["time"].to_numpy(float))
+    rows = [np.arange(run.start, run.stop) for run in segments if run.stop - run.start > 1]
+    if not rows:
+        raise ValueError(
+            f"Flight {flight!r} has {len(complete)} usable rows, none beside another, but expected thousands: rates "
+            "of change need neighbours. Is the log whole, and time in seconds?"
+        )
+    kept = np.concatenate(rows)
+    if len(kept) < len(complete):
+        _warn(f"Flight {flight!r}: {len(complete) - len(kept)} rows that stand alone between gaps are left out.")
+    return complete.iloc[kept].reset_index(drop=True)
+
+
+def _warn(message, stacklevel=5):
+    warnings.warn(message, UserWarning, stacklevel=stacklevel)
+
+
+def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
+    """Raise ValueError if the coefficients are known at fewer than two rows, with what is missing."""
+    known = int(Y.notna().all(axis=1).sum())
+    if known < 2:
+        missing = {name: int(table[name].isna().sum()) for name in FORCES if name in table and table[name].isna().any()}
+        raise ValueError(
+            f"Got coefficients at {known} of {len(Y)} rows of the training flights, but expected at least two, better "
+            f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of the others, or drop "
+            "columns that are empty."
+        )
+
+
+def warn_of_short_flights(flights: Flights, regressors) -> None:
+    """Warn if regressors pass their means less often than there are regressors."""
+    columns = [name for name in regressor_columns(list(flights.values())[:1], regressors) if name != "airspeed"]
+    crossings = np.sum([[_mean_crossings(table, name) for name in columns] for table in flights.values()], axis=0)
+    if np.median(crossings) < len(columns):
+        seconds = sum(np.ptp(table["time"]) for table in flights.values())
+        warnings.warn(
+            f"The training flights last {seconds:.3g} s, in which {columns} pass their means {np.median(crossings):g} "
+            f"times (median): too few changes to learn the effect of each of {len(columns)}. Fly longer, or name fewer "
+            "regressors.",
+            FlightDataWarning,
+            stacklevel=3,
+        )
+
+
+def _mean_crossings(table, name) -> int:
+    """Return how often a channel passes its mean, in averages over 0.25 s, so that noise does not count."""
+    time, values = table["time"].to_numpy(float), table[name].to_numpy(float)
+    size = max(1, round(0.25 / np.median(np.diff(time)))) if len(time) > 1 else 1
+    blocks = values[: len(values) // size * size].reshape(-1, size).mean(axis=1) - values.mean()
+    return int(np.sum(blocks[1:] * blocks[:-1] < 0))

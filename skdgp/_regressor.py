@@ -524,7 +524,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     # -- predictions: y = _center + _scale z, of the posterior of normalised outputs z ----------------------
 
-    def predict(self, X, return_std=False, return_cov=False, include_noise=False, include_input_noise=False):
+    def predict(self, X, return_std=False, return_cov=False, include_noise=False, include_input_noise=True):
         """Predict the outputs (equations 17 and 18).
 
         Parameters
@@ -537,8 +537,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         include_noise : bool
             Whether these are of a new measurement rather than of the underlying function.
         include_input_noise : bool, float or array (n,)
-            Whether X is as noisy as the regressors of the fit (``input_noise``), rather than exact: by the slopes J of
-            the mean, J S J^T is added. A number: so many times the variance of the fit, as in rougher air.
+            Whether X is as noisy as the regressors of the fit (``input_noise``), which is the default, rather than
+            exact: by the slopes J of the mean, J S J^T is added. A number: so many times the variance of the fit, as in
+            rougher air.
 
         Returns
         -------

@@ -181,8 +181,6 @@ def test_nothing_but_the_dependencies_is_imported(path):
         assert root in (allowed if item.at_once else allowed | EXTRAS), f"{ids(path)}:{item.line} imports {item.module}"
 
 
-# Rooms that still use private names of other packages; the list is to become empty.
-PRIVATE_ALLOWED = {"_cli"}
 COMPAT = PACKAGE / "_compute" / "sklearn_compat.py"
 WATCHED = {"sklearn", "joblib", "argparse", "numpy", "scipy", "pandas"}
 DOCUMENTED = {"_replace", "_fields", "_asdict", "_make", "_exit"}  # of named tuples and os, for users
@@ -219,7 +217,7 @@ def private_names(code):
 
 @pytest.mark.parametrize("path", MODULES, ids=ids)
 def test_private_names_of_other_packages_stand_in_one_file(path):
-    if path != COMPAT and part_of(path) not in PRIVATE_ALLOWED:
+    if path != COMPAT:
         found = private_names(path.read_text(encoding="utf-8"))
         assert not found, f"{ids(path)} uses {found}: import them from skdgp._compute.sklearn_compat"
 

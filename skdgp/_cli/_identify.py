@@ -78,6 +78,7 @@ def _learn(run, train, aircraft, test, title=None, **known):
     options, console = run.options, run.console
     given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
     regressor = DependentGPRegressor(
+        structure=options.structure,
         trend=opt.none_of(options.trend),
         inference=options.inference,
         input_noise=opt.none_of(options.input_noise),
@@ -137,6 +138,12 @@ LEARNING = [
     ),
     opt.flag("--lags", "estimate and correct lags of air data, surfaces, attitude and GPS"),
     opt.choice("--input-noise", ["learned", "none"], "noise of the regressors (default: learned)"),
+    opt.choice(
+        "--structure",
+        ["auto", "joint", "trend"],
+        "trend: the trend alone; joint: with the dependent processes; auto: what predicts blocks of the training flights "
+        "better that are held out in turn (default: auto)",
+    ),
     opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
     opt.option("--latents M|auto", "latent processes that the outputs share (default: 2)", opt.at_least(0, "auto")),
     opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),

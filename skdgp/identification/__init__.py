@@ -4,6 +4,7 @@ from skdgp.identification._evaluation import Evaluation
 from skdgp.identification._identify import Identification, identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
+    FlightPipeline,
     calibrate_noise,
     flight_regressors,
     make_identification_pipeline,
@@ -12,6 +13,7 @@ from skdgp.identification._pipeline import (
 
 __all__ = [
     "Evaluation",
+    "FlightPipeline",
     "Identification",
     "ModelFileError",
     "calibrate_noise",

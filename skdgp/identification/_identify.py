@@ -20,7 +20,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
-from skdgp._compute.progress import tell
+from skdgp._compute.progress import notify
 from skdgp._compute.typing import Seed
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.faults import FlightDataWarning
@@ -33,6 +33,7 @@ from skdgp.identification._flights import Flights
 from skdgp.identification._pipeline import (
     calibrate_noise,
     check_aircraft,
+    default_regressor,
     make_identification_pipeline,
     regressor_and_scale,
 )
@@ -103,7 +104,7 @@ def identify(
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     regressor : DependentGPRegressor, optional
-        By default ``DependentGPRegressor(input_noise="learned")``.
+        By default ``DependentGPRegressor(structure="auto", input_noise="learned")``.
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
         show that are held out in turn. It takes one more fit for each of up to 5 groups of flights.
@@ -150,7 +151,7 @@ def identify(
     (400, 6)
     """
     if regressor is None:
-        regressor = DependentGPRegressor(input_noise="learned", random_state=random_state, n_jobs=n_jobs)
+        regressor = default_regressor(random_state=random_state, n_jobs=n_jobs)
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
             f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "
@@ -447,7 +448,7 @@ class Identification:
 
     def _report_content(self) -> ReportContent:
         regressor, fit = regressor_and_scale(self.pipeline)[0], self.fit
-        aircraft = self.aircraft
+        aircraft, joint = self.aircraft, fit["structure"] == "joint"
         return ReportContent(
             title=self.title,
             train=[FlightRecord(name=name, table=table) for name, table in self.train.items()],
@@ -457,8 +458,8 @@ class Identification:
                 n_available=fit.get("samples_available"),
                 regressors=fit["regressors"],
                 n_latent=regressor.n_latent_,
-                n_private=len(COEFFICIENTS) if regressor.private_latents else 0,
-                kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}",
+                n_private=len(COEFFICIENTS) if regressor.private_latents and joint else 0,
+                kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if joint else "none: the trend alone",
                 trend=regressor.trend or "none",
                 inference=regressor.inference_ + " (chosen by auto)" * (regressor.inference == "auto"),
                 log_marginal_likelihood=fit["log_marginal_likelihood"],
@@ -466,7 +467,7 @@ class Identification:
                 max_iter=regressor.max_iter,
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,
-                correlation=regressor.output_correlation(),
+                correlation=regressor.output_correlation() if joint else None,
                 versions=_model_file.software_versions(),
                 extra=self._remarks(),
             ),
@@ -501,6 +502,13 @@ class Identification:
         lags = {name: row["applied"] for name, row in fit.get("lags", {}).items() if row["applied"]}
         if "lags" in fit:
             remarks["Lags"] = ", ".join(f"{name} {lag:.3g} s" for name, lag in lags.items()) or "none to correct"
+        errors = {name: float(np.nanmean(values)) for name, values in fit.get("structure_errors", {}).items()}
+        if errors:
+            chosen = "the trend alone" if fit["structure"] == "trend" else "the trend and the dependent processes"
+            remarks["Structure"] = (
+                f"{chosen}: mean squared error in blocks of the training flights held out in turn, over the variance, "
+                f"{errors['joint']:.3g} of the joint model and {errors['trend']:.3g} of the trend alone"
+            )
         noisy = {name: value for name, value in fit["input_noise_std"].items() if value > 0}
         if noisy:
             remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())
@@ -547,7 +555,7 @@ def recorded_warnings() -> Iterator[list[str]]:
 
 
 def _announce(stage):
-    tell(stage, 0, np.nan)
+    notify(stage, 0, np.nan)
 
 
 def _warn(message):
@@ -582,6 +590,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     facts = {
         "inference": regressor.inference_,
+        "structure": getattr(regressor, "structure_", "joint"),
         "regressors": names,
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
@@ -591,6 +600,10 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
         "paths_reconstructed": _missing_for_reconstruction(pipeline) == [],
     }
+    if getattr(regressor, "structure_errors_", None):
+        facts["structure_errors"] = {
+            name: [float(value) for value in errors] for name, errors in regressor.structure_errors_.items()
+        }
     if isinstance(pipeline[-1], CalibratedRegressor):
         facts["std_scale"] = _by_coefficient(pipeline[-1].std_scale_)
         facts["guaranteed_level"] = _by_coefficient(pipeline[-1].max_level_)
@@ -604,6 +617,7 @@ def _settings(pipeline, reconstruction, horizons) -> dict:
     regressor, _ = regressor_and_scale(pipeline)
     settings = {
         "inference": regressor.inference,
+        "structure": getattr(regressor, "structure", "joint"),
         "regressors": pipeline["regressorselector"].regressors,
         "reconstruction": "none" if reconstruction in (None, "passthrough") else reconstruction,
         "input_noise": "none" if regressor.input_noise is None else regressor.input_noise,

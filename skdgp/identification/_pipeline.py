@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
 from skdgp._regressor import DependentGPRegressor
@@ -41,7 +42,7 @@ def make_identification_pipeline(
     regressor=None,
     memory=None,
     lags: str | dict | None = None,
-) -> Pipeline:
+) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
     ============================ ======================================================================================
@@ -75,7 +76,7 @@ def make_identification_pipeline(
         What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
         elevator or an aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor(input_noise="learned")``. It is cloned. Any regressor of several outputs will
+        By default ``DependentGPRegressor(structure="auto", input_noise="learned")``. It is cloned. Any regressor of several outputs will
         do: a linear model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
@@ -84,7 +85,7 @@ def make_identification_pipeline(
 
     Returns
     -------
-    sklearn.pipeline.Pipeline
+    FlightPipeline
         ``predict(table)`` gives (n, 6), ``predict(table, return_std=True)`` also the standard deviations.
 
     Raises
@@ -111,7 +112,7 @@ def make_identification_pipeline(
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
         reconstruction = FlightPathReconstruction(incomplete="pass")
-    pipeline = make_pipeline(
+    steps = make_pipeline(
         FlightCheck(),
         FlightPathReconstruction(),
         FlightSmoother(cutoff=cutoff, derivatives=_derivatives(regressors)),
@@ -119,13 +120,18 @@ def make_identification_pipeline(
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
         RegressorSelector(regressors),
         StandardScaler(),
-        DependentGPRegressor(input_noise="learned") if regressor is None else clone(regressor),
-        memory=memory,
+        default_regressor() if regressor is None else clone(regressor),
     )
+    pipeline = FlightPipeline(steps.steps, memory=memory)
     pipeline.set_params(flightpathreconstruction=reconstruction)
     if lags is not None:
         pipeline.steps.insert(1, ("lagcorrector", LagCorrector(lags)))
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
+
+
+def default_regressor(**options) -> DependentGPRegressor:
+    """Return the regressor of identification: noise of the regressors is learned, and processes earn their place."""
+    return DependentGPRegressor(structure="auto", input_noise="learned", **options)
 
 
 def check_aircraft(aircraft) -> Aircraft:
@@ -190,14 +196,69 @@ def regressor_and_scale(pipeline: Pipeline) -> tuple[DependentGPRegressor, Array
     return (last.estimator_, last.std_scale_) if isinstance(last, CalibratedRegressor) else (last, 1.0)
 
 
+class FlightPipeline(Pipeline):
+    """Pipeline from flight tables to coefficients, whose standard deviations are those of the flight's own air.
+
+    As scikit-learn's ``Pipeline``, but for ``predict(flight, return_std=True)``: regressors that were noisy in the fit
+    are noisy in the flight too, and more so in rougher air, see :func:`flight_regressors`. What calls ``predict``,
+    searches, scorers, displays, gets this band.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.identification import make_identification_pipeline
+    >>> from skdgp.dynamics import Aircraft
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> t = np.arange(0, 4, 0.1)
+    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
+    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
+    >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough")
+    >>> mean, std = model.fit(flight, Y).predict(flight, return_std=True)
+    >>> mean.shape, std.shape
+    ((40, 2), (40, 2))
+    """
+
+    def predict(self, X, **params):
+        """Predict the coefficients of one or more flights at their full rate.
+
+        Parameters
+        ----------
+        X : DataFrame (n, ...)
+            Flights.
+        **params : keywords
+            Of ``predict`` of the last step. ``return_std=True`` returns the standard deviation of the coefficients,
+            with ``include_noise=True`` of new measurements. ``include_input_noise`` other than True counts as given.
+
+        Returns
+        -------
+        mean : ndarray (n, P)
+        std : ndarray (n, P)
+            On request.
+        """
+        uncertain = params.get("return_std") or params.get("return_cov")
+        if not uncertain or params.get("include_input_noise", True) is not True:
+            return super().predict(X, **params)
+        check_is_fitted(self)
+        regressors, ratio = flight_regressors(self, X)
+        return _predict(self[-1], regressors, ratio, params)
+
+
+def _predict(last, regressors, ratio, params):
+    """Return what the last step predicts, with noise of regressors so many times that of the fit, where it can."""
+    if isinstance(last, CalibratedRegressor):
+        return last.predict(regressors, **{"include_noise": False} | params)
+    if isinstance(last, DependentGPRegressor):
+        params = params | {"include_input_noise": ratio}
+    return last.predict(regressors, **params)
+
+
 def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False) -> tuple[Matrix, Matrix]:
-    """Return mean and standard deviation of a flight's coefficients, with the noise of its regressors.
+    """Return ``predict(flight, return_std=True, include_noise=include_noise)`` of any identification pipeline.
 
     Parameters
     ----------
     pipeline : Pipeline
-        Fitted; ends in a :class:`skdgp.DependentGPRegressor`, or one in a
-        :class:`skdgp.calibration.CalibratedRegressor`: then standard deviations are the calibrated ones.
+        Fitted; also one of an earlier version, which is no :class:`FlightPipeline`.
     flight : DataFrame (n, ...)
         One or more flights at their full rate.
     include_noise : bool, default=False
@@ -206,25 +267,10 @@ def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: b
     Returns
     -------
     mean, std : ndarray (n, P)
-        See :func:`flight_regressors` for the noise of the regressors.
-
-    Examples
-    --------
-    >>> import numpy as np, pandas as pd
-    >>> from skdgp.dynamics import Aircraft
-    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    >>> t = np.arange(0, 4, 0.1)
-    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
-    >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough")
-    >>> mean, std = predict_flight(model.fit(flight, Y), flight)
-    >>> mean.shape, std.shape
-    ((40, 2), (40, 2))
+        As of :class:`FlightPipeline`.
     """
-    X, ratio = flight_regressors(pipeline, flight)
-    regressor, scale = regressor_and_scale(pipeline)
-    mean, std = regressor.predict(X, return_std=True, include_noise=include_noise, include_input_noise=ratio)
-    return mean, scale * std
+    words = {"return_std": True, "include_noise": include_noise}
+    return _predict(pipeline[-1], *flight_regressors(pipeline, flight), words)
 
 
 def calibrate_noise(pipeline: Pipeline, flight: pd.DataFrame, Y: ArrayLike) -> Vector:

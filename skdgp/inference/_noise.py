@@ -12,7 +12,7 @@ flights (Rasmussen & Williams 2006, equation 4.20 with nu = 1/2).
 from __future__ import annotations
 
 from itertools import combinations_with_replacement, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
@@ -75,9 +75,9 @@ class NoiseParts(NamedTuple):
     """The vector of noise, by what its entries are; what is given has ``free`` False."""
 
     own: np.ndarray
-    variance: np.ndarray | None
-    memory: np.ndarray | None
-    scale: np.ndarray | float
+    variance: Any  # ndarray (P,), None where noise does not drift
+    memory: Any
+    scale: Any  # ndarray (r,), or 1 where it is not learned
     free_drift: bool
     free_scale: bool
 
@@ -214,5 +214,5 @@ def fit_drift(residual, clock, least):
         return 0.5 * (determinant + (residual @ residual - residual @ solved) / white)
 
     starts = [np.log([0.5 * power, 0.5 * power, memory]) for memory in (4 * step, 40 * step)]
-    ends = [minimize(loss, np.clip(s, *bounds.T), method="L-BFGS-B", bounds=bounds) for s in starts]
+    ends = [minimize(loss, np.clip(s, *bounds.T), method="L-BFGS-B", bounds=[*bounds]) for s in starts]
     return np.exp(min(ends, key=lambda end: end.fun).x)

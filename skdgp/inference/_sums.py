@@ -104,17 +104,18 @@ def _drifting_shares(data):
             (_one_output(i, X, y), data.drift.clock[i]) for i, (X, y) in enumerate(zip(data.X, data.y, strict=True))
         ]
     else:
-        table, first = _table_of(data)
-        tables = [(SampleShare(tuple(range(len(data.y))), *table), np.concatenate(data.drift.clock)[first])]
+        (X, Y, loading), first = _table_of(data)
+        whole = SampleShare(tuple(range(len(data.y))), X, Y, loading)
+        tables = [(whole, np.concatenate(data.drift.clock)[first])]
     shares = []
-    for table, clock in tables:
+    for share, clock in tables:
         order = np.lexsort(clock.T)  # by flight, then by time
         ends = np.flatnonzero(np.diff(clock[order, 1])) + 1
         for flight in np.split(order, ends):
             for rows in np.array_split(flight, max(1, -(-len(flight) // DRIFT_ROWS))):
                 if len(rows):
-                    own = drift[:, list(table.outputs)]
-                    shares.append(SampleShare(table.outputs, *(a[rows] for a in table[1:4]), clock[rows], own))
+                    X, Y, loading = (part[rows] for part in (share.X, share.Y, share.loading))
+                    shares.append(SampleShare(share.outputs, X, Y, loading, clock[rows], drift[:, list(share.outputs)]))
     return shares
 
 

@@ -191,9 +191,10 @@ def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple
     if with_std:
         check_predicts_std(estimator)
     estimator = unwrap(estimator)
-    while isinstance(estimator, Pipeline):
+    while type(estimator) is Pipeline:  # a subclass may know more of its rows
         X, estimator = estimator[:-1].transform(X) if len(estimator) > 1 else X, unwrap(estimator[-1])
-    nested = any(isinstance(value, BaseEstimator) for value in estimator.get_params().values())
+    inside = estimator.get_params().values()
+    nested = isinstance(estimator, Pipeline) or any(isinstance(value, BaseEstimator) for value in inside)
     X = X if nested else safe_indexing(X, rows)
     predicted = predict_with_noise(estimator, X) if with_std else (estimator.predict(X),)
     return rows, *([part[rows] for part in predicted] if nested else predicted)

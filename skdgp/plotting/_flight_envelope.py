@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.checks import check_names
+from skdgp.metrics._scorers import accepts
 from skdgp.plotting._display import Display, Names, choose
 from skdgp.plotting._style import PALETTE, axis_label, check_matplotlib, display_unit, tidy
 
@@ -233,7 +234,8 @@ def _slice(flown: pd.DataFrame, pair: tuple[str, str], points: tuple[Vector, Vec
 
 def _moments(last: Any, scaling: Any, rows: pd.DataFrame) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the outputs at rows of regressors, (n, P) each."""
-    mean, std = last.predict(rows if scaling is None else scaling.transform(rows), return_std=True)
+    exact = {"include_input_noise": False} if accepts(last, "include_input_noise") else {}
+    mean, std = last.predict(rows if scaling is None else scaling.transform(rows), return_std=True, **exact)
     return mean.reshape(len(rows), -1), std.reshape(len(rows), -1) ** 2
 
 

@@ -76,8 +76,8 @@ def make_identification_pipeline(
         What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
         elevator or an aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor(structure="auto", input_noise="learned")``. It is cloned. Any regressor of several outputs will
-        do: a linear model for comparison.
+        By default ``DependentGPRegressor(structure="auto", input_noise="learned")``. It is cloned. Any regressor of
+        several outputs will do: a linear model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
     lags : "auto", dict or None, default=None

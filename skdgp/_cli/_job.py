@@ -14,7 +14,7 @@ from skdgp._cli._summary import summary
 from skdgp._cli._task import Task
 from skdgp._compute.checkpoint import checkpointing
 from skdgp._compute.progress import listening
-from skdgp._flight.faults import TOLD, FlightDataWarning
+from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import calibrate_noise, make_identification_pipeline
@@ -51,7 +51,9 @@ def run(source: Source, loads: Loads, task: Task) -> None:
             stacklevel=2,
         )
     train, test = checked(source.train), checked(source.test)
-    warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
+    warnings.filterwarnings(
+        "ignore", WARNING_START, FlightDataWarning
+    )  # by each step that meets the same flights again
     train = {name: complete_rows(table, options.regressors) for name, table in train.items()}
     test = {name: complete_rows(table, options.regressors) for name, table in test.items()}
     check_same_columns(train, test, options.regressors)

@@ -7,7 +7,7 @@ import warnings
 import pandas as pd
 from sklearn.utils import Bunch
 
-from skdgp._flight.faults import TOLD, FlightDataWarning
+from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.identification import load_model
 from skdgp.identification._evaluation import Loads
@@ -69,7 +69,9 @@ def read_flights(paths, model: Bunch, options) -> dict[str, pd.DataFrame]:
         What the readers raise; or if a flight lacks a column of regressors that those learned from had.
     """
     flights = checked(read_named(paths, options))
-    warnings.filterwarnings("ignore", TOLD, FlightDataWarning)  # by each step that meets the same flights again
+    warnings.filterwarnings(
+        "ignore", WARNING_START, FlightDataWarning
+    )  # by each step that meets the same flights again
     regressors = model.pipeline["regressorselector"].regressors
     learned_from = pd.DataFrame(columns=model.pipeline[0].feature_names_in_)
     check_same_columns({"learned from": learned_from}, flights, regressors)

@@ -12,8 +12,15 @@ from sklearn.utils._param_validation import Interval
 
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import check_clock, flight_segments, part_restarts
-from skdgp._flight.fault_detectors import usual_spacing
-from skdgp._flight.faults import POSSIBLE, Finding, FlightDataWarning, find_faults, told, without_faults
+from skdgp._flight.faults import (
+    POSSIBLE,
+    Finding,
+    FlightDataWarning,
+    faults_message,
+    find_faults,
+    usual_spacing,
+    without_faults,
+)
 from skdgp.preprocessing._smoother import WRAPPED, _rewrapped, _unwrapped
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
@@ -141,7 +148,9 @@ class FlightCheck(TableTransformer):
         faults = [each for each in found if each.kind != "gap"]
         if faults:
             then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
-            warnings.warn(told(faults, f"What was not measured is NaN{then}."), FlightDataWarning, stacklevel=4)
+            warnings.warn(
+                faults_message(faults, f"What was not measured is NaN{then}."), FlightDataWarning, stacklevel=4
+            )
         return self._bridged(without_faults(table, found))
 
     def _columns_out(self, names):

@@ -100,7 +100,7 @@ def test_the_flight_given_is_not_changed(simulated, aircraft):
         (lambda f: f.assign(alpha=np.rad2deg(f["alpha"]) + 4), "Got alpha up to .*deg2rad"),
         (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got phi up to .*deg2rad"),
         (lambda f: f.assign(p=np.rad2deg(f["p"])), "roll rate p integrates to .* times the change of phi"),
-        (lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60), "Got .q. up to"),
+        (lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60), "Got q up to"),
         (lambda f: f.assign(density=1.1e-3), "Got density from 0.0011"),
         (lambda f: f.assign(density=1100.0), "Got density from 1100"),
         (lambda f: f.assign(ax="fast"), "column 'ax' of type .* expected numbers"),

@@ -10,7 +10,7 @@ import pandas as pd
 
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_columns, check_flight, check_table
-from skdgp._flight.faults import NOT_MEASURED, POSSIBLE, FlightDataWarning, find_faults, told, without_faults
+from skdgp._flight.faults import NOT_MEASURED, POSSIBLE, FlightDataWarning, faults_message, find_faults, without_faults
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp.dynamics._equations.rigid_body import gyroscopic_moment
 from skdgp.dynamics._vehicle.aircraft import Aircraft
@@ -111,7 +111,9 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     found = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
     found = [each for each in found if each.kind in NOT_MEASURED]
     if found:
-        warnings.warn(told(found, "The coefficients are not known there (NaN)."), FlightDataWarning, stacklevel=3)
+        warnings.warn(
+            faults_message(found, "The coefficients are not known there (NaN)."), FlightDataWarning, stacklevel=3
+        )
     return without_faults(flight, found)
 
 

@@ -8,8 +8,11 @@ from importlib.machinery import ModuleSpec
 
 MOVED = {
     "skdgp.dynamics._aircraft": "skdgp.dynamics._vehicle.aircraft",
-    "skdgp.dynamics._propeller": "skdgp.dynamics._vehicle.propeller",
-    "skdgp.dynamics._thrust_line": "skdgp.dynamics._vehicle.thrust_line",
+    "skdgp.dynamics._propeller": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._thrust_line": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._vehicle.propeller": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._vehicle.thrust_line": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._vehicle.thrust_table": "skdgp.dynamics._vehicle.engines",
 }
 
 

@@ -230,11 +230,8 @@ def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _check_cutoff(cutoff: object) -> None:
     if cutoff is None or (isinstance(cutoff, str) and cutoff == "auto"):
         return
-    if (
-        not isinstance(cutoff, int | float | np.number)
-        or isinstance(cutoff, bool)
-        or not (np.isfinite(cutoff) and cutoff > 0)
-    ):
+    number = isinstance(cutoff, int | float | np.number) and not isinstance(cutoff, bool)
+    if not (number and np.isfinite(cutoff) and cutoff > 0):
         raise ValueError(
             f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no smoothing)."
         )

@@ -123,7 +123,7 @@ def convolve(columns: np.ndarray, response: np.ndarray) -> np.ndarray:
 
 
 def _falling(gain: np.ndarray) -> np.ndarray:
-    """Return factors (m, k) that keep gains from rising beyond the last frequency where signal is as strong as noise."""
+    """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
     last = len(gain) - 1 - np.argmax(gain[::-1] >= 0.5, axis=0)
     beyond = np.arange(len(gain))[:, None] > last
     least = np.minimum.accumulate(np.where(beyond, gain, 0.5), axis=0)

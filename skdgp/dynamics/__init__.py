@@ -30,10 +30,8 @@ from skdgp.dynamics._simulation.simulate import simulate
 from skdgp.dynamics._simulation.simulator import Simulator
 from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_bands
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, ThrustTable
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
-from skdgp.dynamics._vehicle.propeller import Propeller
-from skdgp.dynamics._vehicle.thrust_line import ThrustLine
-from skdgp.dynamics._vehicle.thrust_table import ThrustTable
 
 __all__ = [
     "STATE_NAMES",

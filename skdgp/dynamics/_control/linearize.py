@@ -16,7 +16,7 @@ from skdgp.dynamics._control.modes import mode_table
 from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.propulsion import thrust_control
+from skdgp.dynamics._vehicle.loads import thrust_control
 
 __all__ = ["LinearModel", "Matrices", "check_paths", "flight_point", "linearize"]
 

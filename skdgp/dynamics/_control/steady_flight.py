@@ -10,8 +10,7 @@ from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_velocity, euler_to_quaternion, gravity_in_body_axes
 from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY
-from skdgp.dynamics._vehicle.loads import FORCE_AXES, MOMENT_AXES
-from skdgp.dynamics._vehicle.propulsion import thrust_control
+from skdgp.dynamics._vehicle.loads import FORCE_AXES, MOMENT_AXES, thrust_control
 
 __all__ = ["SteadyFlight"]
 

@@ -16,7 +16,7 @@ from skdgp._flight.frames import air_data, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations.aerodynamics import as_aerodynamics
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.propulsion import propulsion_of
+from skdgp.dynamics._vehicle.loads import propulsion_loads
 
 __all__ = ["Instant", "Motion"]
 
@@ -172,7 +172,7 @@ class Motion:
         altitude = -state[..., 2]
         density = self._density(altitude) if callable(self._density) else self._density
         X = self._explicit(state, controls, airspeed, alpha, beta, density, altitude)
-        others = propulsion_of(self.aircraft, self.thrust, controls, airspeed, density)
+        others = propulsion_loads(self.aircraft, self.thrust, controls, airspeed, density)
         if not self._implicit:
             return self._loaded(state, X, airspeed, alpha, beta, density, others)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit

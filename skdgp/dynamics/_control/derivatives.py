@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp.dynamics._control.jacobian import check_settled
 from skdgp.dynamics._control.linearize import check_paths, flight_point
 from skdgp.dynamics._control.trim import Trim
-from skdgp.dynamics._equations.motion import ACCELERATION_LENGTHS, HAT, LENGTHS, Motion
+from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
@@ -21,6 +21,7 @@ __all__ = ["stability_derivatives"]
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
 """Rates about the x and the z axis, which turn with the axes."""
+LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 NORMAL_95 = 1.959963984540054
 
 
@@ -208,14 +209,12 @@ def _axes(alpha, rows, stability) -> np.ndarray:
 def _scale(motion: Motion, k: int, airspeed) -> np.ndarray:
     """Return the slope by the conventional quantity over the slope by the model's k-th regressor, (n,)."""
     name, full = motion.regressors[k], motion.aerodynamics.regressors[k]
-    lengths = LENGTHS | ACCELERATION_LENGTHS
-    if name not in lengths:
+    if name not in LENGTHS:
         return np.ones_like(airspeed)
-    usual, own = (getattr(of, lengths[name]) for of in (motion.aircraft, motion.aerodynamics))
-    power = 2 if name in ACCELERATION_LENGTHS else 1
-    one = (1.0 if own is None else own / usual) if HAT in full else 2.0 * airspeed / usual
-    return np.broadcast_to(one**power, airspeed.shape)
+    length, model_length = (getattr(owner, LENGTHS[name]) for owner in (motion.aircraft, motion.aerodynamics))
+    factor = rate_factor(name, model_length or length, airspeed) if HAT in full else 1.0
+    return factor / rate_factor(name, length, airspeed)
 
 
 def _unit(name: str) -> str:
-    return "rad" if name in LENGTHS or name in ACCELERATION_LENGTHS else CHANNELS[name].unit if name in CHANNELS else ""
+    return "rad" if name in LENGTHS else CHANNELS[name].unit if name in CHANNELS else ""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._flight.frames import cross_matrix, quaternion_rate
-from skdgp.dynamics._equations.motion import Instant, Motion
+from skdgp.dynamics._equations.motion import Air, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
 
 __all__ = ["ERRORS", "OUTPUTS", "Jacobian", "check_settled", "jacobian"]
@@ -46,9 +46,7 @@ def jacobian(
     controls: Mapping,
     *,
     inputs: Sequence[str] = (),
-    wind=None,
-    wind_rate=None,
-    implicit=None,
+    air: Air | None = None,
 ) -> Jacobian:
     r"""Return the derivatives of an aircraft's motion at states (..., 13).
 
@@ -68,12 +66,12 @@ def jacobian(
     controls : mapping of str to float or ndarray of shape (...)
     inputs : sequence of str
         The k controls to differentiate by.
-    wind, wind_rate, implicit
+    air : Air, optional
         As for :meth:`Motion.at`.
     """
     state = np.asarray(state, dtype=float)
-    instant = motion.at(state, controls, wind, wind_rate, implicit)
-    F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant, wind, wind_rate)
+    instant = motion.at(state, controls, air)
+    F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant, air)
     slopes = motion.aerodynamics.gradient(instant.regressors)
     n = len(ERRORS) + len(inputs)
     change, gain = slopes @ G[..., :n], np.eye(6)
@@ -94,10 +92,11 @@ def check_settled(instant: Instant) -> None:
         )
 
 
-def _mechanics(motion, state, controls, inputs, instant, wind, wind_rate):
+def _mechanics(motion, state, controls, inputs, instant, air):
     """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
     frozen = copy.copy(motion)
-    wind, wind_rate = (None if air is None else np.asarray(air, dtype=float)[..., None, :] for air in (wind, wind_rate))
+    if air is not None:
+        air = Air(*(None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air))
     n_inputs, shape = len(inputs), state.shape[:-1]
     controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
     steps = np.concatenate(
@@ -118,9 +117,7 @@ def _mechanics(motion, state, controls, inputs, instant, wind, wind_rate):
         moved = {name: np.repeat(value[..., None], steps.shape[-1], axis=-1) for name, value in controls.items()}
         for k, name in enumerate(inputs):
             moved[name] = moved[name] + moves[..., 12 + k]
-        slopes = slopes + weight * _followed(
-            frozen.at(_shifted(state, moves[..., :12]), moved, wind, wind_rate), motion
-        )
+        slopes = slopes + weight * _followed(frozen.at(_shifted(state, moves[..., :12]), moved, air), motion)
     slopes = np.swapaxes(slopes / steps[..., None], -1, -2)
     d = len(motion.regressors)
     return slopes[..., :12, :], slopes[..., 12 : 12 + d, :], slopes[..., 12 + d :, :]

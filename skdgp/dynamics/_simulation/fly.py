@@ -99,9 +99,10 @@ def fly(motion: Motion, commands: Callable, air: Callable | None, clock: Clock, 
 
     def instant(step, stage, state, last):
         stage += 2 * step
-        wind, wind_rate = (None, None) if air is None else air(stage, state)
+        here = None if air is None else air(stage, state)
+        wind = None if here is None else here.wind
         controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
-        return motion.at(state, controls, wind, wind_rate, None if last is None else last.implicit), controls, wind
+        return motion.at(state, controls, here, None if last is None else last.implicit), controls, wind
 
     now = None
     with np.errstate(all="ignore"):  # what diverges is found, and said

@@ -11,6 +11,7 @@ import pandas as pd
 
 from skdgp._flight.checks import check_columns, check_names, check_table
 from skdgp._flight.frames import body_to_ned
+from skdgp.dynamics._equations.motion import Air
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, VELOCITY
 
 __all__ = ["Clock", "control_schedule", "tables_of", "warn_of_clocks", "wind_schedule"]
@@ -125,7 +126,7 @@ def air_of(wind, n_starts: int = 1) -> Callable | None:
                     f"Got wind of shape {ahead.shape} at positions {position.shape}, but expected a function of "
                     "(t, position) to the velocity of the air, north, east, down: (3,), or as the positions."
                 )
-            return 0.5 * (ahead + behind), (ahead - behind) / (2 * MOMENT)
+            return Air(0.5 * (ahead + behind), (ahead - behind) / (2 * MOMENT))
 
         return field
     if isinstance(wind, Mapping | pd.Series):
@@ -137,7 +138,7 @@ def air_of(wind, n_starts: int = 1) -> Callable | None:
             f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the finite velocity of the "
             "air, north, east, down [m/s]; or a function of time and position; or, to simulate, a table with time."
         )
-    return lambda t, state: (constant, None)
+    return lambda t, state: Air(constant)
 
 
 def wind_schedule(wind, clock: Clock, n_starts: int) -> Callable | None:
@@ -153,7 +154,7 @@ def wind_schedule(wind, clock: Clock, n_starts: int) -> Callable | None:
     columns = _interpolated(tables, WIND, clock, "wind")
     velocity = np.stack([columns[name] for name in WIND], axis=-1)
     rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)
-    return lambda stage, state: (velocity[stage], rate[stage])
+    return lambda stage, state: Air(velocity[stage], rate[stage])
 
 
 def _tables(source, what, n_starts) -> list[pd.DataFrame]:

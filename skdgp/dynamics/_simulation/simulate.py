@@ -138,7 +138,7 @@ def simulate(
     warn_of_clocks(starts, controls, wind, clock.dt)
     air = wind_schedule(wind, clock, len(starts))
     commands = control_schedule(controls, clock, _is_control(motion), len(starts), hold=hold)
-    states = initial_states(starts, None if air is None else lambda at: air(0, at)[0])
+    states = initial_states(starts, None if air is None else lambda at: air(0, at).wind)
     if n_paths is not None:
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         states = perturbed(states, initial_std, n_paths, random_state)

@@ -119,7 +119,7 @@ class Simulator:
             ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude.
         """
         starts = as_starts(x0)
-        states = initial_states(starts, None if self._air is None else lambda at: self._air(0.0, at)[0])
+        states = initial_states(starts, None if self._air is None else lambda at: self._air(0.0, at).wind)
         states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
         self.motion.aerodynamics = self._mean if mean_flies else self._mean.sample(len(states), random_state)
@@ -143,8 +143,7 @@ class Simulator:
         controls = self.motion.mixed(controls)
 
         def at(t, state):
-            wind, wind_rate = (None, None) if self._air is None else self._air(t, state)
-            now = self.motion.at(state, controls, wind, wind_rate, self._implicit)
+            now = self.motion.at(state, controls, None if self._air is None else self._air(t, state), self._implicit)
             self._implicit = now.implicit
             return now
 
@@ -161,7 +160,7 @@ class Simulator:
         return self._seen()
 
     def _seen(self) -> dict:
-        wind = None if self._air is None else self._air(self.time, self._state)[0]
+        wind = None if self._air is None else self._air(self.time, self._state).wind
         seen = {"time": self.time} | channels(self._state, wind)
         over = self._ended != FLYING
         if over.any():

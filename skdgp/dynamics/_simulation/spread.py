@@ -15,7 +15,7 @@ from skdgp._compute.linalg import semidefinite_root
 from skdgp._flight.channels import EULER
 from skdgp._flight.frames import euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
 from skdgp.dynamics._control.jacobian import Jacobian, jacobian
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._equations.motion import Air, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._simulation.fly import Record
 from skdgp.dynamics._simulation.starts import BODY, EARTH, checked_std
@@ -60,7 +60,7 @@ class _Path:
         wind = None if record.wind is None else record.wind[at]
         controls = {name: values[at] for name, values in record.controls.items()}
         self.states, self.regressors = record.states[(slice(n), *place)], record.regressors[at]
-        self.slopes: Jacobian = jacobian(motion, record.states[at], controls, wind=wind)
+        self.slopes: Jacobian = jacobian(motion, record.states[at], controls, air=None if wind is None else Air(wind))
 
     def between(self, values) -> np.ndarray:
         """Return values at the knots, (k, ...), at every step, linear between them."""

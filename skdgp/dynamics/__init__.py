@@ -21,9 +21,8 @@ from skdgp.dynamics._control.derivatives import stability_derivatives
 from skdgp.dynamics._control.linearize import LinearModel, linearize
 from skdgp.dynamics._control.trim import Trim, trim
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._equations.integrate import rk4, rk4_step
 from skdgp.dynamics._equations.inverse import aerodynamic_coefficients
-from skdgp.dynamics._equations.rigid_body import STATE_NAMES, rigid_body_derivative
+from skdgp.dynamics._equations.rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._replay.replay import replay, replay_errors
 from skdgp.dynamics._simulation.gusts import dryden_wind
 from skdgp.dynamics._simulation.simulate import simulate

@@ -1,4 +1,4 @@
-"""The rigid body: Newton and Euler in body axes over a flat earth.
+"""The rigid body: Newton and Euler in body axes over a flat earth, and their integration in time.
 
 One state vector, last axis of length 13, named in `STATE_NAMES`: position NED [m], velocity relative to the
 ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
@@ -6,9 +6,13 @@ ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skdgp._compute.typing import Array
+from skdgp._flight.atmosphere import GRAVITY as STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
 __all__ = [
@@ -19,11 +23,12 @@ __all__ = [
     "STATE_NAMES",
     "VELOCITY",
     "rigid_body_derivative",
+    "rk4",
+    "rk4_step",
 ]
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
-STANDARD_GRAVITY = 9.80665
 
 
 def rigid_body_derivative(
@@ -32,7 +37,7 @@ def rigid_body_derivative(
     moment: ArrayLike,
     aircraft: Aircraft,
     gravity: ArrayLike = STANDARD_GRAVITY,
-) -> np.ndarray:
+) -> Array:
     """Return d state / dt of a rigid aircraft under ``force`` and ``moment``.
 
     position_dot = R v;  v_dot = force / m + R^T (0, 0, g) - omega x v;
@@ -93,7 +98,7 @@ def rigid_body_derivative(
     return derivative
 
 
-def gyroscopic_moment(rates: np.ndarray, aircraft: Aircraft) -> np.ndarray:
+def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:
     """Return omega x (I omega), (..., 3) [N m], of body rates (..., 3) [rad/s]."""
     momentum = rates @ aircraft.inertia
     p, q, r = rates[..., 0], rates[..., 1], rates[..., 2]
@@ -102,3 +107,62 @@ def gyroscopic_moment(rates: np.ndarray, aircraft: Aircraft) -> np.ndarray:
     moment[..., 1] = r * momentum[..., 0] - p * momentum[..., 2]
     moment[..., 2] = p * momentum[..., 1] - q * momentum[..., 0]
     return moment
+
+
+def rk4_step(derivative: Callable[[float, Array], Array], t: float, state: Array, dt: float | Array) -> Array:
+    """Return the state one step ``dt`` [s] after ``t``, of d state / dt = derivative(t, state), by Runge and Kutta.
+
+    The derivative is evaluated at t, twice at t + dt/2 and at t + dt; the error of a step is of order dt^5.
+
+    Parameters
+    ----------
+    derivative : callable
+        ``derivative(t, state)``, of the state's shape.
+    t : float
+        Time [s].
+    state : ndarray (...)
+        Leading axes hold independent cases.
+    dt : float or ndarray
+        Step [s].
+
+    Returns
+    -------
+    ndarray (...)
+        The state at t + dt.
+    """
+    k1 = derivative(t, state)
+    k2 = derivative(t + 0.5 * dt, state + 0.5 * dt * k1)
+    k3 = derivative(t + 0.5 * dt, state + 0.5 * dt * k2)
+    k4 = derivative(t + dt, state + dt * k3)
+    return state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+def rk4(derivative: Callable[[float, Array], Array], state0: ArrayLike, times: ArrayLike) -> Array:
+    """Return the states at ``times`` [s], one step from each time to the next, starting from ``state0``.
+
+    Parameters
+    ----------
+    derivative : callable
+        ``derivative(t, state)``, of the state's shape.
+    state0 : array-like of shape (...)
+        State at ``times[0]``; leading axes hold independent cases integrated together.
+    times : array-like of shape (n_times,)
+        Steps need not be equal.
+
+    Returns
+    -------
+    numpy.ndarray of shape (n_times, ...)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.dynamics import rk4
+    >>> rk4(lambda t, y: -y, np.array([1.0, 2.0]), np.linspace(0, 1, 11))[-1].round(5)
+    array([0.36788, 0.73576])
+    """
+    times = np.asarray(times, dtype=float)
+    states = np.empty(times.shape + np.shape(state0))
+    states[0] = state0
+    for k in range(len(times) - 1):
+        states[k + 1] = rk4_step(derivative, times[k], states[k], times[k + 1] - times[k])
+    return states

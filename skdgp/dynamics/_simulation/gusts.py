@@ -9,6 +9,8 @@ import pandas as pd
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from sklearn.utils import check_random_state
 
+from skdgp._compute.linalg import covariance_root
+
 __all__ = ["Gusts", "dryden_gusts", "dryden_system", "dryden_wind", "low_altitude_turbulence"]
 
 FEET = 0.3048
@@ -99,8 +101,8 @@ def dryden_gusts(n_times: int, step: float, airspeed: float, length, intensity, 
     transition = expm(A * step)
     # In steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral.
     noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
-    x = np.einsum("fij,fj->fi", _root(covariance), rng.standard_normal((len(A), 9)))
-    shocks = np.einsum("fij,kfj->kfi", _root(noise), rng.standard_normal((n_times, len(A), 9)))
+    x = np.einsum("fij,fj->fi", covariance_root(covariance), rng.standard_normal((len(A), 9)))
+    shocks = np.einsum("fij,kfj->kfi", covariance_root(noise), rng.standard_normal((n_times, len(A), 9)))
     states = np.empty_like(shocks)
     for k, shock in enumerate(shocks):
         states[k] = x
@@ -186,10 +188,3 @@ def _second_order(T, sigma, lag) -> np.ndarray:
     """Return A of the states x, x' and felt gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
     gain = sigma * np.sqrt(T) / lag
     return np.array([[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]])
-
-
-def _root(covariance: np.ndarray) -> np.ndarray:
-    """Return the symmetric square roots of covariances (..., n, n) that may be near singular."""
-    scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(covariance / (scale[..., :, None] * scale[..., None, :]))
-    return scale[..., :, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ vectors.swapaxes(-1, -2))

@@ -2,29 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
-from skdgp.dynamics._equations.motion import CONTROLS, Motion
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
-from skdgp.dynamics._simulation.fly import fly
-from skdgp.dynamics._simulation.schedules import (
+from skdgp._compute.linalg import semidefinite_root
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import AIR_DATA, CHANNELS, TRUTH_SUFFIX
+from skdgp.dynamics._control.jacobian import jacobian
+from skdgp.dynamics._equations.error_covariance import (
+    STATES,
+    checked_std,
+    error_covariances,
+    standard_deviations,
+    start_errors,
+    state_readouts,
+)
+from skdgp.dynamics._equations.motion import CONTROLS, Air, Instant, Motion
+from skdgp.dynamics._equations.rigid_body import RATES, STANDARD_GRAVITY, VELOCITY, rk4_step
+from skdgp.dynamics._simulation.inputs import (
     PROPULSION,
+    AirAt,
     Clock,
+    as_starts,
     control_schedule,
+    initial_states,
+    perturbed,
     tables_of,
     warn_of_clocks,
     wind_schedule,
 )
-from skdgp.dynamics._simulation.spread import linear_std
-from skdgp.dynamics._simulation.starts import as_starts, initial_states, perturbed
-from skdgp.dynamics._simulation.trajectory import trajectory_table, warn_of
+from skdgp.dynamics._simulation.trajectory import channels, trajectory_table, warn_of
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import Thrust
 
-__all__ = ["simulate"]
+__all__ = ["FLYING", "Record", "end_reasons", "fly_record", "simulate"]
+
+SLOWEST = 1.0
+"""Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
+FASTEST, SPINNING = 1000.0, 60.0
+"""Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
+FLYING = ""
+MOST_KNOTS = 250
+"""Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 
 
 def simulate(
@@ -40,7 +62,7 @@ def simulate(
     random_state=0,
     return_std: bool = False,
     initial_std: Mapping[str, float] | None = None,
-    thrust: str | Callable | None = "auto",
+    thrust: Thrust = "auto",
     density: float | Callable | None = None,
     gravity: float = STANDARD_GRAVITY,
     hold: bool = False,
@@ -148,14 +170,189 @@ def simulate(
         raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
     elif len(states) == 1:
         states = states[0]
-    record = fly(motion, commands, air, clock, states)
+    record = fly_record(motion, commands, air, clock, states)
     warn_of(record, motion)
     std = linear_std(record, motion, initial_std) if return_std else {}
     return trajectory_table(record, motion, _first_times(controls, len(starts)), std)
 
 
+class Record(NamedTuple):
+    """Trajectories as flown: arrays (n_steps + 1, ...) over time, NaN where a trajectory had ended."""
+
+    time: Array
+    """Since the start, (n_steps + 1,)."""
+    states: Array
+    regressors: Array
+    coefficients: Array
+    specific_force: Array
+    derivative: Array
+    density: Array
+    wind: Array | None
+    controls: dict[str, Array]
+    ended: Array
+    """Why each trajectory ended, (...), `FLYING` where it did not."""
+    end: Array
+    """The step at which it did, (...)."""
+
+    @classmethod
+    def empty(cls, clock: Clock, shape: tuple[int, ...], n_regressors: int) -> Record:
+        """Return a record of NaN for ``shape`` trajectories."""
+        n = clock.n_steps + 1
+        sizes = {"states": 13, "regressors": n_regressors, "coefficients": 6, "specific_force": 3, "derivative": 13}
+        arrays = {name: np.full((n, *shape, size), np.nan) for name, size in sizes.items()}
+        return cls(
+            time=clock.dt * np.arange(n), density=np.full((n, *shape), np.nan), wind=None, controls={},
+            ended=np.full(shape, FLYING, dtype=object), end=np.full(shape, n), **arrays,
+        )  # fmt: skip
+
+    def write(self, k: int, state: Array, now: Instant, controls: dict, mass: float) -> None:
+        """Write step ``k``."""
+        self.states[k], self.regressors[k], self.coefficients[k] = state, now.regressors, now.coefficients
+        self.specific_force[k], self.derivative[k], self.density[k] = now.force / mass, now.derivative, now.density
+        for name, value in controls.items():
+            if name not in self.controls:
+                self.controls[name] = np.full(self.density.shape, np.nan)
+            self.controls[name][k] = value
+
+    def finish(self, k: int, reasons: dict[str, Array]) -> None:
+        """Write which trajectories end at step ``k``, and why."""
+        for reason, where in reasons.items():
+            now = np.broadcast_to(where, self.ended.shape) & self.flying
+            self.ended[now], self.end[now] = reason, k
+
+    @property
+    def flying(self) -> Array:
+        """Which trajectories have not ended, (...)."""
+        return self.ended == FLYING
+
+    def without_ended(self) -> Record:
+        """Return the record with NaN in the rows of trajectories that had ended."""
+        over = np.arange(len(self.time)).reshape(-1, *[1] * self.end.ndim) >= self.end
+        for values in (*self[1:6], self.density, *self.controls.values()):
+            values[over] = np.nan
+        return self
+
+
+def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clock, state: Array) -> Record:
+    """Return what is flown from states (..., 13): the loop over time.
+
+    ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
+    :func:`wind_schedule`; a step has two stages.
+    """
+    start, mass = state, motion.aircraft.mass
+    record = Record.empty(clock, state.shape[:-1], len(motion.regressors))
+    winds = []
+
+    def instant(step, stage, state, last):
+        stage += 2 * step
+        here = None if air is None else air(stage, state)
+        wind = None if here is None else here.wind
+        controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
+        return motion.at(state, controls, here, None if last is None else last.implicit), controls, wind
+
+    now = None
+    with np.errstate(all="ignore"):  # what diverges is ended
+        for k in range(clock.n_steps + 1):
+            now, controls, wind = instant(k, 0, state, now)
+            over = end_reasons(state, now)
+            if over:
+                record.finish(k, over)
+                if not record.flying.any():
+                    break
+                state = np.where(record.flying[..., None], state, start)  # flown on from there, never shown
+                now, controls, wind = instant(k, 0, state, None)
+            record.write(k, state, now, controls, mass)
+            winds.append(wind)
+            if k < clock.n_steps:
+                state = _step(instant, k, state, now, clock.dt)
+    return record.without_ended()._replace(wind=None if air is None else _stacked(winds, record.states))
+
+
+def _step(instant: Callable, k: int, state: Array, now: Instant, dt: float) -> Array:
+    """Return the states one step on."""
+
+    def derivative(t, x):
+        stage = round(2 * t / dt)
+        return now.derivative if stage == 0 else instant(k, stage, x, now)[0].derivative
+
+    return rk4_step(derivative, 0.0, state, dt)
+
+
+def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
+    """Return which trajectories cannot go on, by reason."""
+    fine = np.isfinite(now.derivative).all(axis=-1)
+    fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
+    fine = fine & (np.abs(state[..., RATES]) < SPINNING).all(axis=-1)
+    found = {
+        "airspeed": now.airspeed < SLOWEST,
+        "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
+        "diverged": ~fine,
+        "fixed point": np.logical_not(now.settled),
+    }
+    return {reason: where for reason, where in found.items() if np.any(where)}
+
+
+def _stacked(winds: list[Array], states: Array) -> Array:
+    """Return the wind at every step, (n_steps + 1, ..., 3)."""
+    stacked = np.full((*states.shape[:-1], 3), np.nan)
+    for k, wind in enumerate(winds):
+        stacked[k] = wind
+    return stacked
+
+
+def linear_std(record: Record, motion: Motion, initial_std: Mapping[str, float] | None) -> dict[str, Array]:
+    """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order.
+
+    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance.
+
+    Raises
+    ------
+    ValueError
+        If the model gives no covariance of its errors, or a name of ``initial_std`` is unknown.
+    """
+    start, shape = checked_std(initial_std), record.ended.shape
+    found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)}
+    for place in np.ndindex(shape):
+        n = int(record.end[place])
+        if n > 1:
+            for name, std in zip(found, _std_along(record, motion, start, place, n).T, strict=True):
+                found[name][(slice(n), *place)] = std
+    return found
+
+
+def _std_along(record: Record, motion: Motion, start: Mapping[str, float], place: tuple[int, ...], n: int) -> Array:
+    """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory."""
+    states = record.states[(slice(n), *place)]
+    knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
+    at = (knots, *place)
+    wind = None if record.wind is None else Air(record.wind[at])
+    slopes = jacobian(
+        motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind
+    )
+    root = semidefinite_root(motion.aerodynamics.covariance(record.regressors[at]))  # (6 k, m), output by output
+    errors = np.moveaxis(root.reshape(6, len(knots), -1), 1, 0)
+    left = np.clip(np.searchsorted(knots, np.arange(n), side="right") - 1, 0, len(knots) - 2)
+    share = (np.arange(n) - knots[left]) / np.diff(knots)[left]
+
+    def between(values: Array, step: int) -> Array:
+        """Return values at the knots, (k, ...), at a step, linear between them."""
+        k, part = left[step], share[step]
+        return (1.0 - part) * values[k] + part * values[k + 1]
+
+    def samples() -> Iterator[tuple[Array, Array]]:
+        for step in range(n):
+            yield between(slopes.state, step), between(slopes.coefficients, step) @ between(errors, step)
+
+    covariances = error_covariances(samples(), [record.time[1]] * (n - 1), start_errors(start, states[0]))
+    readouts, air_data = state_readouts(states), slopes.outputs_state[:, :3]
+    return np.stack([
+        standard_deviations(covariance, np.concatenate([readouts[step], between(air_data, step)]))
+        for step, covariance in enumerate(covariances)
+    ])  # fmt: skip
+
+
 def _is_control(motion: Motion) -> Callable[[str], bool]:
-    """Return what tells which columns of a table are controls: a whole flight log may be given."""
+    """Return the function that finds the controls among the columns of a table, which may be a whole log."""
     if callable(motion.thrust):
         return lambda name: (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)
     mixing = motion.aerodynamics.mixing
@@ -163,6 +360,6 @@ def _is_control(motion: Motion) -> Callable[[str], bool]:
     return lambda name: name in known
 
 
-def _first_times(controls, n_starts) -> np.ndarray:
+def _first_times(controls: Any, n_starts: int) -> Array:
     first = [table["time"].iloc[0] for table in tables_of(controls)]
     return np.broadcast_to(np.array(first or [0.0], dtype=float), (n_starts,))

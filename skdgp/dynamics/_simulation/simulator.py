@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from skdgp.dynamics._equations.integrate import rk4_step
 from skdgp.dynamics._equations.motion import Motion
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
-from skdgp.dynamics._simulation.fly import FLYING, lost
-from skdgp.dynamics._simulation.schedules import air_of
-from skdgp.dynamics._simulation.starts import as_starts, initial_states, perturbed
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY, rk4_step
+from skdgp.dynamics._simulation.inputs import as_starts, initial_states, perturbed, wind_field
+from skdgp.dynamics._simulation.simulate import FLYING, end_reasons
 from skdgp.dynamics._simulation.trajectory import beyond, channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
@@ -81,7 +79,7 @@ class Simulator:
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
         self.motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
         self.dt, self.ended, self._steps = float(dt), FLYING, 0
-        self._mean, self._air, self._state, self.beyond = self.motion.aerodynamics, air_of(wind), None, ""
+        self._mean, self._air, self._state, self.beyond = self.motion.aerodynamics, wind_field(wind), None, ""
 
     @property
     def control_names(self) -> tuple[str, ...]:
@@ -151,7 +149,7 @@ class Simulator:
             state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
             self._steps += 1
             now = at(self.time, state)
-            for reason, where in lost(state, now).items():
+            for reason, where in end_reasons(state, now).items():
                 self._ended[np.broadcast_to(where, self._ended.shape) & (self._ended == FLYING)] = reason
         names = np.array(["", *self.motion.regressors], dtype=object)[beyond(self.motion, now.regressors)]
         self.beyond = str(np.reshape(names, -1)[0]) if self._single else names

@@ -8,10 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import COEFFICIENTS, EULER
+from skdgp._flight.channels import (
+    AIR_DATA,
+    BODY_VELOCITY,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+    SPECIFIC_FORCE,
+    WIND,
+)
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY
+from skdgp.dynamics._equations import rigid_body
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 
 __all__ = ["SimulationWarning", "beyond", "channels", "trajectory_bands", "trajectory_table", "warn_of"]
 
@@ -25,8 +36,6 @@ REASONS = {
     "fixed point": "no fixed point of the regressors that follow from the loads",
 }
 
-EARTH, AIR = ("v_north", "v_east", "v_down"), ("airspeed", "alpha", "beta")
-
 
 class SimulationWarning(UserWarning):
     """A trajectory ended early, or left what the model was learned from."""
@@ -38,14 +47,14 @@ def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
     earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
     air = states[..., VELOCITY] if wind is None else states[..., VELOCITY] - ned_to_body(attitude, wind)
     groups = {
-        ("north", "east", "down"): states[..., POSITION],
-        EARTH: earth,
-        ("u", "v", "w"): states[..., VELOCITY],
+        POSITION: states[..., rigid_body.POSITION],
+        EARTH_VELOCITY: earth,
+        BODY_VELOCITY: states[..., VELOCITY],
         EULER: angles,
-        ("p", "q", "r"): states[..., RATES],
+        RATES: states[..., rigid_body.RATES],
     }
     found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
-    found |= dict(zip(AIR, air_data(air), strict=True))
+    found |= dict(zip(AIR_DATA, air_data(air), strict=True))
     return found | {"altitude": -states[..., 2]}
 
 
@@ -72,11 +81,11 @@ def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     over = np.arange(n_times).reshape(-1, *[1] * len(shape)) >= record.end
     seen = channels(record.states, wind) | {"density": record.density}
     for k, name in enumerate(("p_dot", "q_dot", "r_dot")):
-        seen[name] = record.derivative[..., RATES][..., k]
-    for names, values in ((("ax", "ay", "az"), record.specific_force), (COEFFICIENTS, record.coefficients)):
+        seen[name] = record.derivative[..., rigid_body.RATES][..., k]
+    for names, values in ((SPECIFIC_FORCE, record.specific_force), (COEFFICIENTS, record.coefficients)):
         seen |= {name: values[..., k] for k, name in enumerate(names)}
     if wind is not None:
-        seen |= {name: wind[..., k] for k, name in enumerate(("wind_north", "wind_east", "wind_down"))}
+        seen |= {name: wind[..., k] for k, name in enumerate(WIND)}
     clock = np.add.outer(record.time, first_times)
     table = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
     table |= _identity(shape, n_times)
@@ -171,7 +180,7 @@ def trajectory_bands(
     if not 0 < level <= 1:
         raise ValueError(f"Got level={level!r}, but expected a share between 0 and 1.")
     check_columns(trajectories, ["start", "path", "time", "ended"], what="ensemble (simulate with n_paths=...)")
-    wanted = (*EARTH, *EULER, "p", "q", "r", *AIR, "altitude", "north", "east") if columns is None else columns
+    wanted = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east") if columns is None else columns
     names = [name for name in wanted if name in trajectories]
     rows = []
     for start, part in trajectories.groupby("start", sort=False):

@@ -78,16 +78,16 @@ def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
         values = np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
         top = np.max(values, initial=0.0, where=np.isfinite(values))
         if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + ANGLE_NOISE:
-            raise degrees_error(name, top, f"radians, at most {LARGEST_ANGLE[name]:.3f}", f"flight[{name!r}]")
+            raise degrees_error(
+                f"{name} up to {top:g}", f"radians, at most {LARGEST_ANGLE[name]:.3f}", f"flight[{name!r}]"
+            )
         if name in RATES and top > FASTEST_RATE:
-            raise degrees_error(name, top, f"rad/s, at most {FASTEST_RATE:g}", f"flight[{name!r}]")
+            raise degrees_error(f"{name} up to {top:g}", f"rad/s, at most {FASTEST_RATE:g}", f"flight[{name!r}]")
 
 
-def degrees_error(name: str, value: float, expected: str, converted: str) -> ValueError:
+def degrees_error(got: str, expected: str, name: str) -> ValueError:
     """Return the error of an angle or a rate that is too large for radians."""
-    return ValueError(
-        f"Got {name} up to {value:g}, but expected {expected}: if it is in degrees, use numpy.deg2rad({converted})."
-    )
+    return ValueError(f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).")
 
 
 def _named(table: pd.DataFrame, what: str) -> str:

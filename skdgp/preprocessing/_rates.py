@@ -59,6 +59,7 @@ class RateNondimensionalizer(TableTransformer):
     1      20.0  0.5  0.0350
     """
 
+    in_simulation = "rates"
     _parameter_constraints: dict = {
         "span": [Interval(Real, 0, None, closed="neither")],
         "chord": [Interval(Real, 0, None, closed="neither")],

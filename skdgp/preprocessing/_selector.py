@@ -97,6 +97,7 @@ class RegressorSelector(TableTransformer):
     0    0.1       0.0
     """
 
+    in_simulation = "regressors"
     _parameter_constraints: dict = {
         "regressors": [StrOptions(set(REGRESSOR_SETS)), list, tuple, np.ndarray],
         "extra": [list, tuple, np.ndarray],

@@ -25,6 +25,7 @@ class TableTransformer(CallbackSupportMixin, TransformerMixin, BaseEstimator, AB
     """
 
     _known = frozenset(CHANNELS)
+    in_simulation = "measurements"  # see skdgp.dynamics.as_aerodynamics
 
     @_fit_context(prefer_skip_nested_validation=True)
     def fit(self, X, y=None):

@@ -5,7 +5,7 @@ import pytest
 
 from skdgp._flight.frames import quaternion_rate
 from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body
-from skdgp.dynamics._control.jacobian import ERRORS, OUTPUTS, jacobian
+from skdgp.dynamics._control.linearize import ERRORS, OUTPUTS, jacobian
 from skdgp.dynamics._equations.motion import Air, Motion
 
 WIND, WIND_RATE = np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.dynamics._control.modes import mode_table
+from skdgp.dynamics._control.linearize import mode_table
 
 ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
 # Boeing 747-100 at Mach 0.8 and 40,000 ft, in feet: Etkin & Reid 1996, equations 6.2,1 and 6.7,1.

@@ -9,8 +9,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
-from skdgp.dynamics._control.jacobian import check_settled
-from skdgp.dynamics._control.linearize import check_paths, flight_point
+from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
 from skdgp.dynamics._control.trim import Trim
 from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY

@@ -11,7 +11,7 @@ import pandas as pd
 from skdgp._compute.linalg import semidefinite_root
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, CHANNELS, TRUTH_SUFFIX
-from skdgp.dynamics._control.jacobian import jacobian
+from skdgp.dynamics._control.linearize import jacobian
 from skdgp.dynamics._equations.error_covariance import (
     STATES,
     checked_std,

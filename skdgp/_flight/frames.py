@@ -17,6 +17,7 @@ __all__ = [
     "air_data_slopes",
     "air_velocity",
     "body_to_ned",
+    "cross",
     "cross_matrix",
     "euler_per_rotation",
     "euler_to_matrix",
@@ -143,10 +144,10 @@ def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray
     ``slopes @ acceleration`` are the rates of change, alpha_dot = (u w' - w u') / (u^2 + w^2) among them. Speeds below
     ``least_speed`` [m/s] count as that, which bounds the slopes.
     """
-    u, v, w = np.moveaxis(np.asarray(velocity, dtype=float), -1, 0)
+    u, v, w = _components(velocity)
     airspeed = np.maximum(np.sqrt(u * u + v * v + w * w), least_speed)
     across = np.maximum(np.hypot(u, w), least_speed)
-    slopes = np.zeros((*u.shape, 3, 3))
+    slopes = np.zeros((*np.shape(u), 3, 3))
     slopes[..., 0, 0], slopes[..., 0, 1], slopes[..., 0, 2] = u / airspeed, v / airspeed, w / airspeed
     slopes[..., 1, 0], slopes[..., 1, 2] = -w / across**2, u / across**2
     factor = v / (airspeed**2 * across)
@@ -172,7 +173,10 @@ def _vector(*components: ArrayLike) -> np.ndarray:
     """Return the components as vectors (..., k)."""
     if all(isinstance(component, float) for component in components):
         return np.array(components)
-    return np.stack(np.broadcast_arrays(*components), axis=-1)
+    vector = np.empty((*np.broadcast(*components).shape, len(components)))
+    for k, component in enumerate(components):
+        vector[..., k] = component
+    return vector
 
 
 def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
@@ -186,6 +190,12 @@ def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
         y + q0 * cy + e3 * cx - e1 * cz,
         z + q0 * cz + e1 * cy - e2 * cx,
     )
+
+
+def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Return a x b, (..., 3); numpy.cross takes five times as long on a few vectors."""
+    (a1, a2, a3), (b1, b2, b3) = _components(a), _components(b)
+    return _vector(a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1)
 
 
 def cross_matrix(vector: ArrayLike) -> np.ndarray:

@@ -74,8 +74,8 @@ def jacobian(
     .. math:: dC = (I - c_X G_C)^{-1} (c_X (G_x dx + G_u du) + e), \quad d\dot x = F_x dx + F_u du + F_C dC
 
     with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some 1e-10. ``controls``
-    are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate by. Where the aerodynamics are paths, these
-    are the first axis of ``state``.
+    are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate by. Where the aerodynamics are paths,
+    these are the first axis of ``state``.
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls, air)

@@ -15,7 +15,7 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
-from skdgp._flight.frames import air_velocity, euler_to_quaternion, gravity_in_body_axes
+from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
 from skdgp.dynamics._control.linearize import check_settled
 from skdgp.dynamics._equations.motion import IMPLICIT, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY
@@ -342,7 +342,7 @@ class SteadyFlight:
         """Return what happens in this flight; implicit regressors are searched from those of a steady one."""
         steady = np.zeros((*state.shape[:-1], len(IMPLICIT)))
         weight = gravity_in_body_axes(known["phi"], known["theta"], self.motion.gravity)
-        steady[..., 5:] = np.cross(state[..., RATES], state[..., VELOCITY]) - weight
+        steady[..., 5:] = cross(state[..., RATES], state[..., VELOCITY]) - weight
         return self.motion.at(state, controls, implicit=steady)
 
     def residual(self, x: Array, airspeed: float) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import cross_matrix, euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
+from skdgp._flight.frames import cross, cross_matrix, euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 
 __all__ = [
@@ -58,7 +58,7 @@ def start_errors(std: Mapping[str, float], states: Array) -> Array:
         elif name in EULER:
             errors[..., 6:9, k] = size * turns[..., EULER.index(name)]
             if not any(body in std for body in BODY_VELOCITY):
-                errors[..., 3:6, k] = np.cross(velocity, errors[..., 6:9, k])
+                errors[..., 3:6, k] = cross(velocity, errors[..., 6:9, k])
         else:
             errors[..., ERRORS.index(name), k] = size
     return errors

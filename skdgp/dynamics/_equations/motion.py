@@ -21,7 +21,7 @@ from skdgp._flight.channels import (
     rate_factor,
 )
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import air_data, air_data_slopes, ned_to_body, quaternion_to_euler
+from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
 from skdgp.dynamics._vehicle.aircraft import Aircraft
@@ -263,7 +263,7 @@ class Motion:
         """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`; ``wind`` in body axes."""
         acceleration = now.derivative[..., VELOCITY]
         if wind is not None:  # a wind that is constant over the earth turns against the aircraft in body axes
-            acceleration = acceleration + np.cross(state[..., RATES], wind)
+            acceleration = acceleration + cross(state[..., RATES], wind)
             if air.wind_rate is not None:
                 acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
         found = np.empty((*state.shape[:-1], len(IMPLICIT)))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import GRAVITY as STANDARD_GRAVITY
+from skdgp._flight.frames import cross
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
 __all__ = [
@@ -100,13 +101,7 @@ def rigid_body_derivative(
 
 def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:
     """Return omega x (I omega), (..., 3) [N m], of body rates (..., 3) [rad/s]."""
-    momentum = rates @ aircraft.inertia
-    p, q, r = rates[..., 0], rates[..., 1], rates[..., 2]
-    moment = np.empty_like(momentum)
-    moment[..., 0] = q * momentum[..., 2] - r * momentum[..., 1]
-    moment[..., 1] = r * momentum[..., 0] - p * momentum[..., 2]
-    moment[..., 2] = p * momentum[..., 1] - q * momentum[..., 0]
-    return moment
+    return cross(rates, rates @ aircraft.inertia)
 
 
 def rk4_step(derivative: Callable[[float, Array], Array], t: float, state: Array, dt: float | Array) -> Array:

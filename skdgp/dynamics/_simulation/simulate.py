@@ -225,6 +225,12 @@ class Record(NamedTuple):
         """Which trajectories have not ended, (...)."""
         return self.ended == FLYING
 
+    def rows(self, part: slice) -> Record:
+        """Return the record of some of the steps."""
+        controls = {name: values[part] for name, values in self.controls.items()}
+        arrays = [None if values is None else values[part] for values in self[:8]]
+        return Record(*arrays, controls, self.ended, self.end - part.start)
+
     def without_ended(self) -> Record:
         """Return the record with NaN in the rows of trajectories that had ended."""
         over = np.arange(len(self.time)).reshape(-1, *[1] * self.end.ndim) >= self.end

@@ -11,6 +11,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from skdgp._flight.channels import SENSOR_GUST
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import (
@@ -23,8 +24,6 @@ from skdgp.preprocessing import (
 )
 
 CALIBRATION_ROWS = 1500
-CALM = 0.1
-"""Change of the air in one second [m/s] that is as much as the sensors leave unknown without any gusts."""
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 
 
@@ -162,7 +161,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[np.ndar
             continue
         flight = step.transform(flight)
         if isinstance(step, FlightPathReconstruction) and not step.missing_ and "gust" in flight:
-            times = (flight["gust"].to_numpy() ** 2 + CALM**2) / (step.gust_std_**2 + CALM**2)
+            times = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (step.gust_std_**2 + SENSOR_GUST**2)
     return np.asarray(flight), times
 
 

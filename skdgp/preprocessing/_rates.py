@@ -7,12 +7,9 @@ from numbers import Real
 import numpy as np
 from sklearn.utils._param_validation import Interval
 
+from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
-
-RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
-ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
-SUFFIX = "_hat"
 
 
 class RateNondimensionalizer(TableTransformer):
@@ -79,7 +76,7 @@ class RateNondimensionalizer(TableTransformer):
         return with_columns(table, self._hats(table))
 
     def _columns_out(self, names):
-        added = [name + SUFFIX for name in self.rates_]
+        added = [name + HAT for name in self.rates_]
         return names + [name for name in added if name not in names]
 
     def _hats(self, table):
@@ -87,12 +84,10 @@ class RateNondimensionalizer(TableTransformer):
         airspeed = numeric(table, ["airspeed"])[:, 0]
         _check_flying(airspeed)
         values = dict(zip(self.rates_, numeric(table, self.rates_).T, strict=True))
-        return {name + SUFFIX: self._scale(name, airspeed) * rate for name, rate in values.items()}
+        return {name + HAT: self._scale(name, airspeed) * rate for name, rate in values.items()}
 
     def _scale(self, name, airspeed):
-        if name in ACCELERATION_LENGTHS:
-            return (getattr(self, ACCELERATION_LENGTHS[name]) / (2 * airspeed)) ** 2
-        return getattr(self, RATE_LENGTHS[name]) / (2 * airspeed)
+        return rate_factor(name, getattr(self, (RATE_LENGTHS | ACCELERATION_LENGTHS)[name]), airspeed)
 
 
 def _check_flying(airspeed):

@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 from sklearn.utils._param_validation import StrOptions
 
-from skdgp._flight.channels import TRUTH_SUFFIX
+from skdgp._flight.channels import HAT, TRUTH_SUFFIX
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.preprocessing._rates import SUFFIX
 from skdgp.preprocessing._table import TableTransformer, numeric
 
 SURFACES = ("elevator", "aileron", "rudder")
@@ -165,7 +164,7 @@ class RegressorSelector(TableTransformer):
 
     def _from_set(self, table, names):
         _check_made(table, names)
-        here = [name + SUFFIX if name + SUFFIX in table else name for name in names]
+        here = [name + HAT if name + HAT in table else name for name in names]
         self.absent_ = [name for name in OPTIONAL if name in here and _absent(name, table)]
         if all(surface in self.absent_ for surface in SURFACES):
             check_columns(table, SURFACES)
@@ -182,7 +181,7 @@ def _absent(name, table):
 
 def _check_made(table, names):
     """Point to the step that makes a missing column."""
-    if all(name in table or name + SUFFIX in table for name in names):
+    if all(name in table or name + HAT in table for name in names):
         return
     check_columns(table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table])
     missing = {name: maker for name, maker in MAKERS.items() if name in names and name not in table}
@@ -261,7 +260,7 @@ def _remedy_of_holes(measured) -> str:
 
 def _sources(name, table) -> dict[str, int]:
     """Return the measured columns with holes that a regressor was made from, by rows."""
-    rate = name.removesuffix(SUFFIX)
+    rate = name.removesuffix(HAT)
     sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
     sources += ELEVONS if name in MIXED else ()
     holes = {source: ~(np.abs(numeric(table, [source])) < LARGEST) for source in sources if source in table}

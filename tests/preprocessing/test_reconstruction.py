@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.frames import air_data
 from skdgp.preprocessing import FlightPathReconstruction, FlightSmoother
 from skdgp.preprocessing._reconstruction.bordered import Prior, Rows, solve
 from skdgp.preprocessing._reconstruction.flight_log import NEEDED, first_guess, flight_logs
@@ -15,7 +16,6 @@ from skdgp.preprocessing._reconstruction.kinematics import (
     CONSTANTS,
     PLACE,
     SENSORS,
-    air_data,
     air_data_rates,
     looks,
     ties,
@@ -55,7 +55,7 @@ def flown(seconds=80.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, lo
     wind = mean_wind + walk - walk.mean(axis=0)
     turning = np.zeros((len(t), 3))
     turning[1:-1] = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * step)
-    air = air_data(attitude.inv().apply(velocity - wind))
+    air = np.column_stack(air_data(attitude.inv().apply(velocity - wind)))
     euler = attitude.as_euler("ZYX")[:, ::-1]
     force = attitude.inv().apply(CubicSpline(t, velocity)(t, 1) - [0, 0, GRAVITY])
     truth = np.column_stack([force, turning, np.unwrap(euler, axis=0), air, velocity, wind])

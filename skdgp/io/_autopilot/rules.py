@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
+from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp._flight.frames import euler_to_quaternion
 
 ATTITUDE = ("phi", "theta", "psi")
@@ -18,8 +20,6 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 """Attitude between message and table: quaternions, body to north-east-down, of any length."""
 EQUIVALENT = "equivalent_airspeed"
 """Airspeed that a pressure difference gives at sea level: sqrt(density / DENSITY) of the true one."""
-DENSITY, PRESSURE = 1.225, 101325.0
-"""Of the standard atmosphere at sea level [kg/m^3, Pa]."""
 DEGREE, RPM = np.pi / 180, np.pi / 30
 
 

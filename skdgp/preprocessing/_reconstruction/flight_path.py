@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from skdgp._flight.channels import LEAST_GUST
 from skdgp.preprocessing._reconstruction.bordered import Posterior, Prior, Rows, solve
 from skdgp.preprocessing._reconstruction.kinematics import CONSTANTS, LAGS, PLACE, Log, Path, air_data_rows, looks, ties
 
@@ -28,8 +29,6 @@ GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}
 """The same for gusts: standard deviation of their change in one second [m/s]."""
 TIES = (*["accelerometer"] * 3, *["gyro"] * 3, "gust_horizontal", "gust_horizontal", "gust_vertical")
 LOOKS = ("airspeed", "alpha", "beta", "v_horizontal", "v_horizontal", "v_down", "tilt", "tilt", "heading")
-CALM = 1e-3
-"""Gusts below this [m/s in one second] are calm air."""
 TINY = 1e-9
 GUESSED = 10
 """So many residuals the starting value of a sensor's noise counts for: it decides where the flight tells nothing."""
@@ -207,7 +206,7 @@ def _variance_components(sums, noise, learn, pace):
         if name not in sums or not sums[name].count:
             continue
         squares, trace, count = sums[name]
-        guessed, least = (GUESSED, TINY) if name in NOISE else (0, CALM)
+        guessed, least = (GUESSED, TINY) if name in NOISE else (0, LEAST_GUST)
         redundancy = max(count - trace, 1.0)
         guess = guessed * (NOISE.get(name, 0.0) / noise[name]) ** 2
         ratio = (squares + guess) / (redundancy + guessed)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from skdgp._flight.frames import cross_matrix
+from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
 from skdgp.preprocessing._reconstruction.bordered import Rows
 
 Floats = NDArray[np.float64]
@@ -116,26 +116,6 @@ class Path(NamedTuple):
         return log.rate - self.of("p_bias", "q_bias", "r_bias")
 
 
-def air_data(velocity) -> Floats:
-    """Return airspeed, alpha, beta (n, 3) of the velocity through the air (n, 3), body axes."""
-    u, v, w = velocity.T
-    speed = np.linalg.norm(velocity, axis=1)
-    return np.column_stack([speed, np.arctan2(w, u), np.arctan2(v, np.hypot(u, w))])
-
-
-def air_data_slopes(velocity) -> Floats:
-    """Return the derivative of airspeed, alpha, beta by the velocity, (n, 3, 3); bounded where it is slow."""
-    u, v, w = velocity.T
-    speed = np.maximum(np.linalg.norm(velocity, axis=1), SLOWEST)
-    across = np.maximum(np.hypot(u, w), SLOWEST)
-    slopes = np.zeros((len(velocity), 3, 3))
-    slopes[:, 0] = velocity / speed[:, None]
-    slopes[:, 1, 0], slopes[:, 1, 2] = -w / across**2, u / across**2
-    slopes[:, 2] = -velocity * (v / (speed**2 * across))[:, None]
-    slopes[:, 2, 1] += 1 / across
-    return slopes
-
-
 def air_data_rates(path: Path, log: Log) -> Floats:
     """Return the rates of change of airspeed, alpha, beta (n, 3) in air that keeps its velocity.
 
@@ -144,18 +124,18 @@ def air_data_rates(path: Path, log: Log) -> Floats:
     """
     velocity = path.air_velocity()
     acceleration = path.force(log) + path.attitude.inv().apply(_gravity(log)) - np.cross(path.rate(log), velocity)
-    return np.einsum("nij,nj->ni", air_data_slopes(velocity), acceleration)
+    return np.einsum("nij,nj->ni", air_data_slopes(velocity, SLOWEST), acceleration)
 
 
 def air_data_rows(path: Path) -> Rows:
     """Return airspeed, alpha, beta themselves as rows: their values, and how they change with path and mean wind."""
     velocity, R = path.air_velocity(), path.attitude.as_matrix()
-    slopes = air_data_slopes(velocity)
+    slopes = air_data_slopes(velocity, SLOWEST)
     toward = slopes @ R.swapaxes(1, 2)
     here = np.concatenate([toward, slopes @ cross_matrix(velocity), -toward], axis=2)
     shared = np.zeros((len(R), 3, len(CONSTANTS)))
     shared[:, :, [PLACE[name] for name in WIND]] = -toward[:, :, :2]
-    return Rows(air_data(velocity), here, None, shared)
+    return Rows(np.column_stack(air_data(velocity)), here, None, shared)
 
 
 def ties(path: Path, log: Log, correlation: Floats) -> Rows:

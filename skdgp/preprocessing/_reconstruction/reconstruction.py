@@ -13,6 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.frames import air_data
 from skdgp.preprocessing._reconstruction.flight_log import (
     AIR,
     ATTITUDE,
@@ -25,7 +26,7 @@ from skdgp.preprocessing._reconstruction.flight_log import (
     missing_in,
 )
 from skdgp.preprocessing._reconstruction.flight_path import GUSTS, NOISE, estimate
-from skdgp.preprocessing._reconstruction.kinematics import CONSTANTS, INERTIAL, SENSORS, WIND, air_data, air_data_rates
+from skdgp.preprocessing._reconstruction.kinematics import CONSTANTS, INERTIAL, SENSORS, WIND, air_data_rates
 from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import TableTransformer, with_columns
 
@@ -255,7 +256,7 @@ class FlightPathReconstruction(TableTransformer):
 
 def _channels(path, log, rates):
     """Return the reconstructed columns of a flight."""
-    air = air_data(path.air_velocity())
+    air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
     dots = air_data_rates(path, log) if rates == "steady" else _slopes(air, path, log)
     parts = [air, dots[:, 1:], path.rate(log), path.force(log), rotation, path.velocity, path.wind()]

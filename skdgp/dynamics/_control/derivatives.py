@@ -37,17 +37,17 @@ def stability_derivatives(
     gravity: float = STANDARD_GRAVITY,
     density=None,
 ) -> pd.DataFrame:
-    r"""Return the coefficients and their derivatives at a flight, or at several, and how sure the model is of them.
+    r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
 
     Derivatives by rates are by the non-dimensional ones, :math:`pb/2V`, :math:`qc/2V`, :math:`rb/2V`,
-    :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever the model was given (Stevens, Lewis & Johnson 2016,
-    section 2.3). Lift and drag follow from
+    :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever regressors the model has (Stevens, Lewis & Johnson 2016,
+    section 2.3). Lift and drag are
 
     .. math:: C_L = C_X \sin\alpha - C_Z \cos\alpha, \quad C_D = -C_X \cos\alpha - C_Z \sin\alpha, \quad
-        C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D
+        C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D.
 
-    as their axes turn with alpha. Stability axes are the body's, turned to the alpha of the flight and fixed there:
-    in them are then the moments, and the rates p and r.
+    Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and the rates p and r are
+    in them.
 
     Parameters
     ----------
@@ -55,18 +55,17 @@ def stability_derivatives(
         As for :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
     point : Trim, array-like of shape (13,), or several of them
-        Where: trims, or states (`STATE_NAMES`) with their ``controls``.
+        Trims, or states (`STATE_NAMES`) with their ``controls``.
     controls : mapping of str to float or array-like of shape (n,), optional
     axes : {"body", "stability"}
         "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
     n_paths : int
-        How many functions of the posterior tell the standard deviations, each with a relative error of
-        1 / sqrt(2 n_paths); 0: no deviations. One function has all its derivatives together, so their sums are told
-        rightly too. A model without a posterior has none.
+        Number of posterior functions that give the standard deviations, each with a relative error of
+        1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
     random_state : int, RandomState instance or None
-        Of these.
+        Of the paths.
     thrust, gravity, density
-        As for :func:`skdgp.dynamics.simulate`; they tell the regressors that follow from the loads, if there are any.
+        As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the loads.
 
     Returns
     -------
@@ -82,7 +81,7 @@ def stability_derivatives(
 
     Notes
     -----
-    A model without alpha_dot and beta_dot gives the rates what these do, as far as they went together in the flights:
+    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went together in the flights:
     its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot, its Cn_r between Cn_r and Cn_r - Cn_beta_dot cos(alpha), its
     Cn_p between Cn_p and Cn_p + Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1; docs/control.md).
 

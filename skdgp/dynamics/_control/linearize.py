@@ -178,7 +178,7 @@ class LinearModel:
         Rows and columns carry the names of states, inputs, outputs.
     state : ndarray of shape (13,)
     controls : dict
-        Where it was taken.
+        The flight.
     paths : Matrices or None
         The same of each path of the posterior, (n_paths, ...).
     """
@@ -208,13 +208,7 @@ class LinearModel:
 
     @property
     def std(self) -> Matrices:
-        """Standard deviations of the entries over the paths, as tables.
-
-        Raises
-        ------
-        ValueError
-            If there are no paths.
-        """
+        """Standard deviations of the entries over the paths, as tables; raises ValueError if there are no paths."""
         if self.paths is None:
             raise ValueError("Got a linear model without paths: linearize(..., n_paths=100) has them.")
         means = (self.A, self.B, self.C, self.D)
@@ -251,13 +245,13 @@ class LinearModel:
         return self._without(ALONG, LONGITUDINAL_CONTROLS)
 
     def modes(self) -> pd.DataFrame:
-        r"""Return a row for each mode: what it is called, how fast it is, how it is damped.
+        r"""Return a row for each mode: its name, how fast it is, how it is damped.
 
-        A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Longitudinal modes are told from lateral ones, the
-        short period from the phugoid (w and q), the Dutch roll from roll and spiral (v and r, p) by participation
-        factors (Perez-Arriaga, Verghese & Schweppe 1982): the share of each state in each mode, whatever its unit. A
-        pair that has split into two real roots keeps its name with a number; a roll and a spiral that have become one
-        oscillation are the "roll-spiral". Position, height and heading are left out: they integrate.
+        A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Modes are named by participation factors
+        (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode: of w and q in short period and
+        phugoid, of v, r and p in Dutch roll, roll and spiral. A pair that has split into two real roots keeps its name
+        with a number; a roll and a spiral that have become one oscillation are the "roll-spiral". Position and heading
+        are left out.
 
         Returns
         -------
@@ -276,13 +270,7 @@ class LinearModel:
         return StateSpace(*(table.to_numpy() for table in self._tables()))
 
     def to_control(self) -> Any:
-        """Return it as :class:`control.StateSpace` of python-control, with names.
-
-        Raises
-        ------
-        ImportError
-            If python-control is absent.
-        """
+        """Return it as :class:`control.StateSpace` of python-control, with names; raises ImportError without it."""
         try:
             import control
         except ImportError as error:
@@ -318,10 +306,10 @@ def linearize(
     gravity: float = STANDARD_GRAVITY,
     density: float | Callable | None = None,
 ) -> LinearModel:
-    """Linearise an aircraft's motion about a trim, through the slopes of its model.
+    """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
-    Regressors that follow from the loads (alpha_dot, accelerations) are taken along by the implicit function theorem.
-    Air is at rest; in steady wind the same holds of the motion relative to the air.
+    Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit function theorem.
+    Air is at rest; in steady wind the same holds for the motion relative to the air.
 
     Parameters
     ----------
@@ -329,20 +317,20 @@ def linearize(
         As for :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
     point : Trim or array-like of shape (13,)
-        Where: a trim, or a state (`STATE_NAMES`) with its ``controls``.
+        A trim, or a state (`STATE_NAMES`) with its ``controls``.
     controls : mapping of str to float, optional
     states : sequence of str
-        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]. Those left out stand still: with
+        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]; others stand still. With
         ``"down"`` the density changes with height.
     inputs : sequence of str, optional
-        By default the model's controls and what sets the thrust.
+        By default the model's controls and the one that sets the thrust.
     outputs : sequence of str, optional
         Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these six.
     n_paths : int
-        How many functions of the model's posterior to linearise too, at the same point, for `LinearModel.std` and the
-        spread of the modes.
+        Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and the spread of
+        the modes.
     random_state : int, RandomState instance or None
-        Of these.
+        Of the paths.
     thrust, gravity, density
         As for :func:`skdgp.dynamics.simulate`.
 
@@ -466,10 +454,7 @@ def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
 
 
 def mode_table(A: np.ndarray, states: Sequence[str], paths: np.ndarray | None = None) -> pd.DataFrame:
-    r"""Return a row for each mode of :math:`\dot x = A x`, with the spread over ``paths`` (n_paths, n, n).
-
-    See :meth:`skdgp.dynamics.LinearModel.modes`.
-    """
+    r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
     states = list(states)
     core = [name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family]
     core = core or states

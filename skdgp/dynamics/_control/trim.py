@@ -47,7 +47,7 @@ STARTS = (0.5, 0.25, 0.75, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class Trim:
-    """A steady flight, and how near to steady it is.
+    """A steady flight.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ class Trim:
     coefficients : ndarray of shape (6,)
         CX CY CZ Cl Cm Cn.
     solved : tuple of str
-        What was solved for; the rest was given.
+        The unknowns; the rest was given.
     residual : float
-        The largest acceleration that is left [m/s^2 or rad/s^2].
+        The largest acceleration that remains [m/s^2 or rad/s^2].
     beyond : dict
         Regressors outside what the model was learned from: name to (value, smallest, largest).
     """
@@ -119,16 +119,16 @@ def trim(
     gravity: float = STANDARD_GRAVITY,
     density: float | Callable | None = None,
 ) -> Trim | list[Trim]:
-    r"""Find the steady flight of an aircraft at an airspeed.
+    r"""Return the steady flight of an aircraft at an airspeed.
 
     Six accelerations vanish and the flight path has its angle (Stevens, Lewis & Johnson 2016, section 3.6),
 
     .. math:: \dot u = \dot v = \dot w = \dot p = \dot q = \dot r = 0, \quad
-        \dot h = V \sin\gamma, \quad (p, q, r) = \dot\psi\,(-\sin\theta, \sin\phi\cos\theta, \cos\phi\cos\theta),
+        \dot h = V \sin\gamma, \quad (p, q, r) = \dot\psi\,(-\sin\theta, \sin\phi\cos\theta, \cos\phi\cos\theta).
 
-    solved for alpha, theta, phi and four controls: of the model, and the one that sets the thrust. With ``bank`` the
-    turn rate is solved for instead of phi. With fewer controls, as without a rudder, sideslip is solved for instead of
-    being zero, and so it is if both ``bank`` and ``turn_rate`` are given (a steady sideslip).
+    The unknowns are alpha, theta, phi and four controls: those of the model, and the one that sets the thrust. With
+    ``bank`` the turn rate is unknown instead of phi. Sideslip is unknown, instead of zero, where there are fewer
+    controls, as without a rudder, or where both ``bank`` and ``turn_rate`` are given (a steady sideslip).
 
     Parameters
     ----------
@@ -140,21 +140,20 @@ def trim(
     altitude : float
         [m], for the density of the air; a climb is steady at that altitude.
     climb : float or None
-        Angle of the flight path [rad]; None: what the thrust that is ``fixed`` gives, or none in a glider.
+        Angle of the flight path [rad]; None: unknown, for a thrust that is ``fixed`` or a glider.
     turn_rate, bank : float, optional
         Rate of change of heading [rad/s], or phi [rad]; neither: straight flight.
     beta : float, optional
         Sideslip [rad]; by default 0 where four controls can hold it.
     controls : sequence of str, optional
-        Which controls to solve for; by default all that are not ``fixed``. At most four.
+        The controls that are unknown, at most four; by default all that are not ``fixed``.
     fixed : mapping of str to float, optional
         Values of other controls. A ``throttle`` that the model knows but that does not set the thrust (an aircraft
-        without a propeller) is otherwise in the middle of what was flown.
+        without a propeller) is by default the middle of what was flown.
     limits : mapping of str to pair of float, optional
         Of controls, alpha, beta, phi, theta. By default controls and alpha may leave what the model was learned from
-        by the width of it on either side, or 0.1 rad: a model knows nothing of stops, and beyond knows nothing at all.
-        Where a model does not say what it was learned from, surfaces reach 45 degrees. ``throttle`` is 0 to 1,
-        ``thrust`` > 0.
+        by the width of it on either side, at least 0.1 rad; surfaces reach 45 degrees where that is unknown;
+        ``throttle`` is 0 to 1, ``thrust`` > 0.
     thrust, gravity, density
         As for :func:`skdgp.dynamics.simulate`.
 
@@ -165,8 +164,8 @@ def trim(
     Raises
     ------
     ValueError
-        If there is no such flight: which accelerations are left, and what is at its limit. If what is asked for is
-        not finite, or an angle beyond a right one.
+        If there is no such flight, with the accelerations that remain and the unknowns at a limit; if a given value is
+        not finite, or an angle of 90 degrees or more.
 
     Examples
     --------

@@ -52,18 +52,17 @@ def replay(
     external_forces: Sequence[str] = (),
     gravity: float = STANDARD_GRAVITY,
 ) -> pd.DataFrame:
-    """Integrate predicted coefficients along a flight, restarting from the measured state every horizon.
+    """Return predicted coefficients integrated along a flight, restarting from the measured state every horizon.
 
-    The equations of motion of `rigid_body_derivative` are integrated by RK4 over the log's samples, with the
-    loads of the predicted coefficients at the measured airspeed and density, the propulsive and external loads
-    and gravity. All windows of a horizon are integrated as one batch.
+    The equations of `rigid_body_derivative` are integrated by RK4 over the log's samples, with the loads of the
+    predicted coefficients at the measured airspeed and density, the propulsive and external loads and gravity.
 
     Parameters
     ----------
     flight : pandas.DataFrame
         ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``; ``v_north``, ``v_east``,
         ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down`` where known; ``flight`` (id); the columns
-        that tell the thrust.
+        of the thrust.
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     coefficients : array-like of shape (n, 6)
@@ -73,7 +72,7 @@ def replay(
     horizon : float or sequence of float, default=2.0
         Seconds from restart to restart.
     correlation_time : float, default=0.5
-        Time [s] over which the errors of the coefficients forget themselves: error = std * z with
+        Of the errors of the coefficients [s]: error = std * z with
         ``corr(z(t), z(t')) = exp(-|t - t'| / correlation_time)``. 0: every sample anew; ``numpy.inf``: one error for a
         whole window, the widest bands.
     initial_std : mapping of str to float, optional
@@ -99,9 +98,8 @@ def replay(
 
     Notes
     -----
-    The bands are linear: they are the covariance of small errors of position, velocity, attitude and rates along the
-    replayed path. They come from ``std`` and ``initial_std`` alone: airspeed, density, thrust, mass and inertia are
-    taken as exact.
+    The bands are the covariance of small errors of position, velocity, attitude and rates along the replayed path, from
+    ``std`` and ``initial_std`` alone: airspeed, density, thrust, mass and inertia count as exact.
 
     Examples
     --------
@@ -375,8 +373,8 @@ def restart_windows(time: Array, runs: Iterable[slice], horizon: float, known: M
     """Return the rows of each window, (n_windows, n_steps + 1), shorter windows padded with their last row.
 
     A window starts at a row of a run whose state is ``known`` (n,), by default any, and ends at the last such row no
-    more than ``horizon`` [s] later, where the next one starts: neighbours share that row. Where no known row lies
-    within the horizon, the window ends with the horizon and the next one starts at the next known row.
+    more than ``horizon`` [s] later, where the next one starts. Where no known row lies within the horizon, it ends with
+    the horizon, and the next one starts at the next known row.
 
     Examples
     --------

@@ -59,8 +59,8 @@ def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.n
               \frac{1}{1 + \frac{4 b}{\pi V} s}, \quad
         H_q = \frac{-s / V}{1 + \frac{4 b}{\pi V} s} H_w, \quad H_r = \frac{s / V}{1 + \frac{3 b}{\pi V} s} H_v.
 
-    The lags of H_q and H_r are the wing's averaging over its span. Here u, v and w pass them too, so that q and r
-    are exactly the gradients of the gusts that the aircraft feels, -w'/V and v'/V, and all have finite slopes.
+    The lags of H_q and H_r are the wing's averaging over its span. Here they apply to u, v and w too, so that q and r
+    are exactly -w'/V and v'/V of the gusts that the aircraft meets, and all slopes are finite.
     """
     (Tu, Tv, Tw), (su, sv, sw) = np.asarray(length) / airspeed, np.asarray(intensity)
     lag, lag_r = 4 * span / (np.pi * airspeed), 3 * span / (np.pi * airspeed)
@@ -76,24 +76,10 @@ def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.n
 
 
 def dryden_gusts(n_times: int, step: float, airspeed: float, length, intensity, span: float, rng) -> Gusts:
-    """Return stationary gusts every ``step`` seconds for several flights at once.
+    """Return stationary gusts every ``step`` seconds for several flights at once, each (n_times, n_flights, 3).
 
-    Parameters
-    ----------
-    n_times : int
-    step : float
-        [s]. The linear systems are discretised exactly (matrix exponentials), so it may be any.
-    airspeed : float
-        Speed [m/s] at which the frozen field is crossed.
-    length, intensity : array-like of shape (n_flights, 3)
-        Scale lengths [m] and standard deviations [m/s] of u, v, w.
-    span : float
-        [m].
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Gusts
+    ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that is crossed at
+    ``airspeed`` [m/s]. The linear systems are discretised exactly (matrix exponentials), for any step.
     """
     systems = [dryden_system(airspeed, L, s, span) for L, s in zip(length, intensity, strict=True)]
     A, B, C = (np.array(matrices) for matrices in zip(*systems, strict=True))
@@ -123,10 +109,10 @@ def dryden_wind(
     dt: float = 0.02,
     random_state=None,
 ) -> pd.DataFrame:
-    """Return a gusty wind to fly in: what ``simulate(wind=...)`` takes.
+    """Return a gusty wind for ``simulate(wind=...)``.
 
     Dryden turbulence of MIL-F-8785C below 1000 ft above a mean wind, crossed straight ahead at ``airspeed`` along
-    ``heading``. Its rotation, which rolls and pitches the aircraft besides, is not in it.
+    ``heading``, without its rotation.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def simulate(
     gravity: float = STANDARD_GRAVITY,
     hold: bool = False,
 ) -> pd.DataFrame:
-    r"""Fly the aircraft by its learned aerodynamics: RK4 over the six degrees of freedom.
+    r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them from a log, the
     model gives the coefficients, and Newton's and Euler's equations the rest (`rigid_body_derivative`). Regressors
@@ -76,17 +76,17 @@ def simulate(
     Parameters
     ----------
     model : Pipeline, estimator or Aerodynamics
-        What gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
+        Gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
         Mass, inertia, reference lengths, thrust line and propeller.
     x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like of shape (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``, ``alpha``, ``beta``,
         ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...; what is not given is zero.
     controls : DataFrame, list of DataFrame, mapping or callable
-        Elevator, aileron, rudder [rad], elevons, throttle and what else the model knows, and what tells the thrust. A
+        Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what gives the thrust: a
         table with ``time`` [s], its first row the start (linear between rows; a list: one for each start); constants
-        by name; or a function (t, state) to values by name, where ``state`` is a mapping of the vocabulary's names,
-        ``state["phi"]``, to arrays: a feedback law.
+        by name; or a feedback law, a function (t, state) to values by name, where ``state`` maps the names of
+        channels to arrays, ``state["phi"]``.
     dt : float, default=0.02
         Time step [s].
     duration : float, optional
@@ -95,16 +95,16 @@ def simulate(
         Velocity of the air, north, east, down [m/s]: constant; a table with ``time``, ``wind_north``, ``wind_east``,
         ``wind_down``; or a function (t, position (..., 3)).
     n_paths : int, optional
-        Fly so many functions drawn from the posterior instead of its mean: each path has its own aerodynamics for the
-        whole flight, as the aircraft has. Their spread is the uncertainty of the trajectory.
+        Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
+        is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
     return_std : bool, default=False
         Whether to add columns ``airspeed_std``, ``phi_std``, ... of the mean's trajectory: standard deviations by the
-        joint posterior of the coefficients along it, to first order. Cheap, and right while errors are small: some
-        seconds; ``n_paths`` is right for longer.
+        joint posterior of the coefficients along it, to first order. Fast, and right for some seconds, while errors are
+        small; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
-        Standard deviations of the start, for paths or ``return_std``: by name ("u", "v", "w", "v_north", ..., "phi",
+        Standard deviations of the start, for paths or ``return_std``, by name ("u", "v", "w", "v_north", ..., "phi",
         ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.
     thrust : "auto", callable or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line, or the propeller at
@@ -115,29 +115,29 @@ def simulate(
     gravity : float, default=9.80665
         [m/s^2].
     hold : bool, default=False
-        Whether a function is asked once a step and its answer held, as a flight computer does; else at every stage.
+        Whether a feedback law is asked once a step, as in a flight computer; else at every stage.
 
     Returns
     -------
     pandas.DataFrame
         A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude, density, ``ax``,
         ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls and coefficients; ``beyond``, the regressor that is
-        farthest outside of what was flown, or ""; ``ended``, why the trajectory is over, or "" while it is not: its
-        rows are then NaN. Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
+        farthest outside of what was flown, or ""; ``ended``, why the trajectory is over, or "": its rows are then NaN.
+        Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
 
     Raises
     ------
     ValueError
-        If the start is not finite, controls are missing or end early, nothing tells the thrust, a regressor cannot be
+        If the start is not finite, controls are missing or end early, nothing gives the thrust, a regressor cannot be
         rebuilt, or the model lacks a coefficient or has no posterior to draw from.
 
     Warns
     -----
     SimulationWarning
-        If a trajectory ends before its time (it diverged, lost its airspeed, or no fixed point was found), or leaves
-        what the model was learned from.
+        If a trajectory ends early (it diverged, lost its airspeed, or no fixed point was found), or leaves what the
+        model was learned from.
     UserWarning
-        If a start, the controls and the wind carry times that do not begin together, or a start does not fit its wind.
+        If start, controls and wind carry times that do not begin together, or a start does not fit its wind.
 
     Examples
     --------
@@ -310,11 +310,6 @@ def linear_std(record: Record, motion: Motion, initial_std: Mapping[str, float] 
     """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order.
 
     Errors of the model at the points passed are jointly Gaussian, with its posterior covariance.
-
-    Raises
-    ------
-    ValueError
-        If the model gives no covariance of its errors, or a name of ``initial_std`` is unknown.
     """
     start, shape = checked_std(initial_std), record.ended.shape
     found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)}

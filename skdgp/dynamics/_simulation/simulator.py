@@ -19,9 +19,8 @@ __all__ = ["Simulator"]
 class Simulator:
     """A learned aircraft in the loop with a controller: ``reset``, then ``step`` by ``step``.
 
-    Each step holds the controls for ``dt`` and integrates the same equations as `simulate` (RK4). Several starts fly
-    side by side. With a seed each of them flies a function of its own, drawn from the posterior: a controller that is
-    good on all of them is good on what the aircraft may be.
+    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4). Several starts fly side by
+    side; with a seed, each flies a function of its own, drawn from the posterior.
 
     Parameters
     ----------
@@ -41,7 +40,7 @@ class Simulator:
     beyond : str or ndarray of str
         After a step: the regressor that is farthest outside of what the model was learned from, or "".
     control_names : tuple of str
-        Controls that the model needs; what tells the thrust is needed besides.
+        Controls that the model needs, besides what gives the thrust.
 
     Examples
     --------
@@ -128,13 +127,7 @@ class Simulator:
         return self._seen()
 
     def step(self, controls: Mapping) -> dict:
-        """Hold the controls, by name, for one step, and return what is seen at its end.
-
-        Raises
-        ------
-        ValueError
-            If there was no `reset`, every flight has ended, or a control is missing.
-        """
+        """Return what is seen after a step with controls by name; raises ValueError before `reset` or after the end."""
         if self._state is None or not (self._ended == FLYING).any():
             what = "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
             raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")

@@ -41,8 +41,6 @@ def aerodynamic_coefficients(
         F_A = m f - F_T,   M_A = I omega_dot + omega x (I omega) - M_T,
         (CX, CY, CZ) = F_A / (qbar S),   (Cl, Cm, Cn) = M_A / (qbar S (b, c, b)),   qbar = rho V^2 / 2.
 
-    Gravity does not appear: an accelerometer does not feel it.
-
     Parameters
     ----------
     flight : pandas.DataFrame
@@ -53,15 +51,14 @@ def aerodynamic_coefficients(
         Mass, inertia and reference lengths.
     cutoff : float, "auto" or None, default="auto"
         Zero-phase smoothing of the measured channels, and of the rates before they are differentiated: a corner
-        frequency [Hz], the smoother that each channel's own spectrum implies, or none.
+        frequency [Hz], the smoother of each channel's spectrum, or none.
     thrust : {"auto", "columns", "propeller", None}, default="auto"
-        The columns thrust_x, thrust_y, thrust_z [N] (and thrust_l, thrust_m, thrust_n [N m]) where they stand,
-        else the aircraft's propeller at ``propeller_speed`` [rad/s]. None: no propulsion (a glider).
+        As for `propulsive_loads`.
     external_forces : sequence of str, default=()
-        Further loads to take away: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
+        Further loads to subtract: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
         tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.
     ignore : iterable of str, default=()
-        Columns of ``flight`` that are not looked at for faults.
+        Columns of ``flight`` that are not searched for faults.
 
     Returns
     -------
@@ -73,12 +70,12 @@ def aerodynamic_coefficients(
     ------
     ValueError
         If a column is missing, time does not increase, airspeed is not positive, values are impossible in SI
-        units, or nothing tells the thrust.
+        units, or nothing gives the thrust.
 
     Warns
     -----
     FlightDataWarning
-        If samples were not measured, and the coefficients are not known there.
+        If samples were not measured: the coefficients are NaN there.
 
     Examples
     --------

@@ -25,7 +25,7 @@ from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, 
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.loads import Thrust, propulsion_loads
+from skdgp.dynamics._vehicle.loads import Thrust, aerodynamic_loads, propulsion_loads
 
 __all__ = ["CONTROLS", "Air", "Instant", "Motion"]
 
@@ -246,9 +246,8 @@ class Motion:
     def _loaded(self, state, X, airspeed, alpha, beta, density, others) -> Instant:
         """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
         C = self._coefficients(X)
-        scale = (0.5 * self.aircraft.wing_area) * density * airspeed * airspeed
-        force = C[..., :3] * np.asarray(scale)[..., None] + others[0]
-        moment = C[..., 3:] * (np.asarray(scale)[..., None] * self.aircraft.moment_lengths) + others[1]
+        force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
+        force, moment = force + others[0], moment + others[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, None, True)
 

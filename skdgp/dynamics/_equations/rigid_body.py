@@ -43,8 +43,7 @@ def rigid_body_derivative(
 
     position_dot = R v;  v_dot = force / m + R^T (0, 0, g) - omega x v;
     quaternion_dot = 1/2 quaternion * omega;  omega_dot = I^-1 (moment - omega x (I omega)),
-    R the rotation body to NED (Stevens, Lewis & Johnson 2016, section 1.7). The quaternion's length does not
-    matter, so nothing renormalises it.
+    R the rotation body to NED (Stevens, Lewis & Johnson 2016, section 1.7), for quaternions of any length.
 
     Parameters
     ----------
@@ -123,7 +122,6 @@ def rk4_step(derivative: Callable[[float, Array], Array], t: float, state: Array
     Returns
     -------
     ndarray (...)
-        The state at t + dt.
     """
     k1 = derivative(t, state)
     k2 = derivative(t + 0.5 * dt, state + 0.5 * dt * k1)
@@ -133,20 +131,9 @@ def rk4_step(derivative: Callable[[float, Array], Array], t: float, state: Array
 
 
 def rk4(derivative: Callable[[float, Array], Array], state0: ArrayLike, times: ArrayLike) -> Array:
-    """Return the states at ``times`` [s], one step from each time to the next, starting from ``state0``.
+    """Return the states at ``times`` [s] (n_times,), (n_times, ...), by `rk4_step` from each time to the next.
 
-    Parameters
-    ----------
-    derivative : callable
-        ``derivative(t, state)``, of the state's shape.
-    state0 : array-like of shape (...)
-        State at ``times[0]``; leading axes hold independent cases integrated together.
-    times : array-like of shape (n_times,)
-        Steps need not be equal.
-
-    Returns
-    -------
-    numpy.ndarray of shape (n_times, ...)
+    ``state0`` (...) is the state at the first time; its leading axes hold independent cases.
 
     Examples
     --------

@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import check_columns
+from skdgp._flight.frames import cross
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine
 
 __all__ = ["aerodynamic_loads", "external_loads", "propeller_loads", "propulsion_loads", "propulsive_loads"]
 
-FORCE_AXES, MOMENT_AXES = "xyz", "lmn"
-FORCES, MOMENTS = ([f"thrust_{axis}" for axis in axes] for axes in (FORCE_AXES, MOMENT_AXES))
+FORCES, MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m", "thrust_n")
 THRUST_CHOICES = ("auto", "columns", "propeller", None)
 CENTRED = ThrustLine()
 Thrust: TypeAlias = "str | Callable | None"
@@ -40,7 +40,6 @@ def aerodynamic_loads(
     airspeed, density : array-like (...)
         V [m/s] and rho [kg/m^3].
     aircraft : Aircraft
-        Its wing area, span and chord are used.
 
     Returns
     -------
@@ -75,7 +74,6 @@ def propeller_loads(
     Parameters
     ----------
     aircraft : Aircraft
-        Its propeller and thrust line.
     propeller_speed, airspeed, density : array-like (...)
         Omega [rad/s], V [m/s], rho [kg/m^3].
 
@@ -108,9 +106,9 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
     aircraft : Aircraft
         Its thrust line and propeller.
     thrust : {"auto", "columns", "propeller", None}, default="auto"
-        "columns" takes the force columns, absent ones being zero. Without any moment column the moment is that of
-        the force at the thrust line's position, r_T x F_T. "propeller" evaluates the propeller's model. "auto"
-        takes the columns where they stand, else the propeller. None says that there is no propulsion (a glider).
+        "columns": the force columns, absent ones zero, and the moment columns, or without any r_T x F_T at the thrust
+        line's position. "propeller": its model. "auto": columns where there are any, else the propeller. None: no
+        propulsion (a glider).
 
     Returns
     -------
@@ -120,20 +118,22 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
     Raises
     ------
     ValueError
-        If nothing tells the thrust.
+        If nothing gives the thrust.
     """
     if thrust not in THRUST_CHOICES:
         raise ValueError(f"Got thrust={thrust!r}, but expected one of {THRUST_CHOICES}.")
-    zero = np.zeros((len(flight), 3))
     if thrust is None:
-        return zero, zero
-    force_columns = _axis_columns(flight, "thrust", FORCE_AXES)
-    if thrust == "auto":
-        thrust = "columns" if force_columns else "propeller"
-    if thrust == "columns":
-        return _thrust_columns(flight, aircraft, force_columns)
-    if aircraft.propeller is None or "propeller_speed" not in flight:
-        lacking = "the aircraft has no propeller" if aircraft.propeller is None else "it has no propeller_speed [rad/s]"
+        return np.zeros((len(flight), 3)), np.zeros((len(flight), 3))
+    has_columns, propeller = any(name in flight for name in FORCES), aircraft.propeller
+    if thrust == "columns" and not has_columns:
+        raise ValueError(
+            "Got thrust='columns' for a flight without thrust_x, thrust_y or thrust_z [N]: add them, or say "
+            "thrust='propeller' or thrust=None."
+        )
+    if has_columns and thrust != "propeller":
+        return _loads_by_axis(flight, aircraft, (len(flight),))
+    if propeller is None or "propeller_speed" not in flight:
+        lacking = "the aircraft has no propeller" if propeller is None else "it has no propeller_speed [rad/s]"
         raise ValueError(
             f"Nothing tells the thrust of this flight: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
             "Add the thrust columns; or a propeller to the aircraft (Propeller.from_table of a bench table) and "
@@ -141,41 +141,20 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         )
     check_columns(flight, ["airspeed", "density"])
     speed, airspeed, density = (flight[c].to_numpy(float) for c in ("propeller_speed", "airspeed", "density"))
-    _warn_beyond_bench(aircraft.propeller, speed, airspeed)
+    _warn_beyond_bench(propeller, speed, airspeed)
     return propeller_loads(aircraft, speed, airspeed, density)
 
 
-def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, Array]:
-    """Return the sum of the external forces (n, 3) [N] and moments (n, 3) [N m] named in ``names``.
-
-    The name "tether" stands for the columns tether_x, tether_y, tether_z (all required) and tether_l, tether_m,
-    tether_n (those that exist), in body axes about the centre of gravity.
-    """
-    if isinstance(names, str):
-        raise ValueError(f"Got external_forces={names!r}, but expected a sequence of names: ({names!r},).")
-    force, moment = np.zeros((len(flight), 3)), np.zeros((len(flight), 3))
-    for name in names:
-        check_columns(flight, [f"{name}_{axis}" for axis in FORCE_AXES])
-        force += _axes(flight, name, FORCE_AXES)
-        moment += _axes(flight, name, MOMENT_AXES)
-    return force, moment
-
-
 def propulsion_loads(
-    aircraft: Aircraft, thrust: Thrust, controls: Mapping, airspeed: Array, density: Array
+    aircraft: Aircraft, thrust: Thrust, controls: Mapping, airspeed: Array, density: Array | float
 ) -> tuple[Array, Array] | tuple[float, float]:
     """Return force (..., 3) [N] and moment (..., 3) [N m] of the engine in a simulation, from controls by name, (...).
 
-    ``thrust`` is that of `skdgp.dynamics.simulate`: None, a function, or "auto".
-
-    Raises
-    ------
-    ValueError
-        If nothing tells the thrust.
+    ``thrust`` is that of `skdgp.dynamics.simulate`: None, a function, or "auto"; raises ValueError if nothing gives it.
     """
     if thrust is None:
         return 0.0, 0.0
-    line = aircraft.thrust_line or CENTRED
+    line, propeller = aircraft.thrust_line or CENTRED, aircraft.propeller
     if callable(thrust):
         newtons = thrust(controls, airspeed, density)
         if np.ndim(newtons) > np.ndim(airspeed):
@@ -187,18 +166,13 @@ def propulsion_loads(
     if thrust != "auto":
         raise ValueError(f"Got thrust={thrust!r}, but expected 'auto', None or a function.")
     if any(name in controls for name in FORCES):
-        shape = np.shape(airspeed)
-        force, moment = (
-            np.stack([np.broadcast_to(controls.get(name, 0.0), shape) for name in names], axis=-1)
-            for names in (FORCES, MOMENTS)
-        )
-        return force, moment if any(name in controls for name in MOMENTS) else np.cross(line.position, force)
+        return _loads_by_axis(controls, aircraft, np.shape(airspeed))
     if "thrust" in controls:
         return line.loads(controls["thrust"])
-    if aircraft.propeller is not None and "propeller_speed" in controls:
+    if propeller is not None and "propeller_speed" in controls:
         return propeller_loads(aircraft, controls["propeller_speed"], airspeed, density)
-    if aircraft.propeller is not None and aircraft.propeller.speed_range is not None and "throttle" in controls:
-        return propeller_loads(aircraft, aircraft.propeller.speed_at(controls["throttle"]), airspeed, density)
+    if propeller is not None and propeller.speed_range is not None and "throttle" in controls:
+        return propeller_loads(aircraft, propeller.speed_at(controls["throttle"]), airspeed, density)
     raise ValueError(
         f"Nothing tells the thrust: the controls are {sorted(controls)}. Give thrust_x ... thrust_n or thrust [N] as "
         "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if Propeller(speed_range="
@@ -217,16 +191,35 @@ def thrust_control(aircraft: Aircraft, thrust: Thrust) -> str | None:
     return "propeller_speed" if aircraft.propeller.speed_range is None else "throttle"
 
 
-def _thrust_columns(flight: pd.DataFrame, aircraft: Aircraft, force_columns: list[str]) -> tuple[Array, Array]:
-    if not force_columns:
-        raise ValueError(
-            "Got thrust='columns' for a flight without thrust_x, thrust_y or thrust_z [N]: add them, or say "
-            "thrust='propeller' or thrust=None."
-        )
-    force, moment = _axes(flight, "thrust", FORCE_AXES), _axes(flight, "thrust", MOMENT_AXES)
-    if aircraft.thrust_line is not None and not _axis_columns(flight, "thrust", MOMENT_AXES):
-        moment = np.cross(aircraft.thrust_line.position, force)
+def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, Array]:
+    """Return the sum of the external forces (n, 3) [N] and moments (n, 3) [N m] named in ``names``.
+
+    The name "tether" stands for the columns tether_x, tether_y, tether_z (all required) and tether_l, tether_m,
+    tether_n (those that exist), in body axes about the centre of gravity.
+    """
+    if isinstance(names, str):
+        raise ValueError(f"Got external_forces={names!r}, but expected a sequence of names: ({names!r},).")
+    force, moment = np.zeros((len(flight), 3)), np.zeros((len(flight), 3))
+    for name in names:
+        forces, moments = ([f"{name}_{axis}" for axis in axes] for axes in ("xyz", "lmn"))
+        check_columns(flight, forces)
+        force += _stacked(flight, forces, (len(flight),))
+        moment += _stacked(flight, moments, (len(flight),))
     return force, moment
+
+
+def _loads_by_axis(values: Mapping | pd.DataFrame, aircraft: Aircraft, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return the thrust of its columns or controls; without a moment, that of the force on the thrust line."""
+    force = _stacked(values, FORCES, shape)
+    if any(name in values for name in MOMENTS):
+        return force, _stacked(values, MOMENTS, shape)
+    return force, cross((aircraft.thrust_line or CENTRED).position, force)
+
+
+def _stacked(values: Mapping | pd.DataFrame, names: Iterable[str], shape: tuple[int, ...]) -> Array:
+    """Return values by name as (..., 3), zero where one is absent."""
+    columns = [np.asarray(values[name], dtype=float) if name in values else 0.0 for name in names]
+    return np.stack([np.broadcast_to(column, shape) for column in columns], axis=-1)
 
 
 def _warn_beyond_bench(propeller: Propeller, propeller_speed: Array, airspeed: Array) -> None:
@@ -242,13 +235,3 @@ def _warn_beyond_bench(propeller: Propeller, propeller_speed: Array, airspeed: A
             UserWarning,
             stacklevel=4,
         )
-
-
-def _axis_columns(flight: pd.DataFrame, name: str, axes: str) -> list[str]:
-    return [f"{name}_{axis}" for axis in axes if f"{name}_{axis}" in flight]
-
-
-def _axes(flight: pd.DataFrame, name: str, axes: str) -> Array:
-    """Return the columns name_axis as (n, 3), zero where a column is absent."""
-    columns = [f"{name}_{axis}" for axis in axes]
-    return np.stack([flight[c].to_numpy(float) if c in flight else np.zeros(len(flight)) for c in columns], axis=-1)

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import inv_boxcox
 
-__all__ = ["Atmosphere", "standard_atmosphere", "standard_density"]
-
 GAS_CONSTANT = 287.05287
 """Of dry air [J/(kg K)]."""
 HEAT_RATIO = 1.4

@@ -12,24 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = [
-    "air_data",
-    "air_data_slopes",
-    "air_velocity",
-    "body_to_ned",
-    "cross",
-    "cross_matrix",
-    "euler_per_rotation",
-    "euler_to_matrix",
-    "euler_to_quaternion",
-    "gravity_in_body_axes",
-    "ned_to_body",
-    "quaternion_rate",
-    "quaternion_to_euler",
-    "quaternion_to_matrix",
-    "without_sign_changes",
-]
-
 
 def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
     """Return the unit quaternions (..., 4), body to NED, of roll, pitch and heading [rad].

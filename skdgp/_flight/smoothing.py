@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import interpolate, signal
 
-from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
+from skdgp._flight.clock import check_clock, runs_by_flight, uniform_grid
 from skdgp._flight.wiener import (
     LEAST_SAMPLES,
     Spectrum,
@@ -19,8 +19,6 @@ from skdgp._flight.wiener import (
     impulse_response,
     noise_and_gain,
 )
-
-__all__ = ["NoiseLevel", "differentiate", "flight_segments", "noise_level", "smooth"]
 
 ORDER = 2
 

@@ -11,8 +11,6 @@ from skdgp.datasets._brumby import BRUMBY
 from skdgp.datasets._flight_plans import FlightPlan, scheduled
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
-__all__ = ["ALPHA", "Autopilot", "FlightControls"]
-
 ALPHA = 0.085
 TRIM = (-0.04, -0.007, 0.0, 0.63)
 """Of straight level flight: elevator, aileron, rudder [rad], throttle."""

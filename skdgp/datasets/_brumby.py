@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft, Propeller, ThrustLine
 
-__all__ = ["BRUMBY", "REGRESSORS", "brumby_coefficients", "brumby_derivatives"]
-
 REGRESSORS = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder")
 """Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)."""
 

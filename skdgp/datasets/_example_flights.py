@@ -23,8 +23,6 @@ from skdgp.dynamics._simulation.simulate import Record
 from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._vehicle.loads import FORCES, MOMENTS
 
-__all__ = ["load_example_flights"]
-
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
 DEGREE = np.pi / 180.0

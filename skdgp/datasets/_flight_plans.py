@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
 
-__all__ = ["FLIGHT_PLANS", "FlightPlan", "doublet", "multisine", "pulse", "scheduled", "three_two_one_one"]
-
 
 @dataclass(frozen=True)
 class FlightPlan:

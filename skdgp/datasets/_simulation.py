@@ -19,8 +19,6 @@ from skdgp.dynamics._simulation.gusts import Gusts, dryden_gusts, low_altitude_t
 from skdgp.dynamics._simulation.inputs import Clock
 from skdgp.dynamics._simulation.simulate import Record, fly_record
 
-__all__ = ["GustyAir", "brumby_motion", "fly_plans"]
-
 STEP = 0.025
 """Between autopilot commands, integration steps and log rows [s]."""
 SETTLING = 8.0

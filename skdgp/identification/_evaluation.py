@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import COEFFICIENTS, EULER, LATERAL, LONGITUDINAL, TRUTH_SUFFIX
-from skdgp._flight.smoothing import flight_segments, noise_level
+from skdgp._flight.clock import flight_segments
+from skdgp._flight.smoothing import noise_level
 from skdgp.dynamics import aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification import flight_regressors
 from skdgp.metrics import (

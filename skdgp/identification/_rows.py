@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.checks import check_columns
+from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.smoothing import flight_segments
 from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
 

@@ -15,8 +15,6 @@ from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
-__all__ = ["stability_derivatives"]
-
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
 """Rates about the x and the z axis, which turn with the axes."""

@@ -24,8 +24,6 @@ from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVI
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust, thrust_control
 
-__all__ = ["LinearModel", "jacobian", "linearize", "mode_table"]
-
 ALL_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
 OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")

@@ -22,8 +22,6 @@ from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVI
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import FORCES, MOMENTS, Thrust, thrust_control
 
-__all__ = ["Trim", "trim"]
-
 SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right")
 ENGINE = ("thrust", "throttle", "propeller_speed")
 THRUSTS = ("thrust", "propeller_speed", *FORCES, *MOMENTS)

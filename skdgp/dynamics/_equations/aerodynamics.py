@@ -17,8 +17,6 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
-__all__ = ["Aerodynamics", "as_aerodynamics"]
-
 STEP = 1e-4
 """Of central differences, where a model has no slopes: a fraction of the range of a regressor, or absolute."""
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]

@@ -18,16 +18,6 @@ from skdgp._flight.checks import check_names
 from skdgp._flight.frames import cross, cross_matrix, euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 
-__all__ = [
-    "ERRORS",
-    "STATES",
-    "checked_std",
-    "error_covariances",
-    "standard_deviations",
-    "start_errors",
-    "state_readouts",
-]
-
 ERRORS = (*POSITION, *BODY_VELOCITY, "turn_x", "turn_y", "turn_z", *RATES)
 """Errors of a state: that of its attitude is a small rotation about body axes."""
 STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)

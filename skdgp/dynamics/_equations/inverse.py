@@ -16,8 +16,6 @@ from skdgp.dynamics._equations.rigid_body import gyroscopic_moment
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import dynamic_pressure, external_loads, propulsive_loads
 
-__all__ = ["aerodynamic_coefficients"]
-
 RATES = ["p", "q", "r"]
 RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 SPECIFIC_FORCE = ["ax", "ay", "az"]

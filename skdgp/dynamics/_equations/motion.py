@@ -27,8 +27,6 @@ from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVI
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust, aerodynamic_loads, propulsion_loads
 
-__all__ = ["CONTROLS", "Air", "Instant", "Motion"]
-
 CONTROLS = (
     *("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle", "propeller_speed", "thrust"),
     *("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n", "gust"),

@@ -16,18 +16,6 @@ from skdgp._flight.atmosphere import GRAVITY as STANDARD_GRAVITY
 from skdgp._flight.frames import cross
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
-__all__ = [
-    "ATTITUDE",
-    "POSITION",
-    "RATES",
-    "STANDARD_GRAVITY",
-    "STATE_NAMES",
-    "VELOCITY",
-    "rigid_body_derivative",
-    "rk4",
-    "rk4_step",
-]
-
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
 

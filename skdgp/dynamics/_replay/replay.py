@@ -34,8 +34,6 @@ from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propulsive_loads
 
-__all__ = ["replay", "replay_errors"]
-
 REPLAYED = (*POSITION, *EARTH_VELOCITY, *EULER, *RATES)
 
 

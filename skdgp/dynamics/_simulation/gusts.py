@@ -11,8 +11,6 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import covariance_root
 
-__all__ = ["Gusts", "dryden_gusts", "dryden_system", "dryden_wind", "low_altitude_turbulence"]
-
 FEET = 0.3048
 CEILING = 1000 * FEET
 """Height [m] at which the low-altitude model ends."""

@@ -20,19 +20,6 @@ from skdgp.dynamics._equations.error_covariance import checked_std
 from skdgp.dynamics._equations.motion import Air
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
-__all__ = [
-    "PROPULSION",
-    "Clock",
-    "as_starts",
-    "control_schedule",
-    "initial_states",
-    "perturbed",
-    "tables_of",
-    "warn_of_clocks",
-    "wind_field",
-    "wind_schedule",
-]
-
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 AIRSPEED_TOLERANCE = 0.15
 """By which the airspeed of a start may differ from that of its ground speed and the wind, as a share."""

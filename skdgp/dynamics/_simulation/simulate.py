@@ -38,8 +38,6 @@ from skdgp.dynamics._simulation.trajectory import channels, trajectory_table, wa
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust
 
-__all__ = ["FLYING", "Record", "end_reasons", "fly_record", "simulate"]
-
 SLOWEST = 1.0
 """Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
 FASTEST, SPINNING = 1000.0, 60.0
@@ -194,49 +192,11 @@ class Record(NamedTuple):
     end: Array
     """The step at which it did, (...)."""
 
-    @classmethod
-    def empty(cls, clock: Clock, shape: tuple[int, ...], n_regressors: int) -> Record:
-        """Return a record of NaN for ``shape`` trajectories."""
-        n = clock.n_steps + 1
-        sizes = {"states": 13, "regressors": n_regressors, "coefficients": 6, "specific_force": 3, "derivative": 13}
-        arrays = {name: np.full((n, *shape, size), np.nan) for name, size in sizes.items()}
-        return cls(
-            time=clock.dt * np.arange(n), density=np.full((n, *shape), np.nan), wind=None, controls={},
-            ended=np.full(shape, FLYING, dtype=object), end=np.full(shape, n), **arrays,
-        )  # fmt: skip
-
-    def write(self, k: int, state: Array, now: Instant, controls: dict, mass: float) -> None:
-        """Write step ``k``."""
-        self.states[k], self.regressors[k], self.coefficients[k] = state, now.regressors, now.coefficients
-        self.specific_force[k], self.derivative[k], self.density[k] = now.force / mass, now.derivative, now.density
-        for name, value in controls.items():
-            if name not in self.controls:
-                self.controls[name] = np.full(self.density.shape, np.nan)
-            self.controls[name][k] = value
-
-    def finish(self, k: int, reasons: dict[str, Array]) -> None:
-        """Write which trajectories end at step ``k``, and why."""
-        for reason, where in reasons.items():
-            now = np.broadcast_to(where, self.ended.shape) & self.flying
-            self.ended[now], self.end[now] = reason, k
-
-    @property
-    def flying(self) -> Array:
-        """Which trajectories have not ended, (...)."""
-        return self.ended == FLYING
-
     def rows(self, part: slice) -> Record:
         """Return the record of some of the steps."""
         controls = {name: values[part] for name, values in self.controls.items()}
-        arrays = [None if values is None else values[part] for values in self[:8]]
-        return Record(*arrays, controls, self.ended, self.end - part.start)
-
-    def without_ended(self) -> Record:
-        """Return the record with NaN in the rows of trajectories that had ended."""
-        over = np.arange(len(self.time)).reshape(-1, *[1] * self.end.ndim) >= self.end
-        for values in (*self[1:6], self.density, *self.controls.values()):
-            values[over] = np.nan
-        return self
+        arrays = (None if values is None else values[part] for values in self[:8])
+        return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
 
 
 def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clock, state: Array) -> Record:
@@ -245,9 +205,9 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clo
     ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
     :func:`wind_schedule`; a step has two stages.
     """
-    start, mass = state, motion.aircraft.mass
-    record = Record.empty(clock, state.shape[:-1], len(motion.regressors))
-    winds = []
+    start, shape, n = state, state.shape[:-1], clock.n_steps + 1
+    ended, end = np.full(shape, FLYING, dtype=object), np.full(shape, n)
+    flown: list[tuple[Array, Instant, dict, Array | None]] = []
 
     def instant(step, stage, state, last):
         stage += 2 * step
@@ -258,20 +218,43 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clo
 
     now = None
     with np.errstate(all="ignore"):  # what diverges is ended
-        for k in range(clock.n_steps + 1):
+        for k in range(n):
             now, controls, wind = instant(k, 0, state, now)
             over = end_reasons(state, now)
             if over:
-                record.finish(k, over)
-                if not record.flying.any():
+                for reason, where in over.items():
+                    first = np.broadcast_to(where, shape) & (ended == FLYING)
+                    ended[first], end[first] = reason, k
+                if not (ended == FLYING).any():
                     break
-                state = np.where(record.flying[..., None], state, start)  # flown on from there, never shown
+                state = np.where((ended == FLYING)[..., None], state, start)  # flown on from there, never shown
                 now, controls, wind = instant(k, 0, state, None)
-            record.write(k, state, now, controls, mass)
-            winds.append(wind)
+            flown.append((state, now, controls, wind))
             if k < clock.n_steps:
                 state = _step(instant, k, state, now, clock.dt)
-    return record.without_ended()._replace(wind=None if air is None else _stacked(winds, record.states))
+    over = np.arange(n).reshape(-1, *[1] * len(shape)) >= end
+
+    def recorded(values: list, *size: int) -> Array:
+        array = np.full((n, *shape, *size), np.nan)
+        for k, value in enumerate(values):
+            array[k] = value
+        array[over] = np.nan
+        return array
+
+    states, instants, controls, winds = zip(*flown, strict=True) if flown else ((), (), (), ())
+    return Record(
+        time=clock.dt * np.arange(n),
+        states=recorded(states, 13),
+        regressors=recorded([one.regressors for one in instants], len(motion.regressors)),
+        coefficients=recorded([one.coefficients for one in instants], 6),
+        specific_force=recorded([one.force for one in instants], 3) / motion.aircraft.mass,
+        derivative=recorded([one.derivative for one in instants], 13),
+        density=recorded([one.density for one in instants]),
+        wind=None if air is None else recorded(winds, 3),
+        controls={name: recorded([one[name] for one in controls]) for name in (controls[0] if flown else ())},
+        ended=ended,
+        end=end,
+    )
 
 
 def _step(instant: Callable, k: int, state: Array, now: Instant, dt: float) -> Array:
@@ -296,14 +279,6 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
         "fixed point": np.logical_not(now.settled),
     }
     return {reason: where for reason, where in found.items() if np.any(where)}
-
-
-def _stacked(winds: list[Array], states: Array) -> Array:
-    """Return the wind at every step, (n_steps + 1, ..., 3)."""
-    stacked = np.full((*states.shape[:-1], 3), np.nan)
-    for k, wind in enumerate(winds):
-        stacked[k] = wind
-    return stacked
 
 
 def linear_std(record: Record, motion: Motion, initial_std: Mapping[str, float] | None) -> dict[str, Array]:

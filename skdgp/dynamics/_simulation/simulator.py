@@ -13,8 +13,6 @@ from skdgp.dynamics._simulation.simulate import FLYING, end_reasons
 from skdgp.dynamics._simulation.trajectory import beyond, channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
-__all__ = ["Simulator"]
-
 
 class Simulator:
     """A learned aircraft in the loop with a controller: ``reset``, then ``step`` by ``step``.

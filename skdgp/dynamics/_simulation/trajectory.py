@@ -24,8 +24,6 @@ from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_
 from skdgp.dynamics._equations import rigid_body
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 
-__all__ = ["SimulationWarning", "beyond", "channels", "trajectory_bands", "trajectory_table", "warn_of"]
-
 BEYOND = 0.02
 """By which a regressor may exceed what was flown, as a share of its range, before it is told."""
 TINY = 1e-12
@@ -122,7 +120,7 @@ def beyond(motion, regressors) -> np.ndarray:
 
 def warn_of(record, motion) -> None:
     """Say which trajectories ended early, and which left what the model was learned from."""
-    ended = record.ended[~record.flying].tolist()
+    ended = [reason for reason in record.ended.ravel().tolist() if reason]
     n, dt = record.ended.size, record.time[1]
     if ended:
         why = ", ".join(f"{REASONS[reason]}: {ended.count(reason)}" for reason in REASONS if reason in ended)

@@ -18,8 +18,6 @@ from skdgp._compute.files import parse_json, read_json, read_toml
 from skdgp._compute.typing import Array
 from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, as_floats
 
-__all__ = ["Aircraft"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Aircraft:

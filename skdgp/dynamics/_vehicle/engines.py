@@ -16,8 +16,6 @@ from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY, standard_density
 from skdgp._flight.checks import check_columns, check_names, check_table
 
-__all__ = ["Propeller", "ThrustLine", "ThrustTable", "as_floats"]
-
 
 def as_floats(values: Any) -> Array:
     """Return values as floats; a single NaN if one is a truth value or no number."""

@@ -16,8 +16,6 @@ from skdgp._flight.frames import cross
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine
 
-__all__ = ["aerodynamic_loads", "external_loads", "propeller_loads", "propulsion_loads", "propulsive_loads"]
-
 FORCES, MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m", "thrust_n")
 THRUST_CHOICES = ("auto", "columns", "propeller", None)
 CENTRED = ThrustLine()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -225,7 +225,7 @@ def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return columns, times, codes
 
 
-def _check_cutoff(cutoff: object) -> None:
+def _check_cutoff(cutoff: Any) -> None:
     if cutoff is None or (isinstance(cutoff, str) and cutoff == "auto"):
         return
     number = isinstance(cutoff, int | float | np.number) and not isinstance(cutoff, bool)

@@ -129,9 +129,9 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
     >>> data.aircraft
     Aircraft('brumby', 45 kg, S 2.59 m^2, b 2.8 m, c 1.09 m)
     """
-    if not isinstance(random_state, int | np.integer):
-        random_state = check_random_state(random_state).randint(np.iinfo(np.int32).max)
-    train, test = _flights(int(random_state), float(turbulence), float(sensor_noise))
+    is_seed = isinstance(random_state, int | np.integer)
+    seed = random_state if is_seed else check_random_state(random_state).randint(np.iinfo(np.int32).max)
+    train, test = _flights(int(seed), float(turbulence), float(sensor_noise))
     return Bunch(
         train=train.copy(),
         test=test.copy(),

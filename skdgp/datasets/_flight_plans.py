@@ -39,7 +39,7 @@ def scheduled(steps: ArrayLike, time: Array) -> Array:
 def pulse(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
     """Return ``amplitude`` during ``width`` seconds from ``start`` on, else 0."""
     since = np.asarray(time, dtype=float) - start
-    return amplitude * ((since >= 0) & (since < width))
+    return np.where((since >= 0) & (since < width), amplitude, 0.0)
 
 
 def doublet(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
@@ -52,7 +52,7 @@ def three_two_one_one(time: ArrayLike, start: float, width: float, amplitude: fl
 
     (Jategaonkar, Flight Vehicle System Identification, 2nd edition, 2015, section 2.3.)
     """
-    signal, sign = 0.0, 1.0
+    signal, sign = np.zeros(np.shape(time)), 1.0
     for units in (3, 2, 1, 1):
         signal = signal + pulse(time, start, units * width, sign * amplitude)
         start, sign = start + units * width, -sign

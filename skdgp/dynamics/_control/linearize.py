@@ -80,7 +80,8 @@ def jacobian(
     F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant, air)
     slopes = motion.aerodynamics.gradient(instant.regressors)
     n = len(ERRORS) + len(inputs)
-    change, gain = slopes @ G[..., :n], np.eye(6)
+    change: np.ndarray = slopes @ G[..., :n]
+    gain: np.ndarray = np.eye(6)
     if motion.is_implicit:
         gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
         change = gain @ change
@@ -102,9 +103,10 @@ def _mechanics(
     motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant, air: Air | None
 ) -> tuple[Array, Array, Array]:
     """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
-    frozen = copy.copy(motion)
+    frozen: Any = copy.copy(motion)
     if air is not None:
-        air = Air(*(None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air))
+        parts: Any = (None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air)
+        air = Air(*parts)
     n_inputs, shape = len(inputs), state.shape[:-1]
     controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
     steps = np.concatenate(
@@ -117,7 +119,7 @@ def _mechanics(
         ],
         axis=-1,
     )
-    slopes = 0.0
+    slopes = np.zeros(())
     for move, weight in WEIGHTS.items():
         moves = move * steps[..., None] * np.eye(steps.shape[-1])
         C = instant.coefficients[..., None, :] + moves[..., 12 + n_inputs :]
@@ -228,11 +230,14 @@ class LinearModel:
         paths = None
         if self.paths is not None:
             cut = [
-                values[:, table.index.get_indexer(a)][:, :, table.columns.get_indexer(b)]
+                values[:, [table.index.get_loc(row) for row in a]][
+                    :, :, [table.columns.get_loc(column) for column in b]
+                ]
                 for values, table, (a, b) in zip(self.paths, self._tables(), blocks, strict=True)
             ]
             paths = Matrices(*cut)
-        return LinearModel(*tables, self.state, self.controls, paths)
+        A, B, C, D = tables
+        return LinearModel(A, B, C, D, self.state, self.controls, paths)
 
     def longitudinal(self) -> LinearModel:
         """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
@@ -381,7 +386,8 @@ def linearize(
     names = _block_names(*chosen)
     blocks = zip(_matrices(motion, state, controls, *chosen), names, strict=True)
     tables = [pd.DataFrame(values, index=rows, columns=columns) for values, (rows, columns) in blocks]
-    return LinearModel(*tables, state, controls, paths)
+    A, B, C, D = tables
+    return LinearModel(A, B, C, D, state, controls, paths)
 
 
 def _block_names(states: list[str], inputs: list[str], outputs: list[str]) -> list[tuple[list[str], list[str]]]:
@@ -476,7 +482,7 @@ def mode_table(A: np.ndarray, states: Sequence[str], paths: np.ndarray | None = 
 
 def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:
     """Return pairs of conjugate eigenvalues, that of positive imaginary part first, and single real ones."""
-    units = []
+    units: list[tuple[int, ...]] = []
     for k, value in enumerate(eigenvalues):
         if value.imag > 0:
             units.append((k, int(np.argmin(np.abs(eigenvalues - value.conj())))))
@@ -496,7 +502,8 @@ def _named(
     def split(units, names, size):
         return max(_choices(units, size), key=lambda chosen: sum(moving(names, unit) for unit in chosen))
 
-    named, rest = {}, list(units)
+    named: dict[str, tuple[int, ...]] = {}
+    rest = list(units)
     if set(LONGITUDINAL) <= set(states):
         along = split(rest, LONGITUDINAL, 4)
         rest = [unit for unit in rest if unit not in along]

@@ -204,9 +204,9 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     known, state, controls = steady.flight(x, airspeed)
     now = steady.instant(known, state, controls)
     check_settled(now)
-    aerodynamics, bounds = steady.motion.aerodynamics, ()
-    if aerodynamics.limits is not None:
-        bounds = zip(aerodynamics.regressors, now.regressors.tolist(), *aerodynamics.limits.tolist(), strict=True)
+    aerodynamics = steady.motion.aerodynamics
+    limits = [[], []] if aerodynamics.limits is None else aerodynamics.limits.tolist()
+    bounds = zip(aerodynamics.regressors, now.regressors.tolist(), *limits, strict=aerodynamics.limits is not None)
     named = {k: float(known[k]) for k in ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")}
     return Trim(
         state=state,
@@ -279,8 +279,8 @@ class SteadyFlight:
         if name in OTHERS:
             return OTHERS[name]
         if name == "propeller_speed":
-            propeller = self.motion.aircraft.propeller
-            return propeller.speed_range or (0.0, np.inf)
+            idle, full = getattr(self.motion.aircraft.propeller, "speed_range", None) or (0.0, np.inf)
+            return idle, full
         if name in ("theta", "phi", "beta") or name not in self.flown:
             return ANGLES.get(name, (-DEFLECTION, DEFLECTION))
         low, high = self.flown[name]
@@ -290,7 +290,7 @@ class SteadyFlight:
     def solve(self, airspeed: float, near: Array | None = None) -> Array:
         """Return the values of the unknowns, searched first ``near`` those of another flight."""
         low, high = np.array([self.limits[name] for name in self.unknowns]).T
-        best = None
+        best: Any = None
         for start in ([] if near is None else [near]) + [self._start(airspeed, part) for part in STARTS]:
             margin = 1e-6 * np.minimum(high - low, 1.0)
             solution = least_squares(

@@ -191,7 +191,7 @@ class Aerodynamics:
             )
         if X.ndim == 3:
             return function(X)
-        return function(X.reshape(self.n_paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
+        return function(X.reshape(len(X), -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
     def _differences(self, X: Array) -> Array:
         size = np.ptp(self.limits, axis=0) if self.limits is not None else np.zeros(X.shape[-1])
@@ -278,7 +278,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
             "simulation gives them: put it behind RegressorSelector."
         )
     chain = _Chain([_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names))
-    limits = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")]
+    limits = np.array([chosen.data_min_, chosen.data_max_]) if hasattr(chosen, "data_min_") else None
     mixing = None
     if splitter is not None:
         mixing = Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
@@ -288,7 +288,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         gradient=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
         covariance=chain.covariance if chain.can_sample else None,
-        limits=None if limits[0] is None else limits,
+        limits=limits,
         span=None if rates is None else rates.span,
         chord=None if rates is None else rates.chord,
         mixing=mixing,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -114,7 +115,7 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
 
 def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
-    clock = {"time": flight["time"].to_numpy(float), "flight": flight.get("flight"), "cutoff": cutoff}
+    clock: dict[str, Any] = {"time": flight["time"].to_numpy(float), "flight": flight.get("flight"), "cutoff": cutoff}
     names = ["airspeed", *SPECIFIC_FORCE, *RATES]
     given = all(name in flight for name in RATE_DERIVATIVES)
     if given:

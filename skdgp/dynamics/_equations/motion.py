@@ -136,10 +136,12 @@ class Motion:
 
     def _check_lengths(self) -> None:
         """Warn where the model seems to be of another aircraft."""
-        model, aircraft = ([owner.span, owner.chord] for owner in (self.aerodynamics, self.aircraft))
-        if None not in model and not np.isclose(model, aircraft, rtol=0.01).any():
+        span, chord = self.aerodynamics.span, self.aerodynamics.chord
+        if span is None or chord is None:
+            return
+        if not np.isclose([span, chord], [self.aircraft.span, self.aircraft.chord], rtol=0.01).any():
             warnings.warn(
-                f"The model's rates were made non-dimensional by span {model[0]:g} m and chord {model[1]:g} m, but "
+                f"The model's rates were made non-dimensional by span {span:g} m and chord {chord:g} m, but "
                 f"{self.aircraft!r} has others: is this the aircraft that the model was learned from?",
                 UserWarning,
                 stacklevel=4,

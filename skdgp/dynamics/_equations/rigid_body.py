@@ -7,6 +7,7 @@ ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,7 +92,7 @@ def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:
     return cross(rates, rates @ aircraft.inertia)
 
 
-def rk4_step(derivative: Callable[[float, Array], Array], t: float, state: Array, dt: float | Array) -> Array:
+def rk4_step(derivative: Callable[[Any, Array], Array], t: Any, state: Array, dt: float | Array) -> Array:
     """Return the state one step ``dt`` [s] after ``t``, of d state / dt = derivative(t, state), by Runge and Kutta.
 
     The derivative is evaluated at t, twice at t + dt/2 and at t + dt; the error of a step is of order dt^5.

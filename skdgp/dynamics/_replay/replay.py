@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.linalg import covariance_root
-from skdgp._compute.typing import Array, Indices, Mask
+from skdgp._compute.typing import Array, Indices
 from skdgp._flight.channels import BODY_VELOCITY, COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
@@ -167,7 +167,8 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
     if not states:
         raise ValueError(f"The flight has none of the replayed states {list(REPLAYED)} with suffix {suffix!r}.")
     rows = []
-    for horizon, part in trajectory.groupby("horizon", sort=False):
+    for horizon in trajectory["horizon"].unique().tolist():
+        part = trajectory[trajectory["horizon"] == horizon]
         if len(part) != len(flight):
             raise ValueError(f"Got a replay of {len(part)} rows for a flight of {len(flight)}, but expected as many.")
         elapsed = part["elapsed"].to_numpy()
@@ -191,7 +192,7 @@ class _Path(NamedTuple):
     force: Array  # (n, 3), all but gravity
     moment: Array  # (n, 3)
     state: Array  # (n, 13), measured
-    load_factor: Array | None  # (n, 6, 6), loads per unit of coefficient error
+    load_factor: Any  # None, or (n, 6, 6), loads per unit of coefficient error
 
     @classmethod
     def of(
@@ -209,14 +210,14 @@ class _Path(NamedTuple):
             propulsive_loads(flight, aircraft, thrust),
             external_loads(flight, external_forces),
         )
-        force, moment = (sum(parts) for parts in zip(*loads, strict=True))
+        force, moment = (np.sum(parts, axis=0) for parts in zip(*loads, strict=True))
         load_factor = None
         if std is not None:
             per_coefficient = np.hstack(aerodynamic_loads(np.ones((len(flight), 6)), airspeed, density, aircraft))
             load_factor = per_coefficient[:, :, None] * _covariance_factor(std, len(flight))
         return cls(flight["time"].to_numpy(float), force, moment, measured_state(flight), load_factor)
 
-    def is_driven(self) -> Array:
+    def is_driven(self) -> np.ndarray:
         """Return where the loads, and with them the uncertainty, are known, (n,)."""
         driven = np.isfinite(self.force).all(axis=1) & np.isfinite(self.moment).all(axis=1)
         return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))
@@ -239,7 +240,7 @@ def measured_state(flight: pd.DataFrame) -> Array:
     return state
 
 
-def _coefficient_array(coefficients: pd.DataFrame | ArrayLike, flight: pd.DataFrame) -> Array:
+def _coefficient_array(coefficients: Any, flight: pd.DataFrame) -> Array:
     if hasattr(coefficients, "columns"):
         check_columns(coefficients, COEFFICIENTS, what="table of coefficients")
         coefficients = coefficients[list(COEFFICIENTS)]
@@ -367,7 +368,7 @@ def _covariance_factor(std: ArrayLike, n_samples: int) -> Array:
     return factor
 
 
-def restart_windows(time: Array, runs: Iterable[slice], horizon: float, known: Mask | None = None) -> Indices:
+def restart_windows(time: Array, runs: Iterable[slice], horizon: float, known: np.ndarray | None = None) -> Indices:
     """Return the rows of each window, (n_windows, n_steps + 1), shorter windows padded with their last row.
 
     A window starts at a row of a run whose state is ``known`` (n,), by default any, and ends at the last such row no

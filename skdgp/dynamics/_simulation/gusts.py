@@ -63,7 +63,7 @@ def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.n
     (Tu, Tv, Tw), (su, sv, sw) = np.asarray(length) / airspeed, np.asarray(intensity)
     lag, lag_r = 4 * span / (np.pi * airspeed), 3 * span / (np.pi * airspeed)
     first = np.array([[-1 / Tu, 0.0], [su * np.sqrt(2 * Tu) / lag, -1 / lag]])
-    A = block_diag(first, _second_order(Tv, sv, lag_r), _second_order(Tw, sw, lag), -1 / lag)
+    A = block_diag(first, _second_order(Tv, sv, lag_r), _second_order(Tw, sw, lag), [[-1 / lag]])
     B = np.zeros((9, 4))
     B[0, 0], B[3, 1], B[6, 2] = 1 / Tu, 1 / Tv**2, 1 / Tw**2
     B[8, 3] = sw / lag * np.sqrt(0.8 * np.pi / (airspeed * length[2])) * (Tw / lag) ** (1 / 6)

@@ -53,8 +53,8 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     return states
 
 
-def initial_states(starts: pd.DataFrame | Array, wind_at: Callable | None = None) -> Array:
-    """Return the states (n, 13) of starts, in the wind (..., 3) that ``wind_at`` returns at states (n, 13).
+def initial_states(starts: pd.DataFrame | Array, air_at: Callable[[Array], Air | None] = lambda states: None) -> Array:
+    """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 
     By name: the velocity as u, v, w, or v_north, v_east, v_down, or airspeed, alpha, beta (relative to the air); phi,
     theta, psi, p, q, r, north, east, down or altitude are zero where they are not given. Where both altitude and down
@@ -70,7 +70,7 @@ def initial_states(starts: pd.DataFrame | Array, wind_at: Callable | None = None
     UserWarning
         If ground speed, wind and airspeed of a start do not fit each other, or it lies below any land.
     """
-    states = _from_table(starts, wind_at) if isinstance(starts, pd.DataFrame) else starts
+    states = _from_table(starts, air_at) if isinstance(starts, pd.DataFrame) else starts
     if not np.isfinite(states).all():
         bad = [name for name, column in zip(STATE_NAMES, states.T, strict=True) if not np.isfinite(column).all()]
         raise ValueError(f"Got a start whose {bad} are NaN or infinite: choose rows in which the state was measured.")
@@ -79,7 +79,7 @@ def initial_states(starts: pd.DataFrame | Array, wind_at: Callable | None = None
     return states
 
 
-def _from_table(table: pd.DataFrame, wind_at: Callable | None) -> Array:
+def _from_table(table: pd.DataFrame, air_at: Callable[[Array], Air | None]) -> Array:
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
     states = np.zeros((len(table), len(STATE_NAMES)))
 
@@ -98,7 +98,8 @@ def _from_table(table: pd.DataFrame, wind_at: Callable | None) -> Array:
             UserWarning,
             stacklevel=4,
         )
-    wind = 0.0 if wind_at is None else ned_to_body(states[:, ATTITUDE], wind_at(states))
+    air = air_at(states)
+    wind = 0.0 if air is None else ned_to_body(states[:, ATTITUDE], air.wind)
     if all(name in table for name in BODY_VELOCITY):
         states[:, VELOCITY] = columns(BODY_VELOCITY)
     elif all(name in table for name in EARTH_VELOCITY):
@@ -165,8 +166,8 @@ PROPULSION = (
 )
 WIND_STEP = 1e-3
 """Over which the wind of a function is differentiated [s]."""
-AirAt: TypeAlias = "Callable[[Any, Array], Air]"
-"""From a time or a stage, and states (..., 13), to the air there."""
+AirAt: TypeAlias = "Callable[[Any, Array], Air | None]"
+"""From a time or a stage, and states (..., 13), to the air there; None where it is at rest."""
 
 
 class Clock(NamedTuple):
@@ -239,7 +240,7 @@ def control_schedule(
                 )
         return lambda step, stage, observe: constant
     tables = _tables(controls, "controls", n_starts)
-    names = [name for name in tables[0] if name != "time" and wanted(name)]
+    names = [name for name in map(str, tables[0]) if name != "time" and wanted(name)]
     if not names:
         raise ValueError(f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft.")
     values = _interpolated(tables, names, clock, "controls")
@@ -250,9 +251,10 @@ class _Law:
     """Controls as a function (t, state) to values by name."""
 
     def __init__(self, law: Callable, clock: Clock, hold: bool):
-        self.law, self.times, self.hold, self.held = law, clock.stages, hold, (-1, None)
+        self.law, self.times, self.hold = law, clock.stages, hold
+        self.held: tuple[int, Mapping] = (-1, {})
 
-    def __call__(self, step, stage, observe) -> Mapping:
+    def __call__(self, step: int, stage: int, observe: Callable[[], Mapping]) -> Mapping:
         if not self.hold:
             return self.law(self.times[stage], observe())
         if self.held[0] != step:
@@ -260,17 +262,15 @@ class _Law:
         return self.held[1]
 
 
-def wind_field(wind: Any, n_starts: int = 1) -> AirAt | None:
-    """Return a function (t, state) to the air, of a wind that is constant or a function."""
+def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
+    """Return a function (t, state) to the air, of a wind that is constant, a function or None."""
     if wind is None:
-        return None
+        return lambda t, state: None
     if callable(wind):
 
-        def field(t, state):
-            position, velocity = (
-                state[..., rigid_body.POSITION],
-                body_to_ned(state[..., ATTITUDE], state[..., VELOCITY]),
-            )
+        def field(t: float, state: Array) -> Air:
+            position = state[..., rigid_body.POSITION]
+            velocity = body_to_ned(state[..., ATTITUDE], state[..., VELOCITY])
             ahead, behind = (
                 np.asarray(wind(t + step, position + step * velocity), dtype=float) for step in (WIND_STEP, -WIND_STEP)
             )
@@ -294,10 +294,8 @@ def wind_field(wind: Any, n_starts: int = 1) -> AirAt | None:
     return lambda t, state: Air(constant)
 
 
-def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt | None:
-    """Return a function (stage, state) to the air, or None."""
-    if wind is None:
-        return None
+def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
+    """Return a function (stage, state) to the air."""
     if not tables_of(wind):
         times, field = clock.stages, wind_field(wind, n_starts)
         return lambda stage, state: field(times[stage], state)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -158,7 +158,7 @@ def simulate(
     warn_of_clocks(starts, controls, wind, clock.dt)
     air = wind_schedule(wind, clock, len(starts))
     commands = control_schedule(controls, clock, _is_control(motion), len(starts), hold=hold)
-    states = initial_states(starts, None if air is None else lambda at: air(0, at).wind)
+    states = initial_states(starts, lambda at: air(0, at))
     if n_paths is not None:
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         states = perturbed(states, initial_std, n_paths, random_state)
@@ -177,7 +177,7 @@ def simulate(
 class Record(NamedTuple):
     """Trajectories as flown: arrays (n_steps + 1, ...) over time, NaN where a trajectory had ended."""
 
-    time: Array
+    time: np.ndarray
     """Since the start, (n_steps + 1,)."""
     states: Array
     regressors: Array
@@ -199,7 +199,7 @@ class Record(NamedTuple):
         return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
 
 
-def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clock, state: Array) -> Record:
+def fly_record(motion: Motion, commands: Callable, air: AirAt, clock: Clock, state: Array) -> Record:
     """Return what is flown from states (..., 13): the loop over time.
 
     ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
@@ -211,7 +211,7 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clo
 
     def instant(step, stage, state, last):
         stage += 2 * step
-        here = None if air is None else air(stage, state)
+        here = air(stage, state)
         wind = None if here is None else here.wind
         controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
         return motion.at(state, controls, here, None if last is None else last.implicit), controls, wind
@@ -232,16 +232,16 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clo
             flown.append((state, now, controls, wind))
             if k < clock.n_steps:
                 state = _step(instant, k, state, now, clock.dt)
-    over = np.arange(n).reshape(-1, *[1] * len(shape)) >= end
+    is_over = np.arange(n).reshape(-1, *[1] * len(shape)) >= end
 
-    def recorded(values: list, *size: int) -> Array:
+    def recorded(values: Sequence, *size: int) -> Array:
         array = np.full((n, *shape, *size), np.nan)
         for k, value in enumerate(values):
             array[k] = value
-        array[over] = np.nan
+        array[is_over] = np.nan
         return array
 
-    states, instants, controls, winds = zip(*flown, strict=True) if flown else ((), (), (), ())
+    states, instants, all_controls, winds = zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
     return Record(
         time=clock.dt * np.arange(n),
         states=recorded(states, 13),
@@ -250,8 +250,8 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt | None, clock: Clo
         specific_force=recorded([one.force for one in instants], 3) / motion.aircraft.mass,
         derivative=recorded([one.derivative for one in instants], 13),
         density=recorded([one.density for one in instants]),
-        wind=None if air is None else recorded(winds, 3),
-        controls={name: recorded([one[name] for one in controls]) for name in (controls[0] if flown else ())},
+        wind=None if winds[0] is None else recorded(winds, 3),
+        controls={name: recorded([one[name] for one in all_controls]) for name in all_controls[0]},
         ended=ended,
         end=end,
     )
@@ -272,7 +272,7 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     fine = np.isfinite(now.derivative).all(axis=-1)
     fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
     fine = fine & (np.abs(state[..., RATES]) < SPINNING).all(axis=-1)
-    found = {
+    found: dict[str, Any] = {
         "airspeed": now.airspeed < SLOWEST,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~fine,
@@ -296,11 +296,11 @@ def linear_std(record: Record, motion: Motion, initial_std: Mapping[str, float] 
     return found
 
 
-def _std_along(record: Record, motion: Motion, start: Mapping[str, float], place: tuple[int, ...], n: int) -> Array:
+def _std_along(record: Record, motion: Motion, start: Mapping[str, float], place: Any, n: int) -> Array:
     """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory."""
     states = record.states[(slice(n), *place)]
     knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
-    at = (knots, *place)
+    at: Any = (knots, *place)
     wind = None if record.wind is None else Air(record.wind[at])
     slopes = jacobian(
         motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind

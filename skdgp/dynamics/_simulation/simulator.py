@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
+from skdgp._compute.typing import Array, Seed
 from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY, rk4_step
 from skdgp.dynamics._simulation.inputs import as_starts, initial_states, perturbed, wind_field
 from skdgp.dynamics._simulation.simulate import FLYING, end_reasons
 from skdgp.dynamics._simulation.trajectory import beyond, channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import Thrust
 
 
 class Simulator:
@@ -63,20 +66,22 @@ class Simulator:
 
     def __init__(
         self,
-        model,
+        model: Any,
         aircraft: Aircraft,
         dt: float = 0.02,
         *,
-        wind=None,
-        thrust: str | Callable | None = "auto",
+        wind: Any = None,
+        thrust: Thrust = "auto",
         density: float | Callable | None = None,
         gravity: float = STANDARD_GRAVITY,
     ):
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
         self.motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
-        self.dt, self.ended, self._steps = float(dt), FLYING, 0
-        self._mean, self._air, self._state, self.beyond = self.motion.aerodynamics, wind_field(wind), None, ""
+        self.dt, self._steps, self._mean, self._air = float(dt), 0, self.motion.aerodynamics, wind_field(wind)
+        self.ended: Any = FLYING
+        self.beyond: Any = ""
+        self._state: Any = None
 
     @property
     def control_names(self) -> tuple[str, ...]:
@@ -89,14 +94,16 @@ class Simulator:
         return self._steps * self.dt
 
     @property
-    def state(self) -> np.ndarray:
+    def state(self) -> Array:
         """The state (13,), or states (n, 13), see `STATE_NAMES`; NaN where a flight has ended."""
         if self._state is None:
             raise ValueError("Got no start yet: call reset(x0) first.")
         shown = np.where((self._ended == FLYING)[..., None], self._state, np.nan)
         return shown.reshape(-1, 13)[0] if self._single else shown
 
-    def reset(self, x0, *, random_state=None, initial_std: Mapping[str, float] | None = None) -> dict:
+    def reset(
+        self, x0: Any, *, random_state: Seed = None, initial_std: Mapping[str, float] | None = None
+    ) -> dict[str, Any]:
         """Begin a flight, or several, and return what is seen.
 
         Parameters
@@ -114,7 +121,7 @@ class Simulator:
             ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude.
         """
         starts = as_starts(x0)
-        states = initial_states(starts, None if self._air is None else lambda at: self._air(0.0, at).wind)
+        states = initial_states(starts, lambda at: self._air(0.0, at))
         states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
         self.motion.aerodynamics = self._mean if mean_flies else self._mean.sample(len(states), random_state)
@@ -124,7 +131,7 @@ class Simulator:
         self._implicit, self.beyond = None, "" if single else np.full(len(states), "", dtype=object)
         return self._seen()
 
-    def step(self, controls: Mapping) -> dict:
+    def step(self, controls: Mapping) -> dict[str, Any]:
         """Return what is seen after a step with controls by name; raises ValueError before `reset` or after the end."""
         if self._state is None or not (self._ended == FLYING).any():
             what = "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
@@ -132,11 +139,11 @@ class Simulator:
         controls = self.motion.mixed(controls)
 
         def at(t, state):
-            now = self.motion.at(state, controls, None if self._air is None else self._air(t, state), self._implicit)
+            now = self.motion.at(state, controls, self._air(t, state), self._implicit)
             self._implicit = now.implicit
             return now
 
-        with np.errstate(all="ignore"):  # what diverges is found
+        with np.errstate(all="ignore"):  # what diverges is ended
             state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
             self._steps += 1
             now = at(self.time, state)
@@ -148,9 +155,9 @@ class Simulator:
         self._state = state if flying.all() else np.where(flying[..., None], state, self._start)
         return self._seen()
 
-    def _seen(self) -> dict:
-        wind = None if self._air is None else self._air(self.time, self._state).wind
-        seen = {"time": self.time} | channels(self._state, wind)
+    def _seen(self) -> dict[str, Any]:
+        air = self._air(self.time, self._state)
+        seen: dict[str, Any] = {"time": self.time} | channels(self._state, None if air is None else air.wind)
         over = self._ended != FLYING
         if over.any():
             seen = {name: np.where(over, np.nan, value) if name != "time" else value for name, value in seen.items()}

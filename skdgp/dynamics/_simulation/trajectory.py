@@ -88,7 +88,8 @@ def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     table = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
     table |= _identity(shape, n_times)
     table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
-    table["beyond"] = pd.Categorical.from_codes(column(beyond(motion, record.regressors)), ["", *motion.regressors])
+    farthest = np.array(["", *motion.regressors], dtype=object)[column(beyond(motion, record.regressors))]
+    table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
     table["ended"] = pd.Categorical(column(np.where(over, record.ended, "")))
     return pd.DataFrame(table)
 
@@ -102,7 +103,7 @@ def _identity(shape, n_times) -> dict:
     if paths:
         several = shape[1] > 1
         names = [f"path {p}, {name}" if several else f"path {p}" for p, name in zip(*paths, names, strict=True)]
-    found = {"flight": pd.Categorical.from_codes(np.repeat(np.arange(len(names)), n_times), names)}
+    found = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
     found["start"] = np.repeat(starts, n_times)
     return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
 

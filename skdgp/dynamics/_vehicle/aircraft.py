@@ -84,7 +84,7 @@ class Aircraft:
             object.__setattr__(self, name, value)
 
     @cached_property
-    def inertia_inverse(self) -> Array:
+    def inertia_inverse(self) -> np.ndarray:
         """The inverse of the inertia tensor, (3, 3) [1/(kg m^2)]."""
         return np.linalg.inv(self.inertia)
 

@@ -107,7 +107,7 @@ class Propeller:
         """Return the torque [N m] ON THE AIRCRAFT about the thrust direction (opposite to the rotation)."""
         return -self.rotation * self._load(self.torque_coefficients, 5, propeller_speed, airspeed, density)
 
-    def advance_ratio(self, propeller_speed: ArrayLike, airspeed: ArrayLike) -> Array:
+    def advance_ratio(self, propeller_speed: ArrayLike, airspeed: ArrayLike) -> np.ndarray:
         """Return J = V / (n D) = 2 pi V / (Omega D), infinite where the propeller stands still."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return 2.0 * np.pi * np.asarray(airspeed, float) / (np.asarray(propeller_speed, float) * self.diameter)
@@ -172,12 +172,12 @@ class Propeller:
             )
         basis = _basis(speed, airspeed, density, diameter, 0 if static else degree)
 
-        def fit(load: str, power: int) -> Array:
+        def fit(load: str, power: int) -> list[float]:
             target = table[load].to_numpy(float) / diameter**power
             coefficients = np.linalg.lstsq(basis, target, rcond=None)[0]
             if static and pitch is not None and load == "thrust":
                 coefficients = np.append(coefficients, -coefficients * diameter / pitch)
-            return coefficients
+            return coefficients.tolist()
 
         if np.linalg.matrix_rank(basis) < basis.shape[1]:
             raise ValueError(
@@ -268,8 +268,8 @@ class ThrustLine:
         F_T = T d and M_T = r_T x F_T + Q d, with ``thrust`` T [N] and ``torque`` Q [N m] on the aircraft
         about the line's direction d (a propeller turning clockwise seen from behind gives Q < 0).
         """
-        thrust, torque = (np.asarray(load, dtype=float)[..., None] for load in (thrust, torque))
-        return thrust * self.direction, thrust * self._arm + torque * self.direction
+        T, Q = (np.asarray(load, dtype=float)[..., None] for load in (thrust, torque))
+        return T * self.direction, T * self._arm + Q * self.direction
 
 
 class ThrustTable:
@@ -323,7 +323,7 @@ class ThrustTable:
             axis if len(axis) > 1 else np.array([axis[0], axis[0] + 1.0]) for axis in (self.throttle, self.airspeed)
         ]
         values = np.tile(self.thrust, [1 if len(axis) > 1 else 2 for axis in (self.throttle, self.airspeed)])
-        self._low, self._high = ([axis[k] for axis in grid] for k in (0, -1))
+        self._low, self._high = (np.array([axis[k] for axis in grid]) for k in (0, -1))
         self._interpolated = RegularGridInterpolator(grid, values)
 
     @classmethod

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from skdgp._compute.typing import Array
-from skdgp.datasets._brumby import BRUMBY
+from skdgp.datasets._brumby import PROPELLER
 from skdgp.datasets._flight_plans import FlightPlan, scheduled
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
@@ -28,7 +28,7 @@ class FlightControls:
     as exact first-order lags.
     """
 
-    def __init__(self, plans: tuple[FlightPlan, ...], time: Array, step: float):
+    def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
         def along(name: str) -> Array:
             return np.stack([scheduled(getattr(plan, name), time) for plan in plans], axis=1)
 
@@ -71,7 +71,7 @@ def _targets(command: Array) -> tuple[Array, Array]:
     throttle = np.clip(throttle, 0.0, 1.0)
     elevons = np.clip([elevator + aileron, elevator - aileron], -ELEVON_LIMIT, ELEVON_LIMIT)
     rudder = np.clip(rudder, -RUDDER_LIMIT, RUDDER_LIMIT)
-    return np.stack([*elevons, rudder, BRUMBY.propeller.speed_at(throttle)], axis=-1), throttle
+    return np.stack([*elevons, rudder, PROPELLER.speed_at(throttle)], axis=-1), throttle
 
 
 class Autopilot:

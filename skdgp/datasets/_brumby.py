@@ -16,6 +16,13 @@ from skdgp.dynamics import Aircraft, Propeller, ThrustLine
 REGRESSORS = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder")
 """Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)."""
 
+PROPELLER = Propeller(
+    diameter=0.6,
+    thrust_coefficients=(0.10, -0.045, -0.065),
+    torque_coefficients=(0.0070, 0.0010, -0.0060),
+    rotation=-1,
+    speed_range=(280.0, 800.0),
+)
 BRUMBY = Aircraft(
     name="brumby",
     mass=45.0,
@@ -24,13 +31,7 @@ BRUMBY = Aircraft(
     span=2.80,
     chord=1.09,
     thrust_line=ThrustLine(position=(-0.75, 0.0, -0.05), direction=(1.0, 0.0, -0.035)),
-    propeller=Propeller(
-        diameter=0.6,
-        thrust_coefficients=(0.10, -0.045, -0.065),
-        torque_coefficients=(0.0070, 0.0010, -0.0060),
-        rotation=-1,
-        speed_range=(280.0, 800.0),
-    ),
+    propeller=PROPELLER,
 )
 
 

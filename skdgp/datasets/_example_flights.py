@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from numbers import Real
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,10 +17,8 @@ from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._flight_plans import FLIGHT_PLANS
 from skdgp.datasets._simulation import fly_plans
 from skdgp.dynamics import propeller_loads
-from skdgp.dynamics._equations.motion import Instant
 from skdgp.dynamics._equations.rigid_body import RATES as SPIN
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
-from skdgp.dynamics._simulation.simulate import Record
 from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._vehicle.loads import FORCES, MOMENTS
 
@@ -129,8 +128,9 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
     >>> data.aircraft
     Aircraft('brumby', 45 kg, S 2.59 m^2, b 2.8 m, c 1.09 m)
     """
-    is_seed = isinstance(random_state, int | np.integer)
-    seed = random_state if is_seed else check_random_state(random_state).randint(np.iinfo(np.int32).max)
+    seed: Any = random_state
+    if not isinstance(seed, int | np.integer):
+        seed = check_random_state(seed).randint(np.iinfo(np.int32).max)
     train, test = _flights(int(seed), float(turbulence), float(sensor_noise))
     return Bunch(
         train=train.copy(),
@@ -159,7 +159,7 @@ def _flights(
     return train.astype({"flight": "category"}), test.astype({"flight": "category"})
 
 
-def _columns(record: Record, truth: Instant) -> tuple[dict[str, Array], dict[str, Array]]:
+def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return what is logged without noise, and the truth of what is measured: (n_times, n_flights) by name."""
     seen = channels(record.states, record.wind)
     thrust = propeller_loads(BRUMBY, record.controls["propeller_speed"], seen["airspeed"], truth.density)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,8 @@ PASSES = 8
 """Of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer."""
 
 
-class GustyAir(NamedTuple):
+@dataclass(frozen=True)
+class GustyAir:
     """A steady wind with gusts around each aircraft."""
 
     wind: Array
@@ -39,7 +41,7 @@ class GustyAir(NamedTuple):
     gusts: Gusts
     """At each stage, (n_stages, n_flights, 3)."""
 
-    def __call__(self, stage: int | slice, state: Array) -> Air:
+    def __call__(self, stage: Any, state: Array) -> Air:
         """Return the air at a stage, or at several, and states (..., n_flights, 13)."""
         velocity, acceleration, rotation = (part[stage] for part in self.gusts)
         # A gust turns with the aircraft.
@@ -61,7 +63,7 @@ def fly_plans(
 
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
     """
-    time = np.arange(round((SETTLING + duration) / STEP)) * STEP - SETTLING
+    time: np.ndarray = np.arange(round((SETTLING + duration) / STEP)) * STEP - SETTLING
     heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
     scales = [low_altitude_turbulence(h, plan.wind_at_6m) for h, plan in zip(heights, plans, strict=True)]
     lengths, intensities = (np.array(part) for part in zip(*scales, strict=True))

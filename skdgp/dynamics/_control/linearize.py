@@ -229,12 +229,10 @@ class LinearModel:
         tables = [table.loc[a, b] for table, (a, b) in zip(self._tables(), blocks, strict=True)]
         paths = None
         if self.paths is not None:
-            cut = [
-                values[:, [table.index.get_loc(row) for row in a]][
-                    :, :, [table.columns.get_loc(column) for column in b]
-                ]
-                for values, table, (a, b) in zip(self.paths, self._tables(), blocks, strict=True)
-            ]
+            cut = []
+            for values, table, (a, b) in zip(self.paths, self._tables(), blocks, strict=True):
+                rows, columns = list(table.index), list(table.columns)
+                cut.append(values[:, [rows.index(name) for name in a]][:, :, [columns.index(name) for name in b]])
             paths = Matrices(*cut)
         A, B, C, D = tables
         return LinearModel(A, B, C, D, self.state, self.controls, paths)

@@ -320,7 +320,7 @@ class SteadyFlight:
             start["thrust"] = 0.15 * self.motion.aircraft.mass * self.motion.gravity
         if "throttle" in start:
             start["throttle"] = 0.5
-        if "propeller_speed" in start:  # at half the turns of an advance ratio of 1
+        if "propeller_speed" in start and self.motion.aircraft.propeller is not None:  # an advance ratio of 1/2
             start["propeller_speed"] = 4.0 * np.pi * airspeed / self.motion.aircraft.propeller.diameter
         return np.array([start[name] for name in self.unknowns])
 

@@ -278,7 +278,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
             "simulation gives them: put it behind RegressorSelector."
         )
     chain = _Chain([_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names))
-    limits = np.array([chosen.data_min_, chosen.data_max_]) if hasattr(chosen, "data_min_") else None
+    limits = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")]
     mixing = None
     if splitter is not None:
         mixing = Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
@@ -288,7 +288,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         gradient=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
         covariance=chain.covariance if chain.can_sample else None,
-        limits=limits,
+        limits=None if limits[0] is None else np.array(limits),
         span=None if rates is None else rates.span,
         chord=None if rates is None else rates.chord,
         mixing=mixing,

@@ -125,7 +125,7 @@ def replay(
         slice(part.start + run.start, part.start + run.stop) for part in segments for run in true_runs(driven[part])
     ]
     for h in horizons.tolist():
-        rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state).all(axis=1))
+        rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state.sum(axis=1)))
         states = _integrate(path, rows, aircraft, float(gravity))
         std = None
         if path.load_factor is not None:
@@ -217,7 +217,7 @@ class _Path(NamedTuple):
             load_factor = per_coefficient[:, :, None] * _covariance_factor(std, len(flight))
         return cls(flight["time"].to_numpy(float), force, moment, measured_state(flight), load_factor)
 
-    def is_driven(self) -> np.ndarray:
+    def is_driven(self) -> Any:
         """Return where the loads, and with them the uncertainty, are known, (n,)."""
         driven = np.isfinite(self.force).all(axis=1) & np.isfinite(self.moment).all(axis=1)
         return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))

@@ -197,7 +197,7 @@ class Clock(NamedTuple):
         return cls(float(dt), n_steps)
 
     @property
-    def stages(self) -> Array:
+    def stages(self) -> np.ndarray:
         """Times since the start [s], two for each step and the end."""
         return 0.5 * self.dt * np.arange(2 * self.n_steps + 1)
 

@@ -128,7 +128,8 @@ class Simulator:
         self._state = states[0] if single and mean_flies else states
         self._single, self._start, self._steps = single, self._state, 0
         self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)
-        self._implicit, self.beyond = None, "" if single else np.full(len(states), "", dtype=object)
+        self._implicit: Any = None
+        self.beyond = "" if single else np.full(len(states), "", dtype=object)
         return self._seen()
 
     def step(self, controls: Mapping) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -94,8 +95,8 @@ def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def _identity(shape, n_times) -> dict:
-    """Return the columns that tell the trajectories apart."""
+def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
+    """Return the columns that name the trajectories."""
     if not shape:
         return {"flight": pd.Categorical(["simulation"] * n_times)}
     *paths, starts = np.indices(shape).reshape(len(shape), -1)
@@ -103,7 +104,7 @@ def _identity(shape, n_times) -> dict:
     if paths:
         several = shape[1] > 1
         names = [f"path {p}, {name}" if several else f"path {p}" for p, name in zip(*paths, names, strict=True)]
-    found = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
+    found: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
     found["start"] = np.repeat(starts, n_times)
     return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
 

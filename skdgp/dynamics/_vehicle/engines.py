@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -246,6 +246,9 @@ class ThrustLine:
     position: Any = (0.0, 0.0, 0.0)
     direction: Any = (1.0, 0.0, 0.0)
 
+    _arm: ClassVar[Any]
+    """Moment of one newton [m]."""
+
     def __post_init__(self):
         for name in ("position", "direction"):
             vector = as_floats(getattr(self, name))
@@ -319,12 +322,12 @@ class ThrustTable:
             )
         self.density = float(standard_density(0.0)) if density is None else float(density)
         self.follows_density = follows_density
-        grid = [
+        axes = [
             axis if len(axis) > 1 else np.array([axis[0], axis[0] + 1.0]) for axis in (self.throttle, self.airspeed)
         ]
         values = np.tile(self.thrust, [1 if len(axis) > 1 else 2 for axis in (self.throttle, self.airspeed)])
-        self._low, self._high = (np.array([axis[k] for axis in grid]) for k in (0, -1))
-        self._interpolated = RegularGridInterpolator(grid, values)
+        self._low, self._high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
+        self._interpolated = RegularGridInterpolator(axes, values)
 
     @classmethod
     def from_table(cls, table: pd.DataFrame, **options: Any) -> ThrustTable:

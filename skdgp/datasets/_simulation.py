@@ -44,10 +44,9 @@ class GustyAir:
     def __call__(self, stage: Any, state: Array) -> Air:
         """Return the air at a stage, or at several, and states (..., n_flights, 13)."""
         velocity, acceleration, rotation = (part[stage] for part in self.gusts)
-        # A gust turns with the aircraft.
-        rate = acceleration + cross(state[..., RATES], velocity)
-        attitude = state[..., ATTITUDE]
-        return Air(self.wind + body_to_ned(attitude, velocity), body_to_ned(attitude, rate), rotation)
+        rate = acceleration + cross(state[..., RATES], velocity)  # a gust turns with the aircraft
+        gust, gust_rate = body_to_ned(state[..., ATTITUDE], np.stack([velocity, rate]))
+        return Air(self.wind + gust, gust_rate, rotation)
 
 
 def brumby_motion() -> Motion:

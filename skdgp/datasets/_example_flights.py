@@ -87,7 +87,7 @@ speed, thrust, altitude and density are known. Columns ending in _true are noise
 def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sensor_noise: float = 1.0) -> Bunch:
     """Return training and test flights of a simulated delta-wing UAV with known truth.
 
-    Nothing is downloaded: `skdgp.dynamics` flies them, about 5 s at the first call, kept for later calls in the
+    Nothing is downloaded: `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the
     same process. The aircraft, its equations and the manoeuvres are described in docs/example_flights.md.
 
     Parameters

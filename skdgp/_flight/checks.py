@@ -21,15 +21,7 @@ FASTEST_RATE = 50.0
 
 
 def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
-    """Return ``table`` if it is a DataFrame with named, unique columns and at least one row.
-
-    Raises
-    ------
-    TypeError
-        If it is not a DataFrame.
-    ValueError
-        If it has no rows or a column name stands twice.
-    """
+    """Return a DataFrame with unique column names and at least one row; raise TypeError or ValueError at any other."""
     if not isinstance(table, pd.DataFrame):
         raise TypeError(
             f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named columns "
@@ -101,16 +93,8 @@ def _named(table: pd.DataFrame, what: str) -> str:
 def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
     """Return the segments without gaps of a flight table that has the ``needed`` columns in SI units.
 
-    Raises
-    ------
-    ValueError
-        If a column is missing or not numeric, time does not increase within a flight, airspeed is not
-        positive, or values are impossible in SI units.
-
-    Warns
-    -----
-    UserWarning
-        If values are possible but probably of another unit or sign.
+    Raises ValueError if a column is missing or not numeric, time does not increase within a flight, airspeed is not
+    positive, or values are impossible in SI units. Warns of values that are probably of another unit or sign.
     """
     check_columns(check_table(flight), needed)
     for name in needed:

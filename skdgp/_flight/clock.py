@@ -20,17 +20,8 @@ def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[sl
     """Return the segments of a log: rows of one flight without gaps, in order, every row once.
 
     A segment ends where ``flight`` (n,), identifiers, changes, and where ``time`` (n,) [s] steps by more than 2.5 times
-    the median step of the flight.
-
-    Raises
-    ------
-    ValueError
-        If time is not finite, does not increase within a flight, or has no usual step; or a row names no flight.
-
-    Examples
-    --------
-    >>> flight_segments([0.0, 0.1, 0.2, 0.9, 1.0, 0.0, 0.1], ["a"] * 5 + ["b"] * 2)
-    [slice(0, 3, None), slice(3, 5, None), slice(5, 7, None)]
+    the median step of the flight. Raises ValueError if time is not finite, does not increase within a flight, or has no
+    usual step; or a row names no flight.
     """
     time, codes = check_clock(time, flight)
     return _split(time, codes)
@@ -39,10 +30,7 @@ def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[sl
 def flight_codes(flight: ArrayLike) -> tuple[np.ndarray, list]:
     """Return the number of each row's flight, (n,), from 0 on in their order, and the flights' names.
 
-    Raises
-    ------
-    ValueError
-        If a row names no flight: its cell is empty, None, NaN or blank.
+    Raises ValueError if a row names no flight: its cell is empty, None, NaN or blank.
     """
     codes, names = pd.factorize(np.asarray(flight, dtype=object))
     blank = [code for code, name in enumerate(names) if not str(name).strip()]

@@ -31,22 +31,21 @@ def smooth(
     flight: ArrayLike | None = None,
     joint: bool = False,
 ) -> np.ndarray:
-    """Return channels without sensor noise and without delay, shaped like ``values``.
+    """Return channels (n,) or (n, k) without sensor noise and without delay, segment by segment.
+
+    NaN means not sampled: such rows stay NaN, and the channel is filtered on the clock of its other rows (a slow sensor
+    in a fast table). Unwrap angles that pass through +-pi first. Jittered clocks are resampled to a uniform grid and
+    back.
 
     Parameters
     ----------
-    values : array-like of shape (n,) or (n, k)
-        Channels. NaN means not sampled: such rows stay NaN, and the channel is filtered on the clock of its
-        other rows (a slow sensor in a fast table). Unwrap angles that pass through +-pi first.
-    time : array-like of shape (n,)
-        Time [s], strictly increasing within a flight. Jittered clocks are resampled to a uniform grid and back.
-    cutoff : float, "auto" or None, default="auto"
+    values, time, flight : array-like
+        Channels; time (n,) [s], increasing within a flight; identifiers of flights (n,).
+    cutoff : float, "auto" or None
         Corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2 there); the Wiener smoother of
         the channel's spectrum over its flight, which needs a segment of 128 samples, else it warns and leaves the
         channel as it is; or no smoothing.
-    flight : array-like of shape (n,), optional
-        Flight identifiers.
-    joint : bool, default=False
+    joint : bool
         With "auto": estimate each channel from all channels sampled at the same rows, through their cross-spectra.
         For few channels that move together, such as alpha and q.
 
@@ -55,15 +54,6 @@ def smooth(
     ValueError
         If time does not increase or is too irregular, a value is infinite, or the cutoff is not below half the
         sampling rate.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> time = np.arange(0, 60, 0.025)
-    >>> truth = 0.1 * np.sin(2 * np.pi * 0.5 * time)
-    >>> noisy = truth + np.random.default_rng(0).normal(0, 0.02, time.size)
-    >>> bool(np.std(smooth(noisy, time) - truth) < 0.3 * np.std(noisy - truth))
-    True
     """
     return _per_channel(values, time, flight, cutoff, joint, derivative=False)
 
@@ -78,15 +68,7 @@ def differentiate(
 ) -> np.ndarray:
     """Return the rate of change of the smoothed channels: the slope of the cubic spline through them.
 
-    Parameters and errors are those of :func:`smooth`. A segment of a single sample has no rate: NaN, with a warning.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> time = np.arange(0, 10, 0.1)
-    >>> rate = differentiate(np.sin(time), time, cutoff=None)
-    >>> bool(np.allclose(rate, np.cos(time), atol=1e-4))
-    True
+    Parameters and errors are those of `smooth`. A segment of a single sample has no rate: NaN, with a warning.
     """
     return _per_channel(values, time, flight, cutoff, joint, derivative=True)
 
@@ -101,17 +83,9 @@ class NoiseLevel(NamedTuple):
 def noise_level(
     values: ArrayLike, time: ArrayLike, *, flight: ArrayLike | None = None, joint: bool = False
 ) -> NoiseLevel:
-    """Return the standard deviation of the white noise in each channel, (k,) or (), before and after ``smooth``.
+    """Return the standard deviation of the white noise in each channel, (k,) or (), before and after `smooth`.
 
-    Parameters are those of :func:`smooth`. Flights are pooled by their number of samples; NaN where all are too short.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> time = np.arange(0, 60, 0.025)
-    >>> noise = np.random.default_rng(0).normal(0, 0.02, time.size)
-    >>> bool(abs(noise_level(np.sin(time) + noise, time).measured - 0.02) < 1e-3)
-    True
+    Flights are pooled by their number of samples; NaN where all are too short.
     """
     columns, times, codes = _checked(values, time, flight)
     found = np.full((2, columns.shape[1]), np.nan)

@@ -99,18 +99,7 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
 
 
 def brumby_derivatives(regressors: ArrayLike) -> Array:
-    """Return d coefficients / d regressors, (..., 6, 10), exact to rounding (complex steps, 1e-30).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skdgp.datasets._brumby import REGRESSORS, brumby_derivatives
-    >>> trim = np.zeros(10)
-    >>> trim[0] = 0.08
-    >>> Cm, alpha = 4, REGRESSORS.index("alpha")
-    >>> bool(brumby_derivatives(trim)[Cm, alpha] < 0)  # stable: nose up pitches down
-    True
-    """
+    """Return d coefficients / d regressors, (..., 6, 10), exact to rounding (complex steps, 1e-30)."""
     steps = np.asarray(regressors, dtype=float)[..., None, :] + 1e-30j * np.eye(len(REGRESSORS))
     return np.swapaxes(brumby_coefficients(steps).imag / 1e-30, -1, -2)
 

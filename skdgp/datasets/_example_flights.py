@@ -183,13 +183,6 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
     """Return one measured column per name of `SENSOR_NOISE`, from the column of ``truth`` that ends in ``_true``.
 
     Noise is white and independent from channel to channel, with ``scale`` times the stated standard deviations.
-
-    Examples
-    --------
-    >>> import numpy as np, pandas as pd
-    >>> truth = pd.DataFrame(0.0, index=range(10_000), columns=[name + "_true" for name in SENSOR_NOISE])
-    >>> measure(truth, 1.0, np.random.default_rng(0))["airspeed"].std().round(2)
-    np.float64(0.3)
     """
     names = list(SENSOR_NOISE)
     noise = scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal((len(truth), len(names)))

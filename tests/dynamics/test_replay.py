@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from skdgp.dynamics import Aircraft, replay, replay_errors
-from skdgp.dynamics._equations.error_covariance import standard_deviations
 
 STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r"]
 EVERY = ["north", "east", "down", *STATES]
@@ -229,7 +228,3 @@ def test_bands_cover_what_known_coefficient_errors_do(shared_data):
     coverage = replay_errors(flown, flight, suffix="_true").set_index(["horizon", "state"])["coverage"]
     assert coverage.loc[2.0].between(0.90, 0.99).all(), coverage
     assert coverage.loc[10.0].between(0.80, 1.0).all(), coverage
-
-
-def test_a_variance_that_rounding_carried_below_zero_is_none():
-    np.testing.assert_array_equal(standard_deviations(np.diag([-1e-22, 4.0]), np.eye(2)), [0.0, 2.0])

@@ -73,16 +73,8 @@ def error_covariances(
 ) -> Iterator[Array]:
     """Yield the covariance of the errors (..., 12, 12) at every sample.
 
-    Parameters
-    ----------
-    samples : iterable of (A, B)
-        (..., 12, 12) and (..., 12, m) at each sample.
-    steps : iterable of float or ndarray of shape (..., 1, 1)
-        From each sample to the next [s].
-    start : ndarray of shape (..., 12, k)
-        A root of the first covariance.
-    correlation_time : float
-        Of z [s], 0 to infinity.
+    ``samples`` yields A (..., 12, 12) and B (..., 12, m) of each, ``steps`` the time from each to the next [s], a float
+    or (..., 1, 1). ``start`` (..., 12, k) is a root of the first covariance, ``correlation_time`` of z 0 to infinity [s].
     """
     samples = iter(samples)
     A, B = next(samples)

@@ -374,14 +374,6 @@ def restart_windows(time: Array, runs: Iterable[slice], horizon: float, known: n
     A window starts at a row of a run whose state is ``known`` (n,), by default any, and ends at the last such row no
     more than ``horizon`` [s] later, where the next one starts. Where no known row lies within the horizon, it ends with
     the horizon, and the next one starts at the next known row.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> restart_windows(np.arange(6) * 0.5, [slice(0, 6)], horizon=1.0)
-    array([[0, 1, 2],
-           [2, 3, 4],
-           [4, 5, 5]])
     """
     known = np.ones(len(time), dtype=bool) if known is None else known
     windows = [window for run in runs for window in _windows_of_run(time, run, horizon, np.flatnonzero(known))]

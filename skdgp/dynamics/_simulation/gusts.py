@@ -32,12 +32,6 @@ def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarra
 
     With h in feet: L_w = h, L_u = L_v = h / (.177 + .000823 h)^1.2, sigma_w = .1 W, sigma_u = sigma_v =
     sigma_w / (.177 + .000823 h)^.4, W the wind speed 20 ft above the ground.
-
-    Examples
-    --------
-    >>> length, intensity = low_altitude_turbulence(height=150.0, wind_at_6m=8.0)
-    >>> length.round(), intensity.round(2)
-    (array([287., 287., 150.]), array([0.99, 0.99, 0.8 ]))
     """
     shear = 0.177 + 0.000823 * height / FEET
     length = height * np.array([shear**-1.2, shear**-1.2, 1.0])

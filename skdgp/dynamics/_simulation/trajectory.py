@@ -60,15 +60,8 @@ def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
 def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     """Return what was flown as one flight table: path by path, start by start, row by row.
 
-    Parameters
-    ----------
-    record : Record
-        Of trajectories (), (n_starts,) or (n_paths, n_starts).
-    motion : Motion
-    first_times : ndarray (n_starts,)
-        What the clock shows at each start.
-    further : dict of str to ndarray (n_times, ...)
-        More columns.
+    The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times`` (n_starts,) is the time at
+    each start, ``further`` holds more columns (n_times, ...).
     """
     shape = record.ended.shape
     n_times = len(record.time)

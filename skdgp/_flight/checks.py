@@ -197,7 +197,7 @@ def _accelerations(flight: pd.DataFrame) -> None:
     if not 3.0 < np.nanmedian(size) < 300.0:
         _warn(
             f"The median specific force |(ax, ay, az)| is {np.nanmedian(size):.3g} m/s^2, but level flight gives 9.8: "
-            "multiply by 9.80665 if these are g; if gravity was taken out of them, put it back (an accelerometer "
+            "multiply by 9.80665 if these are g; if gravity was subtracted from them, add it (an accelerometer "
             "reads specific force)."
         )
     elif np.nanmedian(specific[:, 2]) > 3.0:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 GAP = 2.5
 """A step longer than this many median steps starts a new segment (one lost sample is bridged)."""
 JITTER = 0.02
-"""Samples nearer than this fraction of a step to a uniform grid are taken to lie on it (rounded clocks)."""
+"""Samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)."""
 SHORTEST_PART = 10
 """A clock that goes back sooner than after so many samples was not restarted: the rows are in disorder."""
 
@@ -62,13 +62,13 @@ def part_restarts(time: np.ndarray, flight: ArrayLike) -> tuple[np.ndarray, np.n
     edges = np.sort(np.r_[0, np.flatnonzero(~same) + 1, back, len(time)])
     if not back.size or np.any(same & (time[1:] == time[:-1])) or np.diff(edges).min() < SHORTEST_PART:
         return flight, np.empty(0, int)
-    names, taken = flight.copy(), set(used)
+    names, names_used = flight.copy(), set(used)
     numbers: dict[str, int] = {}
     for row, end in zip(back, edges[np.searchsorted(edges, back) + 1], strict=True):
         number = numbers.get(flight[row], 1) + 1
-        while (name := f"{flight[row]}#{number}") in taken:
+        while (name := f"{flight[row]}#{number}") in names_used:
             number += 1
-        taken.add(name)
+        names_used.add(name)
         numbers[flight[row]], names[row:end] = number, name
     return names, back
 

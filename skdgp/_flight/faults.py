@@ -53,7 +53,7 @@ MOST_SHOWN = 8
 WARNING_START = "Faults in the log"
 """First words of the warning, by which it is filtered."""
 ENOUGH = 50
-"""Fewer samples do not tell what is usual."""
+"""Least number of samples from which the usual length of runs is known."""
 IMPROBABLE = 1e-4
 """Expected number of such runs in a flight below which chance is ruled out."""
 LEAST_HOLD = 0.3
@@ -82,7 +82,7 @@ REMEDY = {
 
 
 Fault = tuple[str, str, np.ndarray, str]
-"""Channel, kind, rows, words."""
+"""Channel, kind, rows, description."""
 
 
 class FlightDataWarning(UserWarning):
@@ -98,13 +98,13 @@ class Finding(NamedTuple):
     start: float
     end: float
     rows: np.ndarray
-    words: str
+    description: str
 
     @property
     def message(self) -> str:
         """What is wrong, and what follows from it."""
         where = f"{self.start:.6g} to {self.end:.6g} s, {len(self.rows)} samples"
-        return f"{self.channel} {self.words} ({where}): {REMEDY[self.kind]}"
+        return f"{self.channel} {self.description} ({where}): {REMEDY[self.kind]}"
 
 
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
@@ -123,9 +123,9 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
     for first, last in pairwise(edges):
         here = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
-        for channel, kind, rows, words in _faults_of_flight(here, part):
+        for channel, kind, rows, description in _faults_of_flight(here, part):
             ends = float(here[rows[0]]), float(here[rows[-1]])
-            found.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, words))
+            found.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, description))
     return found
 
 
@@ -150,7 +150,7 @@ def faults_message(findings: list[Finding], done: str) -> str:
 
 
 def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iterator[Fault]:
-    """Yield channel, kind, rows and words of each fault; in the channels, what was not measured becomes NaN."""
+    """Yield channel, kind, rows and description of each fault; in the channels, what was not measured becomes NaN."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     yield from _gaps(time, step)
     for name, values in channels.items():
@@ -166,8 +166,8 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
                 yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
         elif name in SURFACES:
             for rows in saturated_rows(values, step):
-                words = f"stands at its extreme value {values[rows[0]]:.4g} {_times(rows)}, as at a stop"
-                yield name, "saturated", rows, words
+                text = f"stands at its extreme value {values[rows[0]]:.4g} {_times(rows)}, as at a stop"
+                yield name, "saturated", rows, text
     yield from _dead(channels, len(time))
 
 
@@ -179,14 +179,14 @@ def _gaps(time: np.ndarray, step: float) -> Iterator[Fault]:
 
 
 def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
-    stretches = missing_rows(values)
-    if len(stretches) == 1 and len(stretches[0]) == len(values):
-        yield name, "missing", stretches[0], "has no value"
+    gaps = missing_rows(values)
+    if len(gaps) == 1 and len(gaps[0]) == len(values):
+        yield name, "missing", gaps[0], "has no value"
         return
-    for rows in stretches:
+    for rows in gaps:
         if len(rows) * step >= LONG_GAP:
             yield name, "missing", rows, f"has no value for {len(rows) * step:.3g} s"
-    short = [rows for rows in stretches if len(rows) * step < LONG_GAP]
+    short = [rows for rows in gaps if len(rows) * step < LONG_GAP]
     if short:
         rows = np.concatenate(short)
         yield name, "missing", rows, f"has no value {_times(rows)}, for {max(map(len, short)) * step:.2g} s at most"
@@ -196,9 +196,9 @@ def _impossible(name: str, values: np.ndarray) -> Iterator[Fault]:
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
     if 0 < rows.size <= RARE * np.isfinite(values).sum():
-        words = f"has impossible values, such as {values[rows[0]]:.4g}"
+        text = f"has impossible values, such as {values[rows[0]]:.4g}"
         values[rows] = np.nan
-        yield name, "impossible", rows, words
+        yield name, "impossible", rows, text
 
 
 def _dead(channels: dict[str, np.ndarray], n: int) -> Iterator[Fault]:
@@ -238,7 +238,7 @@ def equal_runs(values: np.ndarray) -> Runs:
 
 
 def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
-    """Return the rows of each stretch in which a sensor repeats its last value, improbably often."""
+    """Return the rows of each run in which a sensor repeats its last value, improbably often."""
     rows = np.flatnonzero(np.isfinite(values))
     seen = values[rows]
     if len(rows) < ENOUGH or np.ptp(seen) == 0:
@@ -296,7 +296,7 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
 
 
 def missing_rows(values: np.ndarray) -> list[np.ndarray]:
-    """Return the rows of each stretch in which a channel has no values although it usually would."""
+    """Return the rows of each gap in a channel that usually has values there."""
     known = np.flatnonzero(np.isfinite(values))
     if not known.size:
         return [np.arange(len(values))]

@@ -28,7 +28,7 @@ class Spectrum(NamedTuple):
     frequency: np.ndarray  # (m,) [Hz]
     power: np.ndarray  # (m, k, k) cross-spectral density
     averages: float  # independent periodograms in it
-    rounding: np.ndarray  # (k,) white power below which nothing is told from rounding
+    rounding: np.ndarray  # (k,) white power that rounding makes
 
     @property
     def channel_power(self) -> np.ndarray:
@@ -137,7 +137,7 @@ def _windows(segment: np.ndarray, size: int) -> np.ndarray:
 
 
 def _noise_floor(frequency: np.ndarray, power: np.ndarray, averages: float) -> float:
-    """Return the flat part of the upper half of a spectrum, the falling part taken away.
+    """Return the flat part of the upper half of a spectrum, without the falling part.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
     sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative shares; the constant stands only if

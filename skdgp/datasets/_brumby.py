@@ -43,7 +43,7 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
     wing
         Polhamus' leading-edge suction analogy (NASA TN D-3767, 1966): potential and vortex normal force
         :math:`K_p\, s \cos\alpha` and :math:`K_v\, s |s|`, the vortex breaking down near 18 degrees; each acts
-        at its own station, so Cm bends with alpha. What suction is left pulls CX forward.
+        at its own station, so Cm bends with alpha. The remaining suction increases CX.
     heave
         Normal force of q and alpha_dot, half a chord behind the centre of gravity.
     elevons

@@ -1,4 +1,4 @@
-"""The aircraft half: what is flown, how it moves, and what its flights say about its aerodynamics.
+"""The aircraft half: the aircraft, its motion, and its aerodynamic coefficients.
 
 Body axes x forward, y right, z down; moments about the centre of gravity; SI units and radians.
 The seam to the learning half is a table: flights in, the six coefficients out, and back.

@@ -170,7 +170,7 @@ class _Frame:
 
 
 def _points(motion: Motion, point, controls):
-    """Return states (n, 13), controls by name (n,), and whether a single point was asked for."""
+    """Return states (n, 13), controls by name (n,), and whether it is a single point."""
     if isinstance(point, Sequence) and len(point) and all(isinstance(one, Trim) for one in point):
         found = [flight_point(motion, one, controls) for one in point]
     elif isinstance(point, Trim) or np.ndim(point) == 1:

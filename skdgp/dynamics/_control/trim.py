@@ -36,7 +36,7 @@ ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
 TOLERANCE = 1e-6
 """Largest acceleration of a trim [m/s^2, rad/s^2]."""
 DEMAND = 100.0
-"""Weight of the flight path's slope: where there is no trim, accelerations are left, and the path is as asked."""
+"""Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is as given."""
 STEP = 1e-5
 """Of differences of the residual, by an unknown or a fraction of it."""
 STARTS = (0.5, 0.25, 0.75, 0.05)

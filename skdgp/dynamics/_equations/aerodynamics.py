@@ -26,7 +26,7 @@ SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 
 @runtime_checkable
 class HasGradient(Protocol):
-    """A regressor that knows its slopes."""
+    """A regressor with slopes."""
 
     def predict_gradient(self, X: Array) -> Array:
         """Return the slopes (n, P, d) at X (n, d)."""
@@ -169,13 +169,7 @@ class Aerodynamics:
         return drawn
 
     def covariance(self, X: ArrayLike) -> Array:
-        """Return the joint covariance of the coefficients at regressors (n, d), (6 n, 6 n), coefficient by coefficient.
-
-        Raises
-        ------
-        ValueError
-            If the model has no uncertainty.
-        """
+        """Return the joint posterior covariance at regressors (n, d), (6 n, 6 n); raise ValueError without a posterior."""
         if self._covariance is None:
             raise ValueError(
                 f"Got a model without a posterior covariance ({self!r}), but expected a pipeline that ends in "
@@ -382,7 +376,7 @@ def _for_arrays(transform: Any) -> Any:
 
 
 def _without_names(step: Any) -> Any:
-    """Return the step as if fitted on an array: one that knows names of columns warns where it gets none."""
+    """Return the step as if fitted on an array: one that was fitted on a table warns at arrays."""
     if getattr(step, "acts_on_outputs", False):
         return _with(step, estimator_=_without_names(step.estimator_))
     twin = object.__new__(type(step))

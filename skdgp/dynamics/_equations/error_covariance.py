@@ -73,8 +73,8 @@ def error_covariances(
 ) -> Iterator[Array]:
     """Yield the covariance of the errors (..., 12, 12) at every sample.
 
-    ``samples`` yields A (..., 12, 12) and B (..., 12, m) of each, ``steps`` the time from each to the next [s], a float
-    or (..., 1, 1). ``start`` (..., 12, k) is a root of the first covariance, ``correlation_time`` of z 0 to infinity [s].
+    ``samples`` yields A (..., 12, 12) and B (..., 12, m) of each, ``steps`` the time from each to the next [s], a
+    float or (..., 1, 1). ``start`` (..., 12, k) is a root of the first covariance, ``correlation_time`` that of z [s].
     """
     samples = iter(samples)
     A, B = next(samples)

@@ -102,7 +102,7 @@ def aerodynamic_coefficients(
 
 
 def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
-    """Return the flight with NaN for what was not measured of the channels needed, and tell of it."""
+    """Return the flight with NaN for what was not measured of the channels needed; warn of it."""
     check_columns(check_table(flight), ["time", *NEEDED])
     found = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
     found = [each for each in found if each.kind in NOT_MEASURED]

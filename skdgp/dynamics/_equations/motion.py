@@ -80,19 +80,8 @@ class Instant(NamedTuple):
 class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns how it moves.
 
-    Parameters
-    ----------
-    model : Aerodynamics, Pipeline or estimator
-        As for :func:`skdgp.dynamics.as_aerodynamics`.
-    aircraft : Aircraft
-    thrust : "auto", callable or None
-        As for :func:`skdgp.dynamics.simulate`.
-    gravity : float
-        [m/s^2].
-    density : float, callable or None
-        Density [kg/m^3], or a function of altitude [m]; None: the standard atmosphere.
-    lagged : bool
-        Whether implicit regressors are the guess that `at` is given, instead of the fixed point.
+    ``model``, ``aircraft``, ``thrust``, ``gravity`` and ``density`` are those of `skdgp.dynamics.simulate`. With
+    ``lagged`` the implicit regressors are the guess that `at` is given, instead of the fixed point.
 
     Attributes
     ----------
@@ -164,13 +153,7 @@ class Motion:
         return name, getattr(self.aerodynamics, lengths[name]) or getattr(self.aircraft, lengths[name])
 
     def mixed(self, controls: Mapping) -> dict:
-        """Return the controls that the model needs beside those given, made from surfaces where these are given.
-
-        Raises
-        ------
-        ValueError
-            If a control that the model needs is missing.
-        """
+        """Return all controls of the model, made from surfaces where these are given; ValueError if one is missing."""
         if not isinstance(controls, Mapping):
             raise TypeError(f"Got {type(controls).__name__} as controls, but expected values by name: {{name: value}}.")
         controls = dict(controls)

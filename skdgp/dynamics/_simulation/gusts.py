@@ -163,6 +163,6 @@ def dryden_wind(
 
 
 def _second_order(T, sigma, lag) -> np.ndarray:
-    """Return A of the states x, x' and felt gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
+    """Return A of the states x, x' and gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
     gain = sigma * np.sqrt(T) / lag
     return np.array([[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]])

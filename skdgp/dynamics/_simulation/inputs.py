@@ -56,19 +56,10 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
 def initial_states(starts: pd.DataFrame | Array, air_at: Callable[[Array], Air | None] = lambda states: None) -> Array:
     """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 
-    By name: the velocity as u, v, w, or v_north, v_east, v_down, or airspeed, alpha, beta (relative to the air); phi,
-    theta, psi, p, q, r, north, east, down or altitude are zero where they are not given. Where both altitude and down
-    are, the altitude counts, as the air's density follows from it.
-
-    Raises
-    ------
-    ValueError
-        If the velocity is not given, a name is misspelt, or a value is not finite, or not in radians.
-
-    Warns
-    -----
-    UserWarning
-        If ground speed, wind and airspeed of a start do not fit each other, or it lies below any land.
+    By name: the velocity as u, v, w, or v_north, v_east, v_down, or airspeed, alpha, beta (relative to the air); what
+    else is not given is zero. Altitude counts before down, as the density follows from it. Raises ValueError if the
+    velocity is missing, or a value is not finite or not in radians. Warns if ground speed, wind and airspeed do not
+    fit, or a start lies below any land.
     """
     states = _from_table(starts, air_at) if isinstance(starts, pd.DataFrame) else starts
     if not np.isfinite(states).all():
@@ -366,7 +357,7 @@ def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, wind: Any, dt: f
 
 def _warn_of_time(what: str, first: float) -> None:
     warnings.warn(
-        f"Got controls that begin at time {first:g} s, but {what}: the first row of each table is taken for the start. "
+        f"Got controls that begin at time {first:g} s, but {what}: the first row of each table counts as the start. "
         "Cut them alike, table[table['time'] >= start].",
         UserWarning,
         stacklevel=4,

@@ -26,7 +26,7 @@ from skdgp.dynamics._equations import rigid_body
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 
 BEYOND = 0.02
-"""By which a regressor may exceed what was flown, as a share of its range, before it is told."""
+"""Share of its range by which a regressor may exceed what was flown without a warning."""
 TINY = 1e-12
 REASONS = {
     "airspeed": "airspeed under 1 m/s",

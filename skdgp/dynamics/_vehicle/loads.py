@@ -133,7 +133,7 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
     if propeller is None or "propeller_speed" not in flight:
         lacking = "the aircraft has no propeller" if propeller is None else "it has no propeller_speed [rad/s]"
         raise ValueError(
-            f"Nothing tells the thrust of this flight: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
+            f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
             "Add the thrust columns; or a propeller to the aircraft (Propeller.from_table of a bench table) and "
             "propeller_speed to the flight; or say thrust=None if it flew without an engine."
         )
@@ -172,7 +172,7 @@ def propulsion_loads(
     if propeller is not None and propeller.speed_range is not None and "throttle" in controls:
         return propeller_loads(aircraft, propeller.speed_at(controls["throttle"]), airspeed, density)
     raise ValueError(
-        f"Nothing tells the thrust: the controls are {sorted(controls)}. Give thrust_x ... thrust_n or thrust [N] as "
+        f"The thrust is unknown: the controls are {sorted(controls)}. Give thrust_x ... thrust_n or thrust [N] as "
         "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if Propeller(speed_range="
         "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or thrust=None for a glider."
     )

@@ -169,7 +169,7 @@ class Aerodynamics:
         return drawn
 
     def covariance(self, X: ArrayLike) -> Array:
-        """Return the joint posterior covariance at regressors (n, d), (6 n, 6 n); raise ValueError without a posterior."""
+        """Return the joint covariance (6 n, 6 n) at regressors (n, d); raise ValueError without a posterior."""
         if self._covariance is None:
             raise ValueError(
                 f"Got a model without a posterior covariance ({self!r}), but expected a pipeline that ends in "

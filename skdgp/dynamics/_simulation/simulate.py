@@ -205,8 +205,8 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt, clock: Clock, sta
     ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
     :func:`wind_schedule`; a step has two stages.
     """
-    start, shape, n = state, state.shape[:-1], clock.n_steps + 1
-    ended, end = np.full(shape, FLYING, dtype=object), np.full(shape, n)
+    start, n = state, clock.n_steps + 1
+    ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
     flown: list[tuple[Array, Instant, dict, Array | None]] = []
 
     def instant(step, stage, state, last):
@@ -221,37 +221,42 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt, clock: Clock, sta
         for k in range(n):
             now, controls, wind = instant(k, 0, state, now)
             over = end_reasons(state, now)
+            for reason, where in over.items():
+                first = np.broadcast_to(where, ended.shape) & (ended == FLYING)
+                ended[first], end[first] = reason, k
+            if not (ended == FLYING).any():
+                break
             if over:
-                for reason, where in over.items():
-                    first = np.broadcast_to(where, shape) & (ended == FLYING)
-                    ended[first], end[first] = reason, k
-                if not (ended == FLYING).any():
-                    break
                 state = np.where((ended == FLYING)[..., None], state, start)  # flown on from there, never shown
                 now, controls, wind = instant(k, 0, state, None)
             flown.append((state, now, controls, wind))
             if k < clock.n_steps:
                 state = _step(instant, k, state, now, clock.dt)
-    is_over = np.arange(n).reshape(-1, *[1] * len(shape)) >= end
+    return _record(motion, clock.dt * np.arange(n), flown, ended, end)
 
-    def recorded(values: Sequence, *size: int) -> Array:
-        array = np.full((n, *shape, *size), np.nan)
+
+def _record(motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, end: Array) -> Record:
+    """Return the record of the steps ``flown``: state, instant, controls and wind of each."""
+    is_over = np.arange(len(time)).reshape(-1, *[1] * ended.ndim) >= end
+
+    def over_time(values: Sequence, *size: int) -> Array:
+        array = np.full((len(time), *ended.shape, *size), np.nan)
         for k, value in enumerate(values):
             array[k] = value
         array[is_over] = np.nan
         return array
 
-    states, instants, all_controls, winds = zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
+    states, instants, controls, winds = zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
     return Record(
-        time=clock.dt * np.arange(n),
-        states=recorded(states, 13),
-        regressors=recorded([one.regressors for one in instants], len(motion.regressors)),
-        coefficients=recorded([one.coefficients for one in instants], 6),
-        specific_force=recorded([one.force for one in instants], 3) / motion.aircraft.mass,
-        derivative=recorded([one.derivative for one in instants], 13),
-        density=recorded([one.density for one in instants]),
-        wind=None if winds[0] is None else recorded(winds, 3),
-        controls={name: recorded([one[name] for one in all_controls]) for name in all_controls[0]},
+        time=time,
+        states=over_time(states, 13),
+        regressors=over_time([now.regressors for now in instants], len(motion.regressors)),
+        coefficients=over_time([now.coefficients for now in instants], 6),
+        specific_force=over_time([now.force for now in instants], 3) / motion.aircraft.mass,
+        derivative=over_time([now.derivative for now in instants], 13),
+        density=over_time([now.density for now in instants]),
+        wind=None if winds[0] is None else over_time(winds, 3),
+        controls={name: over_time([each[name] for each in controls]) for name in controls[0]},
         ended=ended,
         end=end,
     )

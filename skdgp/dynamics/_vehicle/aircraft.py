@@ -143,7 +143,7 @@ class Aircraft:
 def _positive(value: Any, name: str, unit: str) -> float:
     number = as_floats(value)
     if number.shape != () or not 0 < number < np.inf:
-        raise ValueError(f"Got {name}={value!r}, but expected a finite number > 0 [{unit}].")
+        raise ValueError(f"Got {name}={value!r}, but expected a number > 0, finite [{unit}].")
     return float(number)
 
 
@@ -151,7 +151,7 @@ def _inertia(value: ArrayLike) -> Array:
     inertia = as_floats(value)
     if inertia.shape != (3, 3) or not np.isfinite(inertia).all():
         raise ValueError(
-            f"Got inertia {value!r}, but expected 3 x 3 finite numbers [kg m^2]: "
+            f"Got inertia {value!r}, but expected 3 x 3 numbers, finite [kg m^2]: "
             "[[Ixx, -Ixy, -Ixz], [-Ixy, Iyy, -Iyz], [-Ixz, -Iyz, Izz]]."
         )
     if not np.allclose(inertia, inertia.T, rtol=0, atol=1e-6 * abs(inertia).max()):

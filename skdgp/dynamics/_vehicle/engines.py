@@ -74,7 +74,7 @@ class Propeller:
                 continue
             number = as_floats(value)
             if number.shape != () or not 0 < number < np.inf:
-                raise ValueError(f"Got propeller {name} {value!r}, but expected a finite number > 0.")
+                raise ValueError(f"Got {name}={value!r} of a propeller, but expected a finite number > 0.")
             object.__setattr__(self, name, float(number))
         if self.rotation not in (1, -1):
             raise ValueError(f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or -1.")
@@ -82,8 +82,8 @@ class Propeller:
             values = as_floats(getattr(self, name))
             if values.ndim != 1 or not (least <= len(values) <= 3 and np.isfinite(values).all()):
                 raise ValueError(
-                    f"Got {name}={getattr(self, name)!r}, but expected {least} to 3 finite numbers c_0, c_1, c_2 of "
-                    "C(J) = c_0 + c_1 J + c_2 J^2."
+                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected {least} to 3 finite numbers c_0, "
+                    "c_1, c_2 of C(J) = c_0 + c_1 J + c_2 J^2."
                 )
             object.__setattr__(self, name, tuple(values.tolist()))
         if self.speed_range is not None:

@@ -35,29 +35,14 @@ class Atmosphere(NamedTuple):
 
 
 def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
-    """Return density, pressure, temperature and speed of sound of the International Standard Atmosphere.
+    """Return the International Standard Atmosphere at geopotential altitudes h [m], -5000 to 32000; NaN gives NaN.
 
     In each layer (U.S. Standard Atmosphere 1976, section 1.3; ISO 2533:1975)
 
         T = T_b + L (h - h_b),   p = p_b (T / T_b)^(-g / (R L)),   rho = p / (R T),   a = sqrt(1.4 R T)
 
-    and p = p_b exp(-g (h - h_b) / (R T_b)) where L = 0.
-
-    Parameters
-    ----------
-    altitude : array-like
-        Geopotential altitude h [m], -5000 to 32000; NaN gives NaN. Geometric altitude z above the ellipsoid is
-        more by z^2 / 6356766 m: 1.6 m at 3.2 km.
-
-    Returns
-    -------
-    Atmosphere
-        ``density`` [kg/m^3], ``pressure`` [Pa], ``temperature`` [K], ``speed_of_sound`` [m/s].
-
-    Raises
-    ------
-    ValueError
-        If an altitude lies outside -5000 to 32000 m.
+    and p = p_b exp(-g (h - h_b) / (R T_b)) where L = 0. Geometric altitude z above the ellipsoid is more by
+    z^2 / 6356766 m: 1.6 m at 3.2 km. Raises ValueError outside of these altitudes.
 
     Examples
     --------

@@ -307,7 +307,7 @@ class TestBadInput:
             ({"name": "a\nb"}, r"Got name='a\\nb', but expected a line of text"),
             ({"name": ["a"]}, "but expected a line of text"),
             ({"thrust_line": {"position": [10**400, 0, 0]}}, "thrust-line position .*, but expected three finite"),
-            ({"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}}, "Got diameter=.'x'. of a propeller"),
+            ({"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}}, "Got diameter='x' of a propeller"),
             ({"propeller": {"diameter": 1, "thrust_coefficients": None}}, "Got thrust_coefficients=None of a prop"),
         ],
     )

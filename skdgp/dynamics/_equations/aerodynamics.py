@@ -149,14 +149,9 @@ class Aerodynamics:
         return self._gradient(X.reshape(-1, d)).reshape(*X.shape[:-1], 6, d)
 
     def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
-        """Return functions drawn from the posterior, as one model.
+        """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 
         The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors of its own.
-
-        Raises
-        ------
-        ValueError
-            If the model has no uncertainty.
         """
         if self._sampler is None:
             raise ValueError(
@@ -199,19 +194,11 @@ class Aerodynamics:
 
 
 def as_aerodynamics(model: Any) -> Aerodynamics:
-    """Return the model as a function of named regressors, without tables in between.
+    """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
 
-    Parameters
-    ----------
-    model : Aerodynamics, Pipeline or estimator
-        A fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned from a table whose columns
-        are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It predicts
-        all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them, as scikit-learn's own.
-
-    Returns
-    -------
-    Aerodynamics
-        Gives the numbers of the pipeline, one row in some tens of microseconds.
+    ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned from a table whose
+    columns are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It
+    predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them.
 
     Raises
     ------
@@ -225,15 +212,14 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
     A transformer declares by its class attribute ``in_simulation`` what becomes of it in a simulation, which has exact
     states and no neighbours in time:
 
-    - "regressors": chooses them; has ``regressors_``, and ``data_min_`` and ``data_max_`` (d,) or None. The last one
-      counts.
+    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,). The last counts.
     - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
     - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
     - "measurements": treats measurements, and is left out. So is a step without the attribute.
 
-    These stand before the choice of regressors or are it. What stands behind it is kept: it works row by row, by
-    ``transform``. The regressor at the end may have ``predict_gradient`` (`HasGradient`) and ``sample_paths``
-    (`HasPosterior`). A meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
+    These stand before the choice of regressors or are it. A step behind it works row by row, by ``transform``. The
+    regressor at the end may have ``predict_gradient`` (`HasGradient`) and ``sample_paths`` (`HasPosterior`). A
+    meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
 
     Examples
     --------

@@ -137,21 +137,10 @@ def replay(
 def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str = "") -> pd.DataFrame:
     """Return how far a replay is from the flight: median absolute error of each state for each horizon.
 
-    Parameters
-    ----------
-    trajectory : pandas.DataFrame
-        What `replay` returned.
-    flight : pandas.DataFrame
-        The flight replayed.
-    suffix : str, default=""
-        Added to the names of the flight's columns: "_true" compares with the truth of a simulation.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns ``state``, ``horizon`` [s], ``median`` (over all samples but the restarts themselves),
-        ``at_end`` (over the ends of full windows) and, where the replay has bands, ``coverage``: the share of
-        samples within 1.96 standard deviations. Units of the states; angles the short way round.
+    ``trajectory`` is what `replay` returned of ``flight``; ``suffix`` is added to the names of the flight's columns:
+    "_true" compares with the truth of a simulation. The columns are ``state``, ``horizon`` [s], ``median`` (over all
+    samples but the restarts), ``at_end`` (over the ends of full windows) and, where the replay has bands, ``coverage``:
+    the share of samples within 1.96 standard deviations. Units are those of the states; angles the short way round.
 
     Examples
     --------

@@ -145,22 +145,11 @@ def warn_of(record, motion) -> None:
 def trajectory_bands(
     trajectories: pd.DataFrame, level: float = 0.95, columns: Sequence[str] | None = None
 ) -> pd.DataFrame:
-    """Return the bands that simulated flights of an ensemble fill, time by time.
+    """Return the bands of an ensemble that `simulate` returned with ``n_paths``, by ``start`` and ``time``.
 
-    Parameters
-    ----------
-    trajectories : pandas.DataFrame
-        What `simulate` returned with ``n_paths``.
-    level : float, default=0.95
-        Share of the paths inside: quantiles (1 - level) / 2 and (1 + level) / 2, of those that still fly.
-    columns : sequence of str, optional
-        By default velocities, angles (heading unwrapped), rates, airspeed, alpha, beta, altitude.
-
-    Returns
-    -------
-    pandas.DataFrame
-        By ``start`` and ``time``: ``<column>`` (the median), ``<column>_low``, ``<column>_high``, and ``flying``, the
-        share of the paths that have not ended.
+    ``level`` is the share of the paths inside, of those that still fly: quantiles (1 - level) / 2 and (1 + level) / 2.
+    ``columns`` are by default velocities, angles (heading unwrapped), rates, airspeed, alpha, beta, altitude. The table
+    has ``<column>`` (the median), ``<column>_low``, ``<column>_high``, and ``flying``, the share that has not ended.
 
     Examples
     --------

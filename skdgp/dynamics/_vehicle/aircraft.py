@@ -109,10 +109,7 @@ class Aircraft:
     def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
         """Build the aircraft from a mapping whose keys are the parameters of this class.
 
-        Raises
-        ------
-        ValueError
-            If a key is missing or unknown (the nearest known one is named), or a value is refused.
+        Raises ValueError if a key is missing or unknown (the nearest known one is named), or a value is not valid.
         """
         return _build(cls, values, what)
 

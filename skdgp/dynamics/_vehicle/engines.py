@@ -333,10 +333,7 @@ class ThrustTable:
     def from_table(cls, table: pd.DataFrame, **options: Any) -> ThrustTable:
         """Return the engine of a bench table with the columns throttle, airspeed and thrust, a row for each point.
 
-        Raises
-        ------
-        ValueError
-            If the points are not a full grid: every throttle at every airspeed, once.
+        Raises ValueError if the points are not a full grid: every throttle at every airspeed, once.
         """
         check_columns(check_table(table, what="bench table"), ["throttle", "airspeed", "thrust"], what="bench table")
         if table.duplicated(["throttle", "airspeed"]).any():

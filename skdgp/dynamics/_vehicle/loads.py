@@ -95,28 +95,12 @@ def propeller_loads(
 
 
 def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | None = "auto") -> tuple[Array, Array]:
-    """Return the propulsive force (n, 3) [N] and moment (n, 3) [N m] along a flight.
+    """Return the propulsive force (n, 3) [N] and moment (n, 3) [N m] along a flight, in body axes about the CG.
 
-    Parameters
-    ----------
-    flight : pandas.DataFrame
-        With columns ``thrust_x`` ... ``thrust_n``, or ``propeller_speed``, ``airspeed`` and ``density``.
-    aircraft : Aircraft
-        Its thrust line and propeller.
-    thrust : {"auto", "columns", "propeller", None}, default="auto"
-        "columns": the force columns, absent ones zero, and the moment columns, or without any r_T x F_T at the thrust
-        line's position. "propeller": its model. "auto": columns where there are any, else the propeller. None: no
-        propulsion (a glider).
-
-    Returns
-    -------
-    force, moment : ndarray (n, 3)
-        In body axes, the moment about the centre of gravity.
-
-    Raises
-    ------
-    ValueError
-        If nothing gives the thrust.
+    ``thrust`` "columns": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ... ``thrust_n``, or without
+    any of these r_T x F_T at the thrust line's position. "propeller": that of the aircraft at ``propeller_speed``,
+    ``airspeed`` and ``density``. "auto": columns where there are any, else the propeller. None: a glider. Raises
+    ValueError if nothing gives the thrust.
     """
     if thrust not in THRUST_CHOICES:
         raise ValueError(f"Got thrust={thrust!r}, but expected one of {THRUST_CHOICES}.")

@@ -16,8 +16,6 @@ from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import (
     cross_matrix,
-    euler_to_quaternion,
-    ned_to_body,
     quaternion_to_matrix,
 )
 from skdgp.dynamics._equations import rigid_body
@@ -30,6 +28,7 @@ from skdgp.dynamics._equations.error_covariance import (
     state_readouts,
 )
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative, rk4_step
+from skdgp.dynamics._simulation.inputs import table_states
 from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propulsive_loads
@@ -204,7 +203,7 @@ class _Path(NamedTuple):
         if std is not None:
             per_coefficient = np.hstack(aerodynamic_loads(np.ones((len(flight), 6)), airspeed, density, aircraft))
             load_factor = per_coefficient[:, :, None] * _covariance_factor(std, len(flight))
-        return cls(flight["time"].to_numpy(float), force, moment, measured_state(flight), load_factor)
+        return cls(flight["time"].to_numpy(float), force, moment, _measured_states(flight), load_factor)
 
     def is_driven(self) -> Any:
         """Return where the loads, and with them the uncertainty, are known, (n,)."""
@@ -212,21 +211,12 @@ class _Path(NamedTuple):
         return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))
 
 
-def measured_state(flight: pd.DataFrame) -> Array:
-    """Return the rigid-body states (n, 13) that a flight measured; position 0 where it has none."""
-    state = np.zeros((len(flight), 13))
-    state[:, ATTITUDE] = euler_to_quaternion(*flight[list(EULER)].to_numpy(float).T)
-    state[:, rigid_body.RATES] = flight[list(RATES)].to_numpy(float)
-    for k, name in enumerate(POSITION):
-        if name in flight:
-            state[:, k] = flight[name]
-    earth, body = list(EARTH_VELOCITY), list(BODY_VELOCITY)
-    if all(name in flight for name in body) and not all(name in flight for name in earth):
-        state[:, VELOCITY] = flight[body].to_numpy(float)
-        return state
-    check_columns(flight, earth)
-    state[:, VELOCITY] = ned_to_body(state[:, ATTITUDE], flight[earth].to_numpy(float))
-    return state
+def _measured_states(flight: pd.DataFrame) -> Array:
+    """Return the states (n, 13) that a flight measured; position 0 where it has none."""
+    if all(name in flight for name in BODY_VELOCITY) and not all(name in flight for name in EARTH_VELOCITY):
+        return table_states(flight, BODY_VELOCITY)
+    check_columns(flight, EARTH_VELOCITY)
+    return table_states(flight, EARTH_VELOCITY)
 
 
 def _coefficient_array(coefficients: Any, flight: pd.DataFrame) -> Array:

@@ -70,16 +70,30 @@ def initial_states(starts: pd.DataFrame | Array, air_at: Callable[[Array], Air |
     return states
 
 
+def table_states(table: pd.DataFrame, velocity: Sequence[str] = ()) -> Array:
+    """Return the states (n, 13) of a flight table, zero where a column is absent.
+
+    ``velocity`` names the columns of the velocity over the ground, `BODY_VELOCITY` or `EARTH_VELOCITY`.
+    """
+    states = np.zeros((len(table), len(STATE_NAMES)))
+    states[:, ATTITUDE] = euler_to_quaternion(*_columns(table, EULER).T)
+    states[:, rigid_body.RATES] = _columns(table, RATES)
+    states[:, rigid_body.POSITION] = _columns(table, POSITION)
+    if velocity:
+        values = _columns(table, velocity)
+        states[:, VELOCITY] = values if velocity == BODY_VELOCITY else ned_to_body(states[:, ATTITUDE], values)
+    return states
+
+
+def _columns(table: pd.DataFrame, names: Sequence[str]) -> Array:
+    """Return columns as (n, k), zero where one is absent."""
+    return np.stack([table[n].to_numpy(float) if n in table else np.zeros(len(table)) for n in names], axis=-1)
+
+
 def _from_table(table: pd.DataFrame, air_at: Callable[[Array], Air | None]) -> Array:
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
-    states = np.zeros((len(table), len(STATE_NAMES)))
-
-    def columns(names):
-        return np.stack([table[n].to_numpy(float) if n in table else np.zeros(len(table)) for n in names], axis=-1)
-
-    states[:, ATTITUDE] = euler_to_quaternion(*columns(EULER).T)
-    states[:, rigid_body.RATES] = columns(RATES)
-    states[:, rigid_body.POSITION] = columns(POSITION)
+    given = [names for names in (BODY_VELOCITY, EARTH_VELOCITY) if all(name in table for name in names)]
+    states = table_states(table, given[0] if given else ())
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     if (states[:, 2] > -LOWEST_LAND).any():
@@ -91,15 +105,11 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], Air | None]) -> A
         )
     air = air_at(states)
     wind = 0.0 if air is None else ned_to_body(states[:, ATTITUDE], air.wind)
-    if all(name in table for name in BODY_VELOCITY):
-        states[:, VELOCITY] = columns(BODY_VELOCITY)
-    elif all(name in table for name in EARTH_VELOCITY):
-        states[:, VELOCITY] = ned_to_body(states[:, ATTITUDE], columns(EARTH_VELOCITY))
-    else:
+    if not given:
         check_names(["airspeed"], table.columns, "columns of x0 (or u, v, w, or v_north, v_east, v_down)")
         if (table["airspeed"].to_numpy(float) <= 0).any():
             raise ValueError(f"Got airspeed {table['airspeed'].min():g} m/s in x0, but expected one > 0.")
-        states[:, VELOCITY] = air_velocity(*columns(AIR_DATA).T) + wind
+        states[:, VELOCITY] = air_velocity(*_columns(table, AIR_DATA).T) + wind
     _warn_of_wind(table, states, wind)
     return states
 

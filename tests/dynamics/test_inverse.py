@@ -125,7 +125,7 @@ def test_flights_that_cannot_be(simulated, aircraft, change, words):
         (lambda f: f.assign(airspeed=f["airspeed"].where(f.index > 9, 0.5)), "under a fifth of its median"),
     ],
 )
-def test_flights_that_smell(simulated, aircraft, change, words):
+def test_flights_of_probably_wrong_units_warn(simulated, aircraft, change, words):
     with pytest.warns(UserWarning, match=words):
         aerodynamic_coefficients(change(simulated), aircraft, cutoff=None)
 

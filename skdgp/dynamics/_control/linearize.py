@@ -17,7 +17,7 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import cross_matrix, quaternion_rate, quaternion_to_euler
+from skdgp._flight.frames import cross_matrix, euler_per_rotation, quaternion_rate, quaternion_to_euler
 from skdgp.dynamics._equations.error_covariance import ERRORS
 from skdgp.dynamics._equations.motion import Air, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
@@ -438,20 +438,18 @@ def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
     """Return A of the states with Euler angles, and d error / d state, of A of the states with small rotations."""
     phi, theta, _ = np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0)
     _, q, r = np.moveaxis(state[..., RATES], -1, 0)
-    sin, cos, tan, sec = np.sin(phi), np.cos(phi), np.tan(theta), 1.0 / np.cos(theta)
+    per_rotation = euler_per_rotation(phi, theta)
     change = np.zeros_like(rate) + np.eye(12)
-    change[..., 6, 6], change[..., 6, 8] = 1.0, -np.sin(theta)
-    change[..., 7, 7], change[..., 7, 8] = cos, sin * np.cos(theta)
-    change[..., 8, 7], change[..., 8, 8] = -sin, cos * np.cos(theta)
+    change[..., TURN, TURN] = np.linalg.inv(per_rotation)
     rate = rate @ change
-    yaw, pitch = q * sin + r * cos, q * cos - r * sin
-    rate[..., 6:9, :] = 0.0
+    rate[..., TURN, :] = 0.0
+    rate[..., TURN, SPIN] = per_rotation
+    # The Euler angles' rates, (p + tan(theta) yaw, pitch, sec(theta) yaw), by phi and theta.
+    yaw, pitch = q * np.sin(phi) + r * np.cos(phi), q * np.cos(phi) - r * np.sin(phi)
+    tan, sec = np.tan(theta), 1.0 / np.cos(theta)
     rate[..., 6, 6], rate[..., 6, 7] = tan * pitch, yaw * sec**2
     rate[..., 7, 6] = -yaw
     rate[..., 8, 6], rate[..., 8, 7] = pitch * sec, yaw * sec * tan
-    rate[..., 6, 9], rate[..., 6, 10], rate[..., 6, 11] = 1.0, sin * tan, cos * tan
-    rate[..., 7, 10], rate[..., 7, 11] = cos, -sin
-    rate[..., 8, 10], rate[..., 8, 11] = sin * sec, cos * sec
     return rate, change
 
 

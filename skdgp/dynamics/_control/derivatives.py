@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
 from skdgp.dynamics._control.trim import Trim
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import Thrust
 
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
@@ -23,17 +26,17 @@ NORMAL_95 = 1.959963984540054
 
 
 def stability_derivatives(
-    model,
+    model: Any,
     aircraft: Aircraft,
     point: Trim | Sequence[Trim] | ArrayLike,
     controls: Mapping[str, ArrayLike] | None = None,
     *,
     axes: str = "body",
     n_paths: int = 200,
-    random_state=0,
-    thrust="auto",
+    random_state: Seed = 0,
+    thrust: Thrust = "auto",
     gravity: float = STANDARD_GRAVITY,
-    density=None,
+    density: float | Callable | None = None,
 ) -> pd.DataFrame:
     r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
 
@@ -126,18 +129,18 @@ def stability_derivatives(
 class _Frame:
     """From coefficients and slopes in body axes, by the model's regressors, to rows and columns of the table."""
 
-    def __init__(self, motion: Motion, now, axes: str):
+    def __init__(self, motion: Motion, now: Instant, axes: str):
         self.rows, self.alpha, self.stability = ROWS[axes], now.alpha, axes == "stability"
         self.turn = _axes(now.alpha, self.rows, self.stability)
         self.columns = list(motion.regressors)
         self.scale = np.stack([_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1)
-        self.added = []
+        self.added: list[str] = []
         if self.stability:
             have = set(self.columns)
             self.added = [n for pair in TURNED if have & set(pair) for n in pair if n not in have]
         self.columns += self.added
 
-    def __call__(self, coefficients, slopes) -> np.ndarray:
+    def __call__(self, coefficients: Array, slopes: Array) -> Array:
         """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
         C = self.turn @ coefficients[..., None]
         S = self.turn @ (slopes * self.scale[:, None, :])
@@ -155,7 +158,7 @@ class _Frame:
                     S[..., x], S[..., z] = cos * about_x + sin * about_z, cos * about_z - sin * about_x
         return np.concatenate([C, S], axis=-1)
 
-    def table(self, values, std) -> pd.DataFrame:
+    def table(self, values: Array, std: Array | None) -> pd.DataFrame:
         """Return the table of one point, of values and deviations (rows, 1 + columns)."""
         names = ["", *self.columns]
         pairs = [(row, name) for row in self.rows for name in names]
@@ -169,7 +172,9 @@ class _Frame:
         return table
 
 
-def _points(motion: Motion, point, controls):
+def _points(
+    motion: Motion, point: Any, controls: Mapping[str, ArrayLike] | None
+) -> tuple[Array, dict[str, Array], bool]:
     """Return states (n, 13), controls by name (n,), and whether it is a single point."""
     if isinstance(point, Sequence) and len(point) and all(isinstance(one, Trim) for one in point):
         found = [flight_point(motion, one, controls) for one in point]
@@ -185,7 +190,7 @@ def _points(motion: Motion, point, controls):
     return np.stack([state for state, _ in found]), {n: np.array([c[n] for _, c in found]) for n in names}, False
 
 
-def _axes(alpha, rows, stability) -> np.ndarray:
+def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:
     """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
     sin, cos = np.sin(alpha), np.cos(alpha)
     turn = np.zeros((len(alpha), len(rows), 6))
@@ -202,7 +207,7 @@ def _axes(alpha, rows, stability) -> np.ndarray:
     return turn
 
 
-def _scale(motion: Motion, k: int, airspeed) -> np.ndarray:
+def _scale(motion: Motion, k: int, airspeed: Array) -> np.ndarray:
     """Return the slope by the conventional quantity over the slope by the model's k-th regressor, (n,)."""
     name, full = motion.regressors[k], motion.aerodynamics.regressors[k]
     if name not in LENGTHS:

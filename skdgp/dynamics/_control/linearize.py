@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
-from skdgp._compute.typing import Array
+from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
@@ -293,7 +293,7 @@ class LinearModel:
 
 
 def linearize(
-    model,
+    model: Any,
     aircraft: Aircraft,
     point: Any,
     controls: Mapping[str, float] | None = None,
@@ -302,7 +302,7 @@ def linearize(
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     n_paths: int = 0,
-    random_state=0,
+    random_state: Seed = 0,
     thrust: Thrust = "auto",
     gravity: float = STANDARD_GRAVITY,
     density: float | Callable | None = None,

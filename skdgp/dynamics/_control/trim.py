@@ -85,7 +85,7 @@ class Trim:
     residual: float
     beyond: dict
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         named = {name: getattr(self, name) for name in ("climb", "turn_rate", "alpha", "beta", "phi", "theta")}
         parts = [f"{name} {value:.4g}" for name, value in (named | self.controls).items()]
         parts += [f"beyond what was flown in {', '.join(self.beyond)}"] if self.beyond else []
@@ -101,7 +101,7 @@ class Trim:
 
 
 def trim(
-    model,
+    model: Any,
     aircraft: Aircraft,
     airspeed: ArrayLike,
     *,

@@ -120,7 +120,7 @@ class Aerodynamics:
         self.n_paths: int | None = None
         self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         paths = "" if self.n_paths is None else f", {self.n_paths} paths"
         return f"Aerodynamics({', '.join(self.regressors)}{paths})"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,7 +93,7 @@ class Motion:
 
     def __init__(
         self,
-        model,
+        model: Any,
         aircraft: Aircraft,
         *,
         thrust: Thrust = "auto",

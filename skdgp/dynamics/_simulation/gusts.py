@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import covariance_root
+from skdgp._compute.typing import Array, Seed
 
 FEET = 0.3048
 CEILING = 1000 * FEET
@@ -38,7 +40,7 @@ def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarra
     return length, 0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0])
 
 
-def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.ndarray, ...]:
+def dryden_system(airspeed: float, length: Array, intensity: Array, span: float) -> tuple[Array, ...]:
     r"""Return A (9, 9), B (9, 4), C (9, 9) of the gusts' linear system driven by unit white noise.
 
     x' = A x + B n, and C x = (u, v, w, u', v', w', p, q, r) of the air. With T = L / V (MIL-F-8785C, 3.7.2.2,
@@ -67,7 +69,9 @@ def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.n
     return A, B, np.vstack([velocity, slope, rates])
 
 
-def dryden_gusts(n_times: int, step: float, airspeed: float, length, intensity, span: float, rng) -> Gusts:
+def dryden_gusts(
+    n_times: int, step: float, airspeed: float, length: Any, intensity: Any, span: float, rng: np.random.Generator
+) -> Gusts:
     """Return stationary gusts every ``step`` seconds for several flights at once, each (n_times, n_flights, 3).
 
     ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that is crossed at
@@ -95,11 +99,11 @@ def dryden_wind(
     height: float,
     *,
     wind_at_6m: float = 5.0,
-    mean_wind=(0.0, 0.0, 0.0),
+    mean_wind: ArrayLike = (0.0, 0.0, 0.0),
     heading: float = 0.0,
     span: float = 2.0,
     dt: float = 0.02,
-    random_state=None,
+    random_state: Seed = None,
 ) -> pd.DataFrame:
     """Return a gusty wind for ``simulate(wind=...)``.
 
@@ -162,7 +166,7 @@ def dryden_wind(
     })  # fmt: skip
 
 
-def _second_order(T, sigma, lag) -> np.ndarray:
+def _second_order(T: float, sigma: float, lag: float) -> Array:
     """Return A of the states x, x' and gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
     gain = sigma * np.sqrt(T) / lag
     return np.array([[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]])

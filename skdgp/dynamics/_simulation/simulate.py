@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import semidefinite_root
-from skdgp._compute.typing import Array
+from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, CHANNELS, TRUTH_SUFFIX
 from skdgp.dynamics._control.linearize import jacobian
 from skdgp.dynamics._equations.error_covariance import (
@@ -48,16 +48,16 @@ MOST_KNOTS = 250
 
 
 def simulate(
-    model,
+    model: Any,
     aircraft: Aircraft,
-    x0,
-    controls,
+    x0: Any,
+    controls: Any,
     dt: float = 0.02,
     *,
     duration: float | None = None,
-    wind=None,
+    wind: Any = None,
     n_paths: int | None = None,
-    random_state=0,
+    random_state: Seed = 0,
     return_std: bool = False,
     initial_std: Mapping[str, float] | None = None,
     thrust: Thrust = "auto",

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
     AIR_DATA,
     BODY_VELOCITY,
@@ -23,6 +24,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations import rigid_body
+from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 
 BEYOND = 0.02
@@ -40,7 +42,7 @@ class SimulationWarning(UserWarning):
     """A trajectory ended early, or left what the model was learned from."""
 
 
-def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
+def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
     attitude = states[..., ATTITUDE]
     earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
@@ -57,7 +59,7 @@ def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
     return found | {"altitude": -states[..., 2]}
 
 
-def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
+def trajectory_table(record: Any, motion: Motion, first_times: Array, further: dict[str, Array]) -> pd.DataFrame:
     """Return what was flown as one flight table: path by path, start by start, row by row.
 
     The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times`` (n_starts,) is the time at
@@ -67,7 +69,7 @@ def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     n_times = len(record.time)
     wind = record.wind
 
-    def column(values):
+    def column(values: Array) -> Array:
         return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
 
     over = np.arange(n_times).reshape(-1, *[1] * len(shape)) >= record.end
@@ -79,7 +81,7 @@ def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
     if wind is not None:
         seen |= {name: wind[..., k] for k, name in enumerate(WIND)}
     clock = np.add.outer(record.time, first_times)
-    table = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
+    table: dict[str, Any] = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
     table |= _identity(shape, n_times)
     table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
     farthest = np.array(["", *motion.regressors], dtype=object)[column(beyond(motion, record.regressors))]
@@ -102,7 +104,7 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
     return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
 
 
-def beyond(motion, regressors) -> np.ndarray:
+def beyond(motion: Motion, regressors: Array) -> np.ndarray:
     """Return 1 + the one of the regressors (..., d) that is farthest outside of what was flown, 0 where none is."""
     limits = motion.aerodynamics.limits
     if limits is None:
@@ -113,7 +115,7 @@ def beyond(motion, regressors) -> np.ndarray:
     return np.where(outside.max(axis=-1) > BEYOND, 1 + outside.argmax(axis=-1), 0)
 
 
-def warn_of(record, motion) -> None:
+def warn_of(record: Any, motion: Motion) -> None:
     """Say which trajectories ended early, and which left what the model was learned from."""
     ended = [reason for reason in record.ended.ravel().tolist() if reason]
     n, dt = record.ended.size, record.time[1]
@@ -126,12 +128,12 @@ def warn_of(record, motion) -> None:
             SimulationWarning,
             stacklevel=3,
         )
-    outside = beyond(motion, record.regressors)
-    if outside.any():
+    outside, limits = beyond(motion, record.regressors), motion.aerodynamics.limits
+    if limits is not None and outside.any():
         flights = outside.reshape(len(outside), -1)
         first = int(np.flatnonzero(flights.any(axis=1))[0])
         k = int(flights[first].max()) - 1
-        low, high = motion.aerodynamics.limits[:, k]
+        low, high = limits[:, k]
         values, name = record.regressors[..., k], motion.aerodynamics.regressors[k]
         warnings.warn(
             f"{np.count_nonzero(flights.any(axis=0))} of {n} trajectories left what the model was learned from, the "
@@ -183,7 +185,7 @@ def trajectory_bands(
     return pd.concat(rows, ignore_index=True)
 
 
-def _quantiles(values, q) -> np.ndarray:
+def _quantiles(values: Array, q: Sequence[float]) -> Array:
     """Return the quantiles over the paths that still fly, (len(q), n_times); NaN where none does."""
     found = np.full((len(q), values.shape[1]), np.nan)
     some = np.isfinite(values).any(axis=0)

@@ -124,13 +124,13 @@ class Aircraft:
             Path(path).write_text(text, encoding="utf-8")
         return text
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return self.to_dict() == other.to_dict() if isinstance(other, Aircraft) else NotImplemented
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self.to_json())
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return (
             f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} m, "
             f"c {self.chord:g} m)"

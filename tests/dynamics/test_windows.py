@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from skdgp._flight.clock import true_runs
 from skdgp.dynamics._replay.replay import restart_windows
 
 
@@ -27,12 +26,6 @@ def test_stored_clocks_that_were_rounded_give_full_windows():
 
 def test_no_runs_no_windows():
     assert restart_windows(np.arange(5.0), [], 1.0).shape[0] == 0
-
-
-def test_runs_of_good_rows():
-    good = np.array([1, 1, 0, 1, 1, 1, 0, 0, 1], dtype=bool)
-    assert true_runs(good) == [slice(0, 2), slice(3, 6), slice(8, 9)]
-    assert true_runs(good[:0]) == []
 
 
 def test_windows_start_where_the_state_is_known_and_cover_what_they_can():

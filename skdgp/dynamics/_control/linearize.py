@@ -262,7 +262,7 @@ class LinearModel:
             paths also ``frequency_std``, ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which
             hold 95 % of the paths: the upper one is infinite where some do not decay.
         """
-        return mode_table(self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A)
+        return _mode_table(self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A)
 
     def to_scipy(self) -> Any:
         """Return it as :class:`scipy.signal.StateSpace`, which has no names."""
@@ -453,7 +453,7 @@ def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
     return rate, change
 
 
-def mode_table(A: np.ndarray, states: Sequence[str], paths: np.ndarray | None = None) -> pd.DataFrame:
+def _mode_table(A: np.ndarray, states: Sequence[str], paths: np.ndarray | None = None) -> pd.DataFrame:
     r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
     states = list(states)
     core = [name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family]

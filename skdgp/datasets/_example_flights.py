@@ -12,7 +12,7 @@ from sklearn.utils import Bunch, check_random_state
 from sklearn.utils._param_validation import Interval, validate_params
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import COEFFICIENTS, RATES, SPECIFIC_FORCE, TRUTH_SUFFIX, WIND
+from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, TRUTH_SUFFIX, WIND
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._flight_plans import FLIGHT_PLANS
 from skdgp.datasets._simulation import fly_plans
@@ -28,22 +28,12 @@ DEGREE = np.pi / 180.0
 
 SENSOR_NOISE = {
     "airspeed": 0.3,
-    "alpha": 0.3 * DEGREE,
-    "beta": 0.3 * DEGREE,
-    "p": 0.002,
-    "q": 0.002,
-    "r": 0.002,
-    "ax": 0.05,
-    "ay": 0.05,
-    "az": 0.05,
-    "phi": 0.3 * DEGREE,
-    "theta": 0.3 * DEGREE,
-    "psi": 0.3 * DEGREE,
-    "north": 0.5,
-    "east": 0.5,
-    "v_north": 0.1,
-    "v_east": 0.1,
-    "v_down": 0.1,
+    **dict.fromkeys(("alpha", "beta"), 0.3 * DEGREE),
+    **dict.fromkeys(RATES, 0.002),
+    **dict.fromkeys(SPECIFIC_FORCE, 0.05),
+    **dict.fromkeys(EULER, 0.3 * DEGREE),
+    **dict.fromkeys(("north", "east"), 0.5),
+    **dict.fromkeys(EARTH_VELOCITY, 0.1),
 }
 """Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit, GPS."""
 MEASURED = (

@@ -2,12 +2,12 @@
 Fly the model
 =============
 
-A learned aircraft flown free from the state of another flight, with the band of what the model believes::
+Simulate a learned aircraft from a state of another flight, with bands of its uncertainty::
 
     python examples/fly_the_model.py
 
-Learns the example aircraft from two flights, takes one moment of a third, and flies on from there with the surfaces,
-the throttle and the wind of the log alone: nothing else enters after the start. Then a trim, its modes, derivatives.
+It learns the example aircraft from two flights and simulates a third from one moment on, with the surfaces, the
+throttle and the wind of its log. Then it prints a trim, its modes and derivatives.
 Needs matplotlib: pip install "skdgp[plot]".
 """
 
@@ -38,7 +38,7 @@ def main(arguments=None):
     model.set_params(dependentgpregressor__random_state=0)
     model.fit(train, Y if options.samples is None else thin_targets(Y, options.samples))
 
-    # The flight as it truly was, from START on; of a real one, as FlightPathReconstruction makes it.
+    # The true flight from START on; of a real flight, what FlightPathReconstruction returns.
     part = test[(test["time"] >= START) & (test["time"] <= START + SECONDS)]
     names = [name.removesuffix("_true") for name in test if name.endswith("_true")]
     flown = part.assign(**{name: part[f"{name}_true"] for name in names})

@@ -8,7 +8,7 @@ import pytest
 from sklearn.dummy import DummyRegressor
 
 from skdgp._flight.checks import check_flight
-from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, part_restarts
+from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, part_restarts, true_runs
 from skdgp._flight.faults import find_faults
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import aerodynamic_coefficients
@@ -145,3 +145,9 @@ def test_time_that_goes_back_within_a_flight_whose_rows_stand_apart_is_told(tmp_
     table.to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(FlightReadError, match=r"Got time 0\.5 s at row 3 after 1 s"):
         read_flight(tmp_path / "log.csv")
+
+
+def test_runs_of_good_rows():
+    good = np.array([1, 1, 0, 1, 1, 1, 0, 0, 1], dtype=bool)
+    assert true_runs(good) == [slice(0, 2), slice(3, 6), slice(8, 9)]
+    assert true_runs(good[:0]) == []

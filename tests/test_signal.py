@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 from scipy import signal
 
-from skdgp._flight.smoothing import differentiate, flight_segments, noise_level, smooth
+from skdgp._flight.clock import flight_segments
+from skdgp._flight.smoothing import differentiate, noise_level, smooth
 
 RATE = 40.0
 CUTOFFS = ["auto", 3.0, None]

@@ -112,6 +112,13 @@ def eigen_root(M: Matrix) -> Matrix:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
+def covariance_root(M: Matrix) -> Matrix:
+    """Return R with R R^T = M, (..., n, n), of covariances that may be singular: it changes continuously with M."""
+    scale = np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(M / (scale[..., :, None] * scale[..., None, :]))
+    return scale[..., :, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ vectors.swapaxes(-1, -2))
+
+
 def cholesky_solve(L: Matrix, b: Array) -> Array:
     """Return K^-1 b from the lower factor of K."""
     return lapack.dpotrs(L, b, lower=1)[0]

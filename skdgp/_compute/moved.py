@@ -18,8 +18,11 @@ MOVED = {
     "skdgp.metrics._point": "skdgp.metrics._metrics",
     "skdgp.metrics._probabilistic": "skdgp.metrics._metrics",
     "skdgp.dynamics._aircraft": "skdgp.dynamics._vehicle.aircraft",
-    "skdgp.dynamics._propeller": "skdgp.dynamics._vehicle.propeller",
-    "skdgp.dynamics._thrust_line": "skdgp.dynamics._vehicle.thrust_line",
+    "skdgp.dynamics._propeller": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._thrust_line": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._vehicle.propeller": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._vehicle.thrust_line": "skdgp.dynamics._vehicle.engines",
+    "skdgp.dynamics._vehicle.thrust_table": "skdgp.dynamics._vehicle.engines",
 }
 
 

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import inv_boxcox
 
-__all__ = ["Atmosphere", "standard_atmosphere", "standard_density"]
-
 GAS_CONSTANT = 287.05287
 """Of dry air [J/(kg K)]."""
 HEAT_RATIO = 1.4
 GRAVITY = 9.80665
 LOWEST, HIGHEST = -5000.0, 32000.0
+SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0
+"""[kg/m^3, Pa]."""
 BASE = np.array([0.0, 11000.0, 20000.0])
 """Where the layers begin [m]; the first one reaches down to `LOWEST`."""
 LAPSE = np.array([-0.0065, 0.0, 0.001])
@@ -35,29 +35,14 @@ class Atmosphere(NamedTuple):
 
 
 def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
-    """Return density, pressure, temperature and speed of sound of the International Standard Atmosphere.
+    """Return the International Standard Atmosphere at geopotential altitudes h [m], -5000 to 32000; NaN gives NaN.
 
-    In each layer T = T_b + L (h - h_b), and from dp = -rho g dh with p = rho R T
+    In each layer (U.S. Standard Atmosphere 1976, section 1.3; ISO 2533:1975)
 
-        p = p_b (T / T_b)^(-g / (R L))   (p_b exp(-g (h - h_b) / (R T_b)) where L = 0),   a = sqrt(1.4 R T)
+        T = T_b + L (h - h_b),   p = p_b (T / T_b)^(-g / (R L)),   rho = p / (R T),   a = sqrt(1.4 R T)
 
-    (U.S. Standard Atmosphere 1976, section 1.3; ISO 2533:1975).
-
-    Parameters
-    ----------
-    altitude : array-like
-        Geopotential altitude h [m], -5000 to 32000; NaN gives NaN. Geometric altitude z above the ellipsoid is
-        more by z^2 / 6356766 m: 1.6 m at 3.2 km.
-
-    Returns
-    -------
-    Atmosphere
-        ``density`` [kg/m^3], ``pressure`` [Pa], ``temperature`` [K], ``speed_of_sound`` [m/s].
-
-    Raises
-    ------
-    ValueError
-        If an altitude lies outside -5000 to 32000 m.
+    and p = p_b exp(-g (h - h_b) / (R T_b)) where L = 0. Geometric altitude z above the ellipsoid is more by
+    z^2 / 6356766 m: 1.6 m at 3.2 km. Raises ValueError outside of these altitudes.
 
     Examples
     --------
@@ -99,11 +84,11 @@ def _pressure_and_temperature(altitude: ArrayLike) -> tuple[np.ndarray, np.ndarr
     return pressure, temperature
 
 
-def _pressure_ratio(altitude: ArrayLike, layer) -> np.ndarray:
+def _pressure_ratio(altitude: np.ndarray, layer: np.ndarray) -> np.ndarray:
     """Return p / p_b. The Box-Cox power (1 + k x)^(1/k), k = -R L / g, is exp(x) where L = 0."""
     scale_height = GAS_CONSTANT * _TEMPERATURE[layer] / GRAVITY
     return inv_boxcox((BASE[layer] - altitude) / scale_height, -GAS_CONSTANT / GRAVITY * LAPSE[layer])
 
 
 _TEMPERATURE = 288.15 + np.append(0.0, np.cumsum(LAPSE[:-1] * np.diff(BASE)))
-_PRESSURE = 101325.0 * np.append(1.0, np.cumprod(_pressure_ratio(BASE[1:], np.arange(2))))
+_PRESSURE = SEA_LEVEL_PRESSURE * np.append(1.0, np.cumprod(_pressure_ratio(BASE[1:], np.arange(2))))

@@ -1,4 +1,4 @@
-"""Flight-table columns: units, axes and signs.
+"""Flight-table columns: units, axes and signs; non-dimensional rates.
 
 Body axes: x forward, y right, z down, origin at the centre of gravity. SI units and radians everywhere.
 """
@@ -6,6 +6,8 @@ Body axes: x forward, y right, z down, origin at the centre of gravity. SI units
 from __future__ import annotations
 
 from typing import NamedTuple
+
+import numpy as np
 
 
 class Channel(NamedTuple):
@@ -15,8 +17,15 @@ class Channel(NamedTuple):
     meaning: str
 
 
+AIR_DATA = ("airspeed", "alpha", "beta")
+POSITION = ("north", "east", "down")
+BODY_VELOCITY, EARTH_VELOCITY = ("u", "v", "w"), ("v_north", "v_east", "v_down")
+"""Velocity over the ground."""
 EULER = ("phi", "theta", "psi")
 """Attitude, in the order of its rotations from the body outward."""
+RATES = ("p", "q", "r")
+SPECIFIC_FORCE = ("ax", "ay", "az")
+WIND = ("wind_north", "wind_east", "wind_down")
 
 CHANNELS = {
     "time": Channel("s", "time on the log's one clock, increasing within a flight"),
@@ -85,3 +94,21 @@ LATERAL = ("CY", "Cl", "Cn")
 
 TRUTH_SUFFIX = "_true"
 """Columns that end so are noise-free truth of a simulation: for scoring only."""
+
+HAT = "_hat"
+"""Ends the name of a non-dimensional rate."""
+RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
+ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
+LEAST_GUST = 1e-3
+"""Values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller."""
+SENSOR_GUST = 0.1
+"""The ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air."""
+
+
+def rate_factor(name: str, length: float, airspeed: np.ndarray) -> np.ndarray:
+    """Return what makes a rate non-dimensional: L / 2V, of an angular acceleration (L / 2V)^2.
+
+    The length L [m] is ``RATE_LENGTHS`` or ``ACCELERATION_LENGTHS`` of the aircraft, the airspeed V is in m/s.
+    """
+    factor = length / (2 * airspeed)
+    return factor**2 if name in ACCELERATION_LENGTHS else factor

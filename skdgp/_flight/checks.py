@@ -1,4 +1,4 @@
-"""Validation of flight tables: columns, limits of angles and rates, degrees for radians."""
+"""Validation of flight tables: columns, limits of angles and rates, degrees instead of radians."""
 
 from __future__ import annotations
 
@@ -10,25 +10,18 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
+from skdgp._flight.channels import EARTH_VELOCITY, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_codes, flight_segments
 
 LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
-SLACK = 0.05
+ANGLE_NOISE = 0.05
 """Noise that may carry an angle over its largest value [rad]."""
-FASTEST = 50.0
+FASTEST_RATE = 50.0
 """Rates beyond this [rad/s], eight turns a second, are in other units."""
 
 
-def check_table(table, *, what: str = "flight") -> pd.DataFrame:
-    """Return ``table`` if it is a DataFrame with named, unique columns and at least one row.
-
-    Raises
-    ------
-    TypeError
-        If it is not a DataFrame.
-    ValueError
-        If it has no rows or a column name stands twice.
-    """
+def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
+    """Return a DataFrame with unique column names and at least one row; raise TypeError or ValueError at any other."""
     if not isinstance(table, pd.DataFrame):
         raise TypeError(
             f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named columns "
@@ -54,15 +47,15 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
 
 
 def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
-    """Raise a ValueError that tells which of the ``needed`` names are not among those there are, and the nearest."""
-    have = [str(name) for name in have]
-    lacking = _lacking(needed, have)
+    """Raise a ValueError that names what ``have`` lacks of the ``needed`` names, and the nearest ones."""
+    names = [str(name) for name in have]
+    lacking = _lacking(needed, names)
     if lacking:
-        raise ValueError(f"The {what} lack {lacking}: got {have}. docs/notation.md lists every name with its unit.")
+        raise ValueError(f"The {what} lack {lacking}: got {names}. docs/notation.md lists every name with its unit.")
 
 
-def _lacking(needed, have) -> str:
-    """Return what is missing, each with the nearest name that there is; empty if nothing is."""
+def _lacking(needed: Iterable[str], have: list[str]) -> str:
+    """Return the missing names, each with the nearest one there is; empty if none is missing."""
     hints = []
     for name in dict.fromkeys(needed):
         if name not in have:
@@ -72,25 +65,24 @@ def _lacking(needed, have) -> str:
 
 
 def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
-    """Raise a ValueError if one of the ``names``, angles and rates, holds what no radians can be; absent ones pass."""
+    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass."""
     for name in names:
         values = np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
-        if not np.isfinite(values).any():
-            continue
-        top = np.nanmax(values)
-        if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + SLACK:
-            raise ValueError(
-                f"Got {name} up to {top:g}, but expected radians, at most {LARGEST_ANGLE[name]:.3f}: if these are "
-                f"degrees, use numpy.deg2rad(flight[{name!r}])."
+        top = np.max(values, initial=0.0, where=np.isfinite(values))
+        if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + ANGLE_NOISE:
+            raise degrees_error(
+                f"{name} up to {top:g}", f"radians, at most {LARGEST_ANGLE[name]:.3f}", f"flight[{name!r}]"
             )
-        if name in ("p", "q", "r") and top > FASTEST:
-            raise ValueError(
-                f"Got |{name}| up to {top:g}, but expected rad/s ({FASTEST:g} rad/s is eight turns a second): if these "
-                f"are degrees per second, use numpy.deg2rad(flight[{name!r}])."
-            )
+        if name in RATES and top > FASTEST_RATE:
+            raise degrees_error(f"{name} up to {top:g}", f"rad/s, at most {FASTEST_RATE:g}", f"flight[{name!r}]")
 
 
-def _named(table, what) -> str:
+def degrees_error(got: str, expected: str, name: str) -> ValueError:
+    """Return the error of an angle or a rate that is too large for radians."""
+    return ValueError(f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).")
+
+
+def _named(table: pd.DataFrame, what: str) -> str:
     """Return what a table is, with the name of the flight where it holds one."""
     if what != "flight" or "flight" not in table:
         return what
@@ -99,18 +91,10 @@ def _named(table, what) -> str:
 
 
 def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
-    """Return the contiguous stretches of a flight table that has the ``needed`` columns in SI units.
+    """Return the segments without gaps of a flight table that has the ``needed`` columns in SI units.
 
-    Raises
-    ------
-    ValueError
-        If a column is missing or not numeric, time does not increase within a flight, airspeed is not
-        positive, or values are impossible in SI units.
-
-    Warns
-    -----
-    UserWarning
-        If values are possible but smell of another unit or sign.
+    Raises ValueError if a column is missing or not numeric, time does not increase within a flight, airspeed is not
+    positive, or values are impossible in SI units. Warns of values that are probably of another unit or sign.
     """
     check_columns(check_table(flight), needed)
     for name in needed:
@@ -131,15 +115,15 @@ def _airspeed(flight: pd.DataFrame) -> None:
             "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the ground, e.g. "
             "flight[flight.airspeed > 5], or set the airspeed of those rows to NaN."
         )
-    slow = airspeed < 0.2 * np.nanmedian(airspeed) if _seen(airspeed) else np.array([False])
+    slow = airspeed < 0.2 * np.nanmedian(airspeed) if _any_finite(airspeed) else np.array([False])
     if slow.any():
         _warn(
             f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its median "
             f"({np.nanmedian(airspeed):.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on "
             "the ground still in the flight? Cut it, e.g. flight[flight.airspeed > 5]."
         )
-    ground = np.sqrt(sum(_values(flight, name) ** 2 for name in ("v_north", "v_east", "v_down")))
-    ratio = np.nanmedian(airspeed) / np.nanmedian(ground) if _seen(airspeed) and _seen(ground) else 1.0
+    ground = np.sqrt(sum(_values(flight, name) ** 2 for name in EARTH_VELOCITY))
+    ratio = np.nanmedian(airspeed) / np.nanmedian(ground) if _any_finite(airspeed) and _any_finite(ground) else 1.0
     if not 0.5 < ratio < 1.8:
         _warn(
             f"The median airspeed is {ratio:.2f} times the median ground speed, but both should be m/s (1.94: "
@@ -149,7 +133,7 @@ def _airspeed(flight: pd.DataFrame) -> None:
 
 def _density(flight: pd.DataFrame) -> None:
     density = _values(flight, "density")
-    if not _seen(density):
+    if not _any_finite(density):
         return
     middle = np.nanmedian(density)
     if not 0.05 < middle < 2.5 or np.nanmin(density) <= 0:
@@ -158,7 +142,7 @@ def _density(flight: pd.DataFrame) -> None:
             "at sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
         )
     altitude = _values(flight, "altitude")
-    if _seen(altitude) and LOWEST <= np.nanmedian(altitude) <= HIGHEST:
+    if _any_finite(altitude) and LOWEST <= np.nanmedian(altitude) <= HIGHEST:
         standard = float(standard_density(np.nanmedian(altitude)))
         if not 0.8 < middle / standard < 1.25:
             _warn(
@@ -171,7 +155,7 @@ def _angles(flight: pd.DataFrame) -> None:
     check_radians(flight, LARGEST_ANGLE)
     for name in ("alpha", "beta"):
         values = np.abs(_values(flight, name))
-        if _seen(values) and np.nanmedian(values) > 0.7:
+        if _any_finite(values) and np.nanmedian(values) > 0.7:
             _warn(
                 f"The median |{name}| is {np.nanmedian(values):.2f} rad ({np.rad2deg(np.nanmedian(values)):.0f} "
                 "deg), but expected radians: these look like degrees."
@@ -179,7 +163,7 @@ def _angles(flight: pd.DataFrame) -> None:
 
 
 def _rates(flight: pd.DataFrame) -> None:
-    check_radians(flight, ("p", "q", "r"))
+    check_radians(flight, RATES)
     turned, gyro = _roll_over_a_second(flight)
     if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
         raise ValueError(
@@ -191,7 +175,7 @@ def _rates(flight: pd.DataFrame) -> None:
 def _roll_over_a_second(flight: pd.DataFrame) -> tuple[float, float]:
     """Return the root mean squares of the change of phi in a second, and of p integrated over it."""
     phi, p, time = (_values(flight, name) for name in ("phi", "p", "time"))
-    if not (_seen(phi) and _seen(p) and len(flight) > 2):
+    if not (_any_finite(phi) and _any_finite(p) and len(flight) > 2):
         return 0.0, 0.0
     step = np.nanmedian(np.diff(time))
     lag = int(min(max(round(1.0 / step), 1), len(flight) - 1))
@@ -206,14 +190,14 @@ def _roll_over_a_second(flight: pd.DataFrame) -> tuple[float, float]:
 
 
 def _accelerations(flight: pd.DataFrame) -> None:
-    specific = np.stack([_values(flight, name) for name in ("ax", "ay", "az")], axis=-1)
+    specific = np.stack([_values(flight, name) for name in SPECIFIC_FORCE], axis=-1)
     size = np.linalg.norm(specific, axis=-1)
-    if not _seen(size):
+    if not _any_finite(size):
         return
     if not 3.0 < np.nanmedian(size) < 300.0:
         _warn(
             f"The median specific force |(ax, ay, az)| is {np.nanmedian(size):.3g} m/s^2, but level flight gives 9.8: "
-            "multiply by 9.80665 if these are g; if gravity was taken out of them, put it back (an accelerometer "
+            "multiply by 9.80665 if these are g; if gravity was subtracted from them, add it (an accelerometer "
             "reads specific force)."
         )
     elif np.nanmedian(specific[:, 2]) > 3.0:
@@ -227,7 +211,7 @@ def _values(flight: pd.DataFrame, name: str) -> np.ndarray:
     return flight[name].to_numpy(float) if name in flight else np.full(len(flight), np.nan)
 
 
-def _seen(values: np.ndarray) -> bool:
+def _any_finite(values: np.ndarray) -> bool:
     return bool(np.isfinite(values).any())
 
 

@@ -6,55 +6,31 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 GAP = 2.5
 """A step longer than this many median steps starts a new segment (one lost sample is bridged)."""
 JITTER = 0.02
-"""Samples nearer than this fraction of a step to a uniform grid are taken to lie on it (rounded clocks)."""
+"""Samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)."""
 SHORTEST_PART = 10
 """A clock that goes back sooner than after so many samples was not restarted: the rows are in disorder."""
 
 
-def flight_segments(time, flight=None) -> list[slice]:
-    """Split a log into contiguous stretches of one flight without gaps.
+def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[slice]:
+    """Return the segments of a log: rows of one flight without gaps, in order, every row once.
 
-    A new segment starts where ``flight`` changes and where a step exceeds 2.5 times the median step of its
-    flight.
-
-    Parameters
-    ----------
-    time : array-like of shape (n,)
-        Time [s], strictly increasing within a flight.
-    flight : array-like of shape (n,), optional
-        Flight identifiers, rows of a flight together; by default all rows are one flight.
-
-    Returns
-    -------
-    list of slice
-        In order, covering every row once.
-
-    Raises
-    ------
-    ValueError
-        If time is not finite, does not increase, or steps so irregularly that no sampling rate can be told; or a row
-        names no flight.
-
-    Examples
-    --------
-    >>> flight_segments([0.0, 0.1, 0.2, 0.9, 1.0, 0.0, 0.1], ["a"] * 5 + ["b"] * 2)
-    [slice(0, 3, None), slice(3, 5, None), slice(5, 7, None)]
+    A segment ends where ``flight`` (n,), identifiers, changes, and where ``time`` (n,) [s] steps by more than 2.5 times
+    the median step of the flight. Raises ValueError if time is not finite, does not increase within a flight, or has no
+    usual step; or a row names no flight.
     """
     time, codes = check_clock(time, flight)
     return _split(time, codes)
 
 
-def flight_codes(flight) -> tuple[np.ndarray, list]:
+def flight_codes(flight: ArrayLike) -> tuple[np.ndarray, list]:
     """Return the number of each row's flight, (n,), from 0 on in their order, and the flights' names.
 
-    Raises
-    ------
-    ValueError
-        If a row names no flight: its cell is empty, None, NaN or blank.
+    Raises ValueError if a row names no flight: its cell is empty, None, NaN or blank.
     """
     codes, names = pd.factorize(np.asarray(flight, dtype=object))
     blank = [code for code, name in enumerate(names) if not str(name).strip()]
@@ -67,48 +43,37 @@ def flight_codes(flight) -> tuple[np.ndarray, list]:
     return codes, names.tolist()
 
 
-def flight_rows(flight) -> dict:
-    """Return the rows of each flight by its name, in the order of the flights; empty names as in flight_codes."""
+def flight_rows(flight: ArrayLike) -> dict[str, np.ndarray]:
+    """Return the rows of each flight by its name, in the order of the flights."""
     codes, names = flight_codes(flight)
     parts = np.split(np.argsort(codes, kind="stable"), np.cumsum(np.bincount(codes))[:-1])
     return dict(zip(names, parts, strict=False))  # of no rows at all there is one empty part
 
 
-def part_restarts(time, flight) -> tuple[np.ndarray, np.ndarray]:
-    """Name apart the parts of flights whose clock was restarted: a, a#2, a#3.
+def part_restarts(time: np.ndarray, flight: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return identifiers (n,) with new ones from each restart of a clock on (a, a#2, a#3), and the rows of restarts.
 
-    Parameters
-    ----------
-    time : ndarray of shape (n,)
-        Time [s].
-    flight : array-like of shape (n,)
-        Flight identifiers.
-
-    Returns
-    -------
-    names : ndarray of shape (n,)
-        Identifiers, new ones from each restart on; the old ones where rows stand in disorder or stand still.
-    restarts : ndarray of int
-        The rows at which a clock begins again.
+    Identifiers stay where rows are in disorder or time stands still.
     """
     flight = np.asarray(flight, dtype=object)
-    codes, taken = flight_codes(flight)
+    codes, used = flight_codes(flight)
     same = np.diff(codes) == 0
     back = np.flatnonzero(same & (time[1:] < time[:-1])) + 1
     edges = np.sort(np.r_[0, np.flatnonzero(~same) + 1, back, len(time)])
     if not back.size or np.any(same & (time[1:] == time[:-1])) or np.diff(edges).min() < SHORTEST_PART:
         return flight, np.empty(0, int)
-    names, taken, numbers = flight.copy(), set(taken), {}
+    names, names_used = flight.copy(), set(used)
+    numbers: dict[str, int] = {}
     for row, end in zip(back, edges[np.searchsorted(edges, back) + 1], strict=True):
         number = numbers.get(flight[row], 1) + 1
-        while (name := f"{flight[row]}#{number}") in taken:
+        while (name := f"{flight[row]}#{number}") in names_used:
             number += 1
-        taken.add(name)
+        names_used.add(name)
         numbers[flight[row]], names[row:end] = number, name
     return names, back
 
 
-def rows_back(time, codes) -> np.ndarray:
+def rows_back(time: np.ndarray, codes: np.ndarray) -> np.ndarray:
     """Return rows at which time does not increase, and the row of the same flight before each: (k, 2)."""
     order = np.argsort(codes, kind="stable")  # rows of a flight may stand apart
     same = np.diff(codes[order]) == 0
@@ -116,7 +81,7 @@ def rows_back(time, codes) -> np.ndarray:
     return np.column_stack([order[back + 1], order[back]])
 
 
-def check_clock(time, flight):
+def check_clock(time: ArrayLike, flight: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
     """Return time (n,) as float and integer flight codes (n,)."""
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or not np.isfinite(time).all():
@@ -135,15 +100,21 @@ def check_clock(time, flight):
     return time, codes
 
 
-def runs_by_flight(time, codes):
+def runs_by_flight(time: np.ndarray, codes: np.ndarray) -> list[list[slice]]:
     """Group the segments by flight."""
-    runs = {}
+    runs: dict[int, list[slice]] = {}
     for segment in _split(time, codes):
         runs.setdefault(int(codes[segment.start]), []).append(segment)
     return list(runs.values())
 
 
-def uniform_grid(time):
+def true_runs(mask: np.ndarray) -> list[slice]:
+    """Return each run of True in a mask (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask).astype(int), [0]])))
+    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]
+
+
+def uniform_grid(time: np.ndarray) -> tuple[np.ndarray, bool]:
     """Return the uniform grid of a run, and whether the samples lie off it (so must be resampled)."""
     n = len(time)
     if n < 3:
@@ -157,8 +128,8 @@ def uniform_grid(time):
     return np.linspace(time[0], time[-1], size), True
 
 
-def _split(time, codes):
-    """Segments of a checked clock; refuses clocks without a rate."""
+def _split(time: np.ndarray, codes: np.ndarray) -> list[slice]:
+    """Return the segments of a checked clock; raise ValueError if it has no usual step."""
     if not len(time):
         return []
     step, same = np.diff(time), np.diff(codes) == 0
@@ -170,8 +141,7 @@ def _split(time, codes):
     if max(gap.sum(), uneven.sum()) > 0.1 * max(same.sum(), 10):
         raise ValueError(
             f"Got time steps from {step[same].min():.3g} s to {step[same].max():.3g} s (median "
-            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: resample "
-            "the "
+            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: resample the "
             "log to one uniform clock first."
         )
     edges = [0, *(np.flatnonzero(starts) + 1).tolist(), len(time)]

@@ -1,4 +1,10 @@
-"""Faults of a flight log: found, named, and removed."""
+"""Faults of a flight log: found, named, and removed.
+
+A sensor with noise hardly ever repeats a value: where a share p of all runs of equal values is longer than usual, one
+of k times the usual length has a chance of p^(k-1). The usual length is that of the channel, so a sensor that is slower
+than the table is not stuck. Where a channel has no noise, or moves quantum by quantum, runs say little: it is stuck
+only if it then leaps.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +15,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.checks import FASTEST, LARGEST_ANGLE, SLACK
-from skdgp._flight.clock import GAP, flight_codes
-from skdgp._flight.fault_detectors import ENOUGH, holds, lost, spikes, stops
+from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES, SPECIFIC_FORCE
+from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
+from skdgp._flight.clock import GAP, flight_codes, true_runs
 
-SIBLINGS = (
-    *(("alpha", "beta"), ("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi")),
-    *(("v_north", "v_east", "v_down"), ("u", "v", "w"), ("north", "east", "down")),
-)
+SIBLINGS = (AIR_DATA[1:], RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
+"""Channels of one sensor: where one moves, all do."""
 SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
 """Channels that noise and motion never let stand still."""
 SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right")
@@ -24,12 +28,15 @@ ANGLES = ("phi", "psi")
 """Angles that go round."""
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
-    **{name: (-LARGEST_ANGLE[name] - SLACK, LARGEST_ANGLE[name] + SLACK) for name in ("alpha", "beta", "theta")},
-    **dict.fromkeys(("p", "q", "r"), (-FASTEST, FASTEST)),
-    **dict.fromkeys(("ax", "ay", "az"), (-1000.0, 1000.0)),
+    **{
+        name: (-LARGEST_ANGLE[name] - ANGLE_NOISE, LARGEST_ANGLE[name] + ANGLE_NOISE)
+        for name in ("alpha", "beta", "theta")
+    },
+    **dict.fromkeys(RATES, (-FASTEST_RATE, FASTEST_RATE)),
+    **dict.fromkeys(SPECIFIC_FORCE, (-1000.0, 1000.0)),
     **dict.fromkeys(("phi", "psi"), (-1000.0, 1000.0)),
-    **dict.fromkeys(("v_north", "v_east", "v_down", "u", "v", "w"), (-1500.0, 1500.0)),
-    **dict.fromkeys(("north", "east", "down"), (-1e7, 1e7)),
+    **dict.fromkeys((*EARTH_VELOCITY, *BODY_VELOCITY), (-1500.0, 1500.0)),
+    **dict.fromkeys(POSITION, (-1e7, 1e7)),
     "density": (1e-3, 3.0),
     "altitude": (-1000.0, 1e5),
     "throttle": (-0.1, 1.5),
@@ -38,14 +45,29 @@ POSSIBLE = {
 }
 """Outside of these nothing can have been measured."""
 RARE = 0.05
-"""Impossible values more frequent than this are of another unit: checks at the door name it."""
-LONG = 1.0
-"""Seconds from which lost samples are told place by place."""
-SHOWN = 8
-"""Findings told one by one in a warning."""
+"""Impossible values more frequent than this are of another unit: the checks of units name it."""
+LONG_GAP = 1.0
+"""Missing samples over more seconds than this are findings of their own, shorter ones are one finding together."""
+MOST_SHOWN = 8
+"""Findings that a warning names one by one."""
+WARNING_START = "Faults in the log"
+"""First words of the warning, by which it is filtered."""
+ENOUGH = 50
+"""Least number of samples from which the usual length of runs is known."""
+IMPROBABLE = 1e-4
+"""Expected number of such runs in a flight below which chance is ruled out."""
+LEAST_HOLD = 0.3
+"""Shorter holds [s] are no fault."""
+LEAST_STOP = 0.5
+"""Seconds at the extreme value from which a surface is at its stop."""
+SPIKE = 8.0
+"""A spike stands out from its neighbours by so many times what all but 0.5 % of samples do."""
+WIDEST_SPIKE = 3
+SMOOTH = 0.5
+"""Steps that change by less than this share of themselves are those of a channel without noise (with noise: 1.7)."""
+MISSING = 1.5
+"""A sample is missing where the next comes later than so many usual spacings."""
 
-TOLD = "Faults in the log"
-"""How that warning begins."""
 NOT_MEASURED = ("stuck", "impossible", "spike")
 REMEDY = {
     "restart": "a flight of its own",
@@ -57,6 +79,10 @@ REMEDY = {
     "constant": "a dead sensor, or none: drop the column unless the flight was simulated so",
     "saturated": "kept; what it does beyond is not known",
 }
+
+
+Fault = tuple[str, str, np.ndarray, str]
+"""Channel, kind, rows, description."""
 
 
 class FlightDataWarning(UserWarning):
@@ -72,29 +98,34 @@ class Finding(NamedTuple):
     start: float
     end: float
     rows: np.ndarray
-    words: str
+    description: str
 
     @property
     def message(self) -> str:
         """What is wrong, and what follows from it."""
         where = f"{self.start:.6g} to {self.end:.6g} s, {len(self.rows)} samples"
-        return f"{self.channel} {self.words} ({where}): {REMEDY[self.kind]}"
+        return f"{self.channel} {self.description} ({where}): {REMEDY[self.kind]}"
 
 
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
-    """Return the faults of each flight in a table whose time increases within each; none of the columns to ignore."""
-    left = [name for name in POSSIBLE if name not in set(ignore)]
+    """Return the faults of each flight in a table whose time increases within each, but those of columns to ignore."""
+    ignored = set(ignore)
     codes, names = flight_codes(table["flight"] if "flight" in table else np.full(len(table), "flight"))
     time = table["time"].to_numpy(float)
-    channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in left if _is_numeric(table, name)}
+    names_here = [name for name in POSSIBLE if name in table and name not in ignored]
+    channels = {
+        name: table[name].to_numpy(float, na_value=np.nan)
+        for name in names_here
+        if pd.api.types.is_numeric_dtype(table[name])
+    }
     found = []
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
         here = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
-        for channel, kind, rows, words in _of_flight(here, part):
+        for channel, kind, rows, description in _faults_of_flight(here, part):
             ends = float(here[rows[0]]), float(here[rows[-1]])
-            found.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, words))
+            found.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, description))
     return found
 
 
@@ -109,16 +140,17 @@ def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataF
     return table.assign(**new) if new else table
 
 
-def told(findings: list[Finding], done: str) -> str:
-    """Return one message of many findings, each flight named once."""
-    by_flight = groupby(findings[:SHOWN], key=lambda each: str(each.flight))
-    said = [f"flight {flight}: {'; '.join(each.message for each in group)}" for flight, group in by_flight]
-    more = f"; and {len(findings) - SHOWN} more, see skdgp.preprocessing.inspect_flight" * (len(findings) > SHOWN)
-    return f"{TOLD}: {'; '.join(said)}{more}. {done}"
+def faults_message(findings: list[Finding], done: str) -> str:
+    """Return one message of many findings, each flight named once, that ends with what was ``done`` about them."""
+    by_flight = groupby(findings[:MOST_SHOWN], key=lambda each: str(each.flight))
+    parts = [f"flight {flight}: {'; '.join(each.message for each in group)}" for flight, group in by_flight]
+    more = len(findings) - MOST_SHOWN
+    rest = f"; and {more} more, see skdgp.preprocessing.inspect_flight" if more > 0 else ""
+    return f"{WARNING_START}: {'; '.join(parts)}{rest}. {done}"
 
 
-def _of_flight(time, channels) -> Iterator[tuple[str, str, np.ndarray, str]]:
-    """Yield channel, kind, rows and words of each fault; what was not measured is taken out of the channels."""
+def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iterator[Fault]:
+    """Yield channel, kind, rows and description of each fault; in the channels, what was not measured becomes NaN."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     yield from _gaps(time, step)
     for name, values in channels.items():
@@ -126,72 +158,160 @@ def _of_flight(time, channels) -> Iterator[tuple[str, str, np.ndarray, str]]:
         values[~np.isfinite(values)] = np.nan
         yield from _impossible(name, values)
         if name in SENSORS:
-            for rows in holds(values, step):
+            for rows in stuck_rows(values, step):
                 yield name, "stuck", rows, f"is stuck at {values[rows[0]]:.4g}"
                 values[rows] = np.nan
-            rows = spikes(values, angle=name in ANGLES)
+            rows = spike_rows(values, angle=name in ANGLES)
             if rows.size:
                 yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
         elif name in SURFACES:
-            for rows in stops(values, step):
-                words = f"stands at its extreme value {values[rows[0]]:.4g} {_times(rows)}, as at a stop"
-                yield name, "saturated", rows, words
+            for rows in saturated_rows(values, step):
+                text = f"stands at its extreme value {values[rows[0]]:.4g} {_times(rows)}, as at a stop"
+                yield name, "saturated", rows, text
     yield from _dead(channels, len(time))
 
 
-def _gaps(time, step):
+def _gaps(time: np.ndarray, step: float) -> Iterator[Fault]:
     rows = np.flatnonzero(np.diff(time) > GAP * step)
     if rows.size:
         longest = float(np.diff(time).max())
         yield "time", "gap", rows, f"jumps forward {_times(2 * rows)}, by {longest:.3g} s at most"
 
 
-def _missing(name, values, step):
-    stretches = lost(values)
-    if len(stretches) == 1 and len(stretches[0]) == len(values):
-        yield name, "missing", stretches[0], "has no value"
+def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
+    gaps = missing_rows(values)
+    if len(gaps) == 1 and len(gaps[0]) == len(values):
+        yield name, "missing", gaps[0], "has no value"
         return
-    for rows in stretches:
-        if len(rows) * step >= LONG:
+    for rows in gaps:
+        if len(rows) * step >= LONG_GAP:
             yield name, "missing", rows, f"has no value for {len(rows) * step:.3g} s"
-    short = [rows for rows in stretches if len(rows) * step < LONG]
+    short = [rows for rows in gaps if len(rows) * step < LONG_GAP]
     if short:
         rows = np.concatenate(short)
         yield name, "missing", rows, f"has no value {_times(rows)}, for {max(map(len, short)) * step:.2g} s at most"
 
 
-def _impossible(name, values):
+def _impossible(name: str, values: np.ndarray) -> Iterator[Fault]:
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
     if 0 < rows.size <= RARE * np.isfinite(values).sum():
-        words = f"has impossible values, such as {values[rows[0]]:.4g}"
+        text = f"has impossible values, such as {values[rows[0]]:.4g}"
         values[rows] = np.nan
-        yield name, "impossible", rows, words
+        yield name, "impossible", rows, text
 
 
-def _dead(channels, n):
+def _dead(channels: dict[str, np.ndarray], n: int) -> Iterator[Fault]:
     """Yield sensors that have one value throughout while others of their kind move."""
-    spread = {name: np.ptp(values[np.isfinite(values)]) for name, values in channels.items() if _enough(values)}
+    known = {name: values[np.isfinite(values)] for name, values in channels.items()}
+    spread = {name: np.ptp(values) for name, values in known.items() if len(values) >= ENOUGH}
     for names in SIBLINGS:
         moving = [name for name in names if spread.get(name, 0) > 0]
         for name in names:
             if moving and spread.get(name) == 0:
-                yield (
-                    name,
-                    "constant",
-                    np.arange(n),
-                    f"never changes, while {' and '.join(moving)} {'moves' if len(moving) == 1 else 'move'}",
-                )
+                move = "moves" if len(moving) == 1 else "move"
+                yield name, "constant", np.arange(n), f"never changes, while {' and '.join(moving)} {move}"
 
 
-def _enough(values):
-    return np.isfinite(values).sum() >= ENOUGH
-
-
-def _times(rows) -> str:
+def _times(rows: np.ndarray) -> str:
     n = 1 + int(np.sum(np.diff(rows) > 1))
     return "once" if n == 1 else f"{n} times"
 
 
-def _is_numeric(table, name):
-    return name in table and pd.api.types.is_numeric_dtype(table[name])
+class Runs(NamedTuple):
+    """Runs of equal values: where they begin, how long they are (rows), and in usual lengths."""
+
+    start: np.ndarray
+    length: np.ndarray
+    k: np.ndarray
+    chance: np.ndarray
+    """Expected number of runs at least so long in the flight."""
+
+
+def equal_runs(values: np.ndarray) -> Runs:
+    """Return the runs of equal values and how probable they are."""
+    start = np.flatnonzero(np.r_[True, np.diff(values) != 0])
+    length = np.diff(np.r_[start, len(values)])
+    k = np.floor(length / np.median(length))
+    share = (1 + np.sum(length >= 1.5 * np.median(length))) / (1 + len(length))
+    return Runs(start, length, k, len(length) * share ** (k - 1))
+
+
+def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
+    """Return the rows of each run in which a sensor repeats its last value, improbably often."""
+    rows = np.flatnonzero(np.isfinite(values))
+    seen = values[rows]
+    if len(rows) < ENOUGH or np.ptp(seen) == 0:
+        return []
+    runs = equal_runs(seen)
+    leap = np.abs(np.diff(seen[runs.start], append=np.nan))
+    steps = leap[:-1]
+    quantum = np.quantile(steps, 0.01)
+    bend = np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps) if len(steps) > 1 else np.inf
+    stuck = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_HOLD)
+    if bend < SMOOTH or np.median(steps) <= MISSING * quantum:
+        stuck &= leap > max(3 * quantum, np.quantile(steps, 0.99))
+    return [rows[first + 1 : first + n] for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)]
+
+
+def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
+    """Return the rows of a few samples that leap from their neighbours and back."""
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < ENOUGH:
+        return np.empty(0, int)
+    start = np.flatnonzero(np.r_[True, np.diff(values[known]) != 0])
+    fresh = values[known[start]]
+    seen = np.unwrap(fresh) if angle else fresh
+    if len(seen) < ENOUGH:
+        return np.empty(0, int)
+    padded = np.pad(seen, 2, mode="reflect")
+    around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
+    out = np.abs(seen - around)
+    far = out > SPIKE * np.quantile(out, 0.995)
+    found = [np.arange(run.start, run.stop) for run in true_runs(far) if run.stop - run.start <= WIDEST_SPIKE]
+    back = [part for part in found if _returns(seen, part, out[part].max())]
+    edges = np.r_[start, len(known)]
+    return np.concatenate([known[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [known[:0]])
+
+
+def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
+    """Return the rows at the smallest and the largest value, each where a surface that else moves is held there."""
+    rows = np.flatnonzero(np.isfinite(values))
+    seen = values[rows]
+    if len(rows) < ENOUGH or np.ptp(seen) == 0:
+        return []
+    runs = equal_runs(seen)
+    level = seen[runs.start]
+    long = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_STOP)
+    ends = (level == seen.min()) | (level == seen.max())
+    if np.sum(long & ~ends) * 2 > np.sum(long & ends):  # a stick that is held elsewhere is held there too
+        return []
+    found = []
+    for extreme in (seen.min(), seen.max()):
+        held = long & (level == extreme)
+        if held.any():
+            parts = zip(runs.start[held], runs.length[held], strict=True)
+            found.append(np.concatenate([rows[first : first + n] for first, n in parts]))
+    return found
+
+
+def missing_rows(values: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each gap in a channel that usually has values there."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        return [np.arange(len(values))]
+    spacing = np.diff(np.r_[-1, known, len(values)])
+    wide = np.flatnonzero(spacing > MISSING * usual_spacing(values))
+    before = np.r_[-1, known][wide]
+    return [np.arange(first + 1, first + n) for first, n in zip(before, spacing[wide], strict=True)]
+
+
+def usual_spacing(values: np.ndarray) -> float:
+    """Return how many rows lie between a sample and the next, but for a tenth of them."""
+    known = np.flatnonzero(np.isfinite(values))
+    return float(np.quantile(np.diff(known), 0.9)) if known.size > 1 else 1.0
+
+
+def _returns(seen: np.ndarray, part: np.ndarray, size: float) -> bool:
+    before, after = max(part[0] - 1, 0), min(part[-1] + 1, len(seen) - 1)
+    return abs(seen[after] - seen[before]) < size / 2

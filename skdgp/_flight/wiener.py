@@ -19,33 +19,33 @@ WINDOW_SECONDS = 6.4
 SHORTEST_WINDOW = 32
 LEAST_SAMPLES = 4 * SHORTEST_WINDOW
 EVIDENCE = 2.0
-"""Gain in log likelihood from which white noise is believed in."""
+"""Least gain in log likelihood for which a spectrum is given white noise."""
 
 
 class Spectrum(NamedTuple):
-    """Welch's estimate over a flight's gap-free stretches."""
+    """Welch's estimate over the segments of a flight."""
 
     frequency: np.ndarray  # (m,) [Hz]
     power: np.ndarray  # (m, k, k) cross-spectral density
     averages: float  # independent periodograms in it
-    rounding: np.ndarray  # (k,) white power below which nothing is told from rounding
+    rounding: np.ndarray  # (k,) white power that rounding makes
 
     @property
-    def own(self) -> np.ndarray:
-        """Power of each channel, (m, k)."""
+    def channel_power(self) -> np.ndarray:
+        """Power of each channel alone, (m, k)."""
         return np.einsum("mii->mi", self.power).real
 
 
-def flight_spectrum(stretches, step) -> Spectrum | None:
-    """Return the spectrum of stretches, each (n, k), sampled every ``step`` s; None where none is long enough.
+def flight_spectrum(segments: list[np.ndarray], step: float) -> Spectrum | None:
+    """Return the spectrum of segments, each (n, k), sampled every ``step`` s; None where none is long enough.
 
-    Samples are taken by count: interpolation between jittered ones would colour white noise.
+    Samples are counted, not timed: interpolation between jittered ones would colour white noise.
     """
-    longest = max(len(stretch) for stretch in stretches)
+    longest = max(len(segment) for segment in segments)
     if longest < LEAST_SAMPLES:
         return None
     size = 2 * (min(int(max(WINDOW_SECONDS / step, 2 * SHORTEST_WINDOW)), longest // 4) // 2)
-    pieces = np.concatenate([_windows(stretch, size) for stretch in stretches if len(stretch) >= size])
+    pieces = np.concatenate([_windows(segment, size) for segment in segments if len(segment) >= size])
     taper = signal.windows.hann(size)
     waves = np.fft.rfft(signal.detrend(pieces, axis=-1) * taper, axis=-1).transpose(2, 1, 0)
     power = waves @ waves.conj().swapaxes(1, 2) * (2 * step / (len(pieces) * np.sum(taper**2)))
@@ -54,28 +54,31 @@ def flight_spectrum(stretches, step) -> Spectrum | None:
     return Spectrum(np.fft.rfftfreq(size, step), power, averages, rounding)
 
 
-def noise_floors(spectrum: Spectrum) -> np.ndarray:
-    """Return the white noise power N of each channel, (k,)."""
-    floor = np.array([_noise_floor(spectrum.frequency, power, spectrum.averages) for power in spectrum.own.T])
-    return np.where(floor > spectrum.rounding, floor, 0.0)
+def noise_and_gain(spectrum: Spectrum, joint: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the white noise power N of each channel, (k,), and the smoother of each alone or of all jointly."""
+    power = spectrum.channel_power
+    floor = np.array([_noise_floor(spectrum.frequency, each, spectrum.averages) for each in power.T])
+    floor = np.where(floor > spectrum.rounding, floor, 0.0)
+    return floor, (_joint_gain if joint else _single_gain)(spectrum, floor)
 
 
-def own_gain(spectrum: Spectrum, floor) -> np.ndarray:
-    """Return the smoother of each channel by itself, (m, k)."""
-    steady = np.exp(ndimage.gaussian_filter1d(np.log(spectrum.own + 1e-300), 1.0, axis=0, mode="nearest"))
+def _single_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
+    """Return the smoother of each channel alone, (m, k)."""
+    steady = np.exp(ndimage.gaussian_filter1d(np.log(spectrum.channel_power + 1e-300), 1.0, axis=0, mode="nearest"))
     gain = np.where(floor > 0, np.clip(1 - floor / steady, 0, 1), 1.0)
     gain[0] = 1.0  # the mean of a channel is signal
     return gain * _falling(gain)
 
 
-def joint_gain(spectrum: Spectrum, floor) -> np.ndarray:
+def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     """Return the smoother of each channel from all, (m, k, k); the row of a noise-free channel is the identity.
 
     In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the edge of Marchenko
     and Pastur (1967); only those beyond it are signal.
     """
-    own, k = spectrum.own, len(floor)
-    unit = _noise_unit(own, floor)
+    power, k = spectrum.channel_power, len(floor)
+    # The root of the noise power; of something small where there is no noise.
+    unit = np.sqrt(np.where(floor > 0, floor, 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + 1e-300))
     size, axes = np.linalg.eigh(spectrum.power / (unit[:, None] * unit))
     edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
     kept = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
@@ -87,8 +90,8 @@ def joint_gain(spectrum: Spectrum, floor) -> np.ndarray:
     return np.where((floor > 0)[:, None], gain * falling[:, :, None], np.eye(k))
 
 
-def expected_error(spectrum: Spectrum, floor, gain) -> np.ndarray:
-    """Return the mean squared error that is left, (k,): the integral of (1-H) S (1-H)* + H N H*, S = P - N.
+def expected_error(spectrum: Spectrum, floor: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """Return the mean squared error that remains, (k,): the integral of (1-H) S (1-H)* + H N H*, S = P - N.
 
     S is an estimate that may be negative; the second part, the noise that passes, bounds the sum from below.
     """
@@ -101,7 +104,7 @@ def expected_error(spectrum: Spectrum, floor, gain) -> np.ndarray:
     return passed + np.maximum(lost, 0)
 
 
-def impulse_response(gain) -> np.ndarray:
+def impulse_response(gain: np.ndarray) -> np.ndarray:
     """Return impulse responses of gains, (2 m - 3, ...), Hann-tapered; what is constant passes unchanged."""
     size = 2 * (len(gain) - 1)
     taper = signal.windows.hann(size + 1)[1:-1].reshape(-1, *[1] * (gain.ndim - 1))
@@ -109,37 +112,32 @@ def impulse_response(gain) -> np.ndarray:
     return response + (gain[0].real - response.sum(axis=0)) * taper / taper.sum()
 
 
-def convolve(columns, response) -> np.ndarray:
-    """Filter (n, k) columns by own (l, k) or joint (l, k, k) responses, continued oddly beyond their ends."""
-    reach = len(response) // 2
-    padded = np.pad(columns, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+def convolve(columns: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Return columns (n, k), continued oddly beyond their ends, filtered by (l, k) or joint (l, k, k) responses."""
+    half = len(response) // 2
+    padded = np.pad(columns, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
     if response.ndim == 2:
         return signal.oaconvolve(padded, response, mode="valid", axes=0)
     each = [signal.oaconvolve(padded, part, mode="valid", axes=0).sum(axis=1) for part in np.moveaxis(response, 1, 0)]
     return np.stack(each, axis=1)
 
 
-def _noise_unit(own, floor):
-    """Square root of the noise power of each channel; of something small where there is no noise."""
-    return np.sqrt(np.where(floor > 0, floor, 1e-2 * own.min(axis=0) + 1e-12 * own.max(axis=0) + 1e-300))
-
-
-def _falling(gain):
-    """Factors (m, k) that let gains rise no more beyond the last frequency where signal is as strong as noise."""
+def _falling(gain: np.ndarray) -> np.ndarray:
+    """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
     last = len(gain) - 1 - np.argmax(gain[::-1] >= 0.5, axis=0)
     beyond = np.arange(len(gain))[:, None] > last
     least = np.minimum.accumulate(np.where(beyond, gain, 0.5), axis=0)
     return np.where(beyond, least / np.maximum(gain, 1e-12), 1.0)
 
 
-def _windows(stretch, size):
-    """Half-overlapping windows (s, k, size), counted from either end so that no sample is left over."""
-    views = np.lib.stride_tricks.sliding_window_view(stretch, size, axis=0)
+def _windows(segment: np.ndarray, size: int) -> np.ndarray:
+    """Return half-overlapping windows (s, k, size), counted from either end so that no sample is left over."""
+    views = np.lib.stride_tricks.sliding_window_view(segment, size, axis=0)
     return np.concatenate([views[:: size // 2], views[:: -(size // 2)]])
 
 
-def _noise_floor(frequency, power, averages):
-    """Return the flat part of the upper half of a spectrum, the falling part taken away.
+def _noise_floor(frequency: np.ndarray, power: np.ndarray, averages: float) -> float:
+    """Return the flat part of the upper half of a spectrum, without the falling part.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
     sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative shares; the constant stands only if
@@ -157,8 +155,8 @@ def _noise_floor(frequency, power, averages):
     return share[0] if averages * (misfit_without - misfit) > EVIDENCE else 0.0
 
 
-def _fit_shares(shapes, observed):
-    """Non-negative shares of the shapes, and minus Whittle's log likelihood of one periodogram."""
+def _fit_shares(shapes: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return non-negative shares of the shapes, and minus Whittle's log likelihood of one periodogram."""
     fitted = observed
     for _ in range(4):
         share, _ = optimize.nnls(shapes / fitted[:, None], observed / fitted)

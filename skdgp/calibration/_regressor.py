@@ -102,6 +102,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     (True, True, 'flight')
     """
 
+    acts_on_outputs = True  # see skdgp.dynamics.as_aerodynamics
     _parameter_constraints: dict = {
         "estimator": [HasMethods(["fit", "predict"])],
         "method": [StrOptions({"conformal", "variance"})],

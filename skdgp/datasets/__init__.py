@@ -1,4 +1,4 @@
-"""Example data with known truth, made by this package's own dynamics; nothing is downloaded."""
+"""Example data with known truth, simulated by `skdgp.dynamics`; nothing is downloaded."""
 
 from skdgp.datasets._example_flights import load_example_flights
 

@@ -1,80 +1,124 @@
-"""A simple autopilot for the example flights: holds altitude and airspeed, flies orbits, adds manoeuvres."""
+"""The controls of the example flights: an autopilot that flies orbits, manoeuvres on top, actuators that lag."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
-from skdgp.dynamics import quaternion_to_euler
+from skdgp._compute.typing import Array
+from skdgp.datasets._brumby import PROPELLER
+from skdgp.datasets._flight_plans import FlightPlan, scheduled
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
-__all__ = ["COMMANDS", "Autopilot"]
-
-COMMANDS = ("elevator", "aileron", "rudder", "throttle")
-BANK_LIMIT = 0.70
+ALPHA = 0.085
+TRIM = (-0.04, -0.007, 0.0, 0.63)
+"""Of straight level flight: elevator, aileron, rudder [rad], throttle."""
+BANK_LIMIT, ELEVON_LIMIT, RUDDER_LIMIT = 0.70, 0.42, 0.35
+TIME_CONSTANTS = np.array([0.04, 0.04, 0.04, 0.25])
+"""Of the lags of both elevons, rudder and propeller [s]."""
 CAPTURE_DISTANCE = 170.0
 """Distance [m] from the orbit at which the wanted course still cuts it at 45 degrees."""
 
 
-class Autopilot:
-    """Proportional-integral loops around attitude, altitude and airspeed for several aircraft at once.
+class FlightControls:
+    """The controls of several flights as a function of step, stage and what is seen, as `fly_record` asks for them.
 
-    Parameters
-    ----------
-    trim : array-like of shape (4,)
-        Elevator, aileron, rudder [rad] and throttle of straight level flight.
-    alpha_trim : float
-        Angle of attack of straight level flight [rad].
-    step : float
-        Time between calls [s].
-    n_flights : int
+    At the beginning of each step the autopilot's commands and the manoeuvres give targets. The actuators approach them
+    as exact first-order lags.
     """
 
-    def __init__(self, trim, alpha_trim: float, step: float, n_flights: int):
-        self.trim, self.alpha_trim, self.step = np.asarray(trim, float), alpha_trim, step
-        self.climb_integral = np.zeros(n_flights)
-        self.speed_integral = np.zeros(n_flights)
-        self.roll_integral = np.zeros(n_flights)
+    def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
+        def along(name: str) -> Array:
+            return np.stack([scheduled(getattr(plan, name), time) for plan in plans], axis=1)
 
-    def command(self, state, loads, orbit, altitude, wanted_airspeed) -> np.ndarray:
-        """Return `COMMANDS` (n_flights, 4) at ``state`` (n_flights, 13) and its `Loads`.
+        self.orbit, self.altitude, self.airspeed = (
+            along("orbits"),
+            along("altitudes")[..., 0],
+            along("airspeeds")[..., 0],
+        )
+        self.manoeuvres = np.stack([np.stack(plan.excitation(time), axis=-1) for plan in plans], axis=1)
+        self.autopilot, self.step, self.now = Autopilot(step, len(plans)), step, -1
+        self.end, _ = _targets(np.tile(TRIM, (len(plans), 1)))
+
+    def __call__(self, k: int, stage: int, observe: Callable[[], Mapping[str, Array]]) -> dict[str, Array]:
+        """Return the controls (n_flights,) by name at a stage, two to a step."""
+        if k != self.now:
+            self.now, self.begin = k, self.end
+            command = self.autopilot.command(observe(), self.orbit[k], self.altitude[k], self.airspeed[k])
+            self.target, self.throttle = _targets(self.manoeuvres[k] + command)
+        half_steps, positions = stage - 2 * k, self.begin
+        if half_steps:
+            lag = np.exp(-0.5 * half_steps * self.step / TIME_CONSTANTS)
+            positions = self.target + lag * (self.begin - self.target)
+        if half_steps == 2:
+            self.end = positions
+        left, right, rudder, propeller_speed = positions.T
+        return {
+            "throttle": self.throttle,
+            "elevator": 0.5 * (left + right),
+            "aileron": 0.5 * (left - right),
+            "rudder": rudder,
+            "elevon_left": left,
+            "elevon_right": right,
+            "propeller_speed": propeller_speed,
+        }
+
+
+def _targets(command: Array) -> tuple[Array, Array]:
+    """Return where the actuators go (n, 4), elevons, rudder, propeller, and the throttle (n,), mixed and limited."""
+    elevator, aileron, rudder, throttle = command.T
+    throttle = np.clip(throttle, 0.0, 1.0)
+    elevons = np.clip([elevator + aileron, elevator - aileron], -ELEVON_LIMIT, ELEVON_LIMIT)
+    rudder = np.clip(rudder, -RUDDER_LIMIT, RUDDER_LIMIT)
+    return np.stack([*elevons, rudder, PROPELLER.speed_at(throttle)], axis=-1), throttle
+
+
+class Autopilot:
+    """Proportional-integral loops around attitude, altitude and airspeed of several flights."""
+
+    def __init__(self, step: float, n_flights: int):
+        self.step = step
+        self.climb_integral, self.speed_integral, self.roll_integral = np.zeros((3, n_flights))
+
+    def command(self, seen: Mapping[str, Array], orbit: Array, altitude: Array, airspeed: Array) -> Array:
+        """Return elevator, aileron, rudder and throttle (n_flights, 4) of what is ``seen``, channels by name.
 
         ``orbit`` (n_flights, 3) holds the centre's north, east and the radius [m], negative to turn left.
         """
-        derivative, airspeed, beta = loads.derivative, loads.airspeed, loads.beta
-        phi, theta, _ = np.moveaxis(quaternion_to_euler(state[:, 6:10]), -1, 0)
-        p, q, r = state[:, 10:13].T
-        bank = self._bank(state, derivative, orbit)
-        climb = np.clip(0.35 * (altitude + state[:, 2]), -3.0, 4.0)
-        elevator = self._elevator(climb + derivative[:, 2], climb / airspeed, phi, theta, q, airspeed)
-        aileron = self._aileron(bank - phi, p)
-        rudder = 0.22 * (r - STANDARD_GRAVITY * np.sin(phi) * np.cos(theta) / airspeed) - 0.10 * beta
-        throttle = self._throttle(wanted_airspeed - airspeed, climb)
-        return self.trim + np.stack((elevator, aileron, rudder, throttle), axis=-1)
+        phi, theta, speed = seen["phi"], seen["theta"], seen["airspeed"]
+        climb = np.clip(0.35 * (altitude - seen["altitude"]), -3.0, 4.0)
+        elevator = self._elevator(climb + seen["v_down"], climb / speed, phi, theta, seen["q"], speed)
+        aileron = self._aileron(self._bank(seen, orbit) - phi, seen["p"])
+        turning = STANDARD_GRAVITY * np.sin(phi) * np.cos(theta) / speed
+        rudder = 0.22 * (seen["r"] - turning) - 0.10 * seen["beta"]
+        throttle = self._throttle(airspeed - speed, climb)
+        return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
-    def _bank(self, state, derivative, orbit):
+    def _bank(self, seen: Mapping[str, Array], orbit: Array) -> Array:
         """Return the bank that follows the vector field around the orbit (Beard & McLain 2012, section 10.2)."""
-        north, east, radius = state[:, 0] - orbit[:, 0], state[:, 1] - orbit[:, 1], np.abs(orbit[:, 2])
+        north, east, radius = seen["north"] - orbit[:, 0], seen["east"] - orbit[:, 1], np.abs(orbit[:, 2])
         turn = np.sign(orbit[:, 2])
         off = (np.hypot(north, east) - radius) / CAPTURE_DISTANCE
-        course = np.arctan2(derivative[:, 1], derivative[:, 0])
+        course = np.arctan2(seen["v_east"], seen["v_north"])
         error = np.arctan2(east, north) + turn * (0.5 * np.pi + np.arctan(off)) - course
         error = (error + np.pi) % (2.0 * np.pi) - np.pi
-        ground_speed2 = derivative[:, 0] ** 2 + derivative[:, 1] ** 2
+        ground_speed2 = seen["v_north"] ** 2 + seen["v_east"] ** 2
         ahead = turn * np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius)) * np.exp(-0.5 * off**2)
         return np.clip(ahead + 1.2 * error, -BANK_LIMIT, BANK_LIMIT)
 
-    def _elevator(self, climb_error, path, phi, theta, q, airspeed):
+    def _elevator(self, climb_error: Array, path: Array, phi: Array, theta: Array, q: Array, speed: Array) -> Array:
         """Return the addition to the elevator: > 0 pitches down."""
         self.climb_integral = np.clip(self.climb_integral + 0.010 * climb_error * self.step, -0.10, 0.10)
         level = np.cos(phi)
-        wanted = self.alpha_trim / level + path + 0.012 * climb_error + self.climb_integral
-        turning = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * airspeed)
+        wanted = ALPHA / level + path + 0.012 * climb_error + self.climb_integral
+        turning = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
         return -0.30 * (wanted - theta) + 0.12 * (q - turning) - 0.03 * (1.0 / level - 1.0)
 
-    def _aileron(self, bank_error, p):
+    def _aileron(self, bank_error: Array, p: Array) -> Array:
         self.roll_integral = np.clip(self.roll_integral + 0.01 * bank_error * self.step, -0.05, 0.05)
         return np.clip(0.085 * bank_error - 0.022 * p + self.roll_integral, -0.12, 0.12)
 
-    def _throttle(self, speed_error, climb):
+    def _throttle(self, speed_error: Array, climb: Array) -> Array:
         self.speed_integral = np.clip(self.speed_integral + 0.02 * speed_error * self.step, -0.3, 0.3)
         return 0.08 * speed_error + 0.06 * climb + self.speed_integral

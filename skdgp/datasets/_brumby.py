@@ -10,32 +10,32 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skdgp.dynamics import Aircraft
-
-__all__ = ["BRUMBY", "REGRESSORS", "brumby_coefficients", "brumby_derivatives"]
+from skdgp._compute.typing import Array
+from skdgp.dynamics import Aircraft, Propeller, ThrustLine
 
 REGRESSORS = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder")
 """Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)."""
 
+PROPELLER = Propeller(
+    diameter=0.6,
+    thrust_coefficients=(0.10, -0.045, -0.065),
+    torque_coefficients=(0.0070, 0.0010, -0.0060),
+    rotation=-1,
+    speed_range=(280.0, 800.0),
+)
 BRUMBY = Aircraft(
     name="brumby",
     mass=45.0,
-    inertia=[[4.1, -0.06, -0.65], [-0.06, 9.2, 0.04], [-0.65, 0.04, 12.4]],
+    inertia=np.array([[4.1, -0.06, -0.65], [-0.06, 9.2, 0.04], [-0.65, 0.04, 12.4]]),
     wing_area=2.59,
     span=2.80,
     chord=1.09,
-    thrust_line={"position": (-0.75, 0.0, -0.05), "direction": (1.0, 0.0, -0.035)},
-    propeller={
-        "diameter": 0.6,
-        "thrust_coefficients": (0.10, -0.045, -0.065),
-        "torque_coefficients": (0.0070, 0.0010, -0.0060),
-        "rotation": -1,
-        "speed_range": (280.0, 800.0),
-    },
+    thrust_line=ThrustLine(position=(-0.75, 0.0, -0.05), direction=(1.0, 0.0, -0.035)),
+    propeller=PROPELLER,
 )
 
 
-def brumby_coefficients(regressors: ArrayLike) -> np.ndarray:
+def brumby_coefficients(regressors: ArrayLike) -> Array:
     r"""Return CX CY CZ Cl Cm Cn, (..., 6), of `REGRESSORS` (..., 10); rates are relative to the air.
 
     The parts, with :math:`s = \sin\alpha`:
@@ -43,7 +43,7 @@ def brumby_coefficients(regressors: ArrayLike) -> np.ndarray:
     wing
         Polhamus' leading-edge suction analogy (NASA TN D-3767, 1966): potential and vortex normal force
         :math:`K_p\, s \cos\alpha` and :math:`K_v\, s |s|`, the vortex breaking down near 18 degrees; each acts
-        at its own station, so Cm bends with alpha. What suction is left pulls CX forward.
+        at its own station, so Cm bends with alpha. The remaining suction increases CX.
     heave
         Normal force of q and alpha_dot, half a chord behind the centre of gravity.
     elevons
@@ -98,23 +98,12 @@ def brumby_coefficients(regressors: ArrayLike) -> np.ndarray:
     )  # fmt: skip
 
 
-def brumby_derivatives(regressors: ArrayLike) -> np.ndarray:
-    """Return d coefficients / d regressors, (..., 6, 10), exact to rounding (complex steps, 1e-30).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skdgp.datasets._brumby import REGRESSORS, brumby_derivatives
-    >>> trim = np.zeros(10)
-    >>> trim[0] = 0.08
-    >>> Cm, alpha = 4, REGRESSORS.index("alpha")
-    >>> bool(brumby_derivatives(trim)[Cm, alpha] < 0)  # stable: nose up pitches down
-    True
-    """
+def brumby_derivatives(regressors: ArrayLike) -> Array:
+    """Return d coefficients / d regressors, (..., 6, 10), exact to rounding (complex steps, 1e-30)."""
     steps = np.asarray(regressors, dtype=float)[..., None, :] + 1e-30j * np.eye(len(REGRESSORS))
     return np.swapaxes(brumby_coefficients(steps).imag / 1e-30, -1, -2)
 
 
-def _soft(angle, limit):
+def _soft(angle: Array, limit: float) -> Array:
     """Return the angle, softly saturated: slope 1 at zero, never beyond the limit [rad]."""
     return angle / np.sqrt(1.0 + (angle / limit) ** 2)

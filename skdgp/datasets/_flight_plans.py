@@ -1,4 +1,4 @@
-"""Plans of the example flights: paths, altitudes, speeds, wind, excitation."""
+"""Plans of the example flights: paths, altitudes, speeds, wind, manoeuvres."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from skdgp.datasets._manoeuvres import doublet, multisine, pulse, three_two_one_one
-
-__all__ = ["FLIGHT_PLANS", "FlightPlan"]
+from skdgp._compute.typing import Array
 
 
 @dataclass(frozen=True)
@@ -27,17 +26,54 @@ class FlightPlan:
     """Mean velocity of the air, NED [m/s]."""
     wind_at_6m: float
     """Wind near the ground [m/s], which sets the turbulence."""
-    excitation: Callable[[np.ndarray], tuple]
+    excitation: Callable[[Array], tuple]
     """Time (n,) to additions to elevator, aileron, rudder [rad] and throttle, (n,) each."""
 
 
-def scheduled(steps, time: np.ndarray) -> np.ndarray:
+def scheduled(steps: ArrayLike, time: Array) -> Array:
     """Return the values, (n, ...), of the last of ``steps`` (from time, values...) at each time."""
     starts, values = np.array(steps)[:, 0], np.array(steps)[:, 1:]
     return values[np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)]
 
 
-def _lateral(time):
+def pulse(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
+    """Return ``amplitude`` during ``width`` seconds from ``start`` on, else 0."""
+    since = np.asarray(time, dtype=float) - start
+    return np.where((since >= 0) & (since < width), amplitude, 0.0)
+
+
+def doublet(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
+    """Return one pulse up and one down, each ``width`` seconds long."""
+    return pulse(time, start, width, amplitude) - pulse(time, start + width, width, amplitude)
+
+
+def three_two_one_one(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
+    """Return the 3-2-1-1: pulses up, down, up, down of 3, 2, 1 and 1 times ``width`` seconds.
+
+    (Jategaonkar, Flight Vehicle System Identification, 2nd edition, 2015, section 2.3.)
+    """
+    signal, sign = np.zeros(np.shape(time)), 1.0
+    for units in (3, 2, 1, 1):
+        signal = signal + pulse(time, start, units * width, sign * amplitude)
+        start, sign = start + units * width, -sign
+    return signal
+
+
+def multisine(time: ArrayLike, start: float, stop: float, harmonics: ArrayLike, rms: float) -> Array:
+    """Return a sum of sines of equal power with Schroeder phases between ``start`` and ``stop``, else 0.
+
+    Harmonics k of the frequency 1 / (stop - start), phases -pi i (i - 1) / n for the i-th of n, which keep the peaks
+    low. Disjoint harmonics on several controls make their inputs orthogonal (Morelli, AIAA 2003-5700).
+    """
+    harmonics = np.asarray(harmonics, dtype=float)
+    order = np.arange(1, len(harmonics) + 1)
+    since = (np.asarray(time, dtype=float) - start) / (stop - start)
+    phases = -np.pi * order * (order - 1) / len(order)
+    waves = np.sin(2.0 * np.pi * since[:, None] * harmonics + phases)
+    return rms * np.sqrt(2.0 / len(order)) * waves.sum(axis=1) * ((since >= 0) & (since < 1))
+
+
+def _lateral(time: Array) -> tuple[Array, ...]:
     even, odd = np.arange(12, 60, 2), np.arange(13, 60, 2)
     aileron = (
         multisine(time, 6, 36, even, 0.055)
@@ -58,7 +94,7 @@ def _lateral(time):
     return np.zeros_like(time), aileron, rudder, np.zeros_like(time)
 
 
-def _latlon(time):
+def _latlon(time: Array) -> tuple[Array, ...]:
     first, second, third = (np.arange(k, 60, 3) for k in (10, 11, 12))
     elevator = (
         multisine(time, 6, 36, first, 0.04)
@@ -93,7 +129,7 @@ def _latlon(time):
     return elevator, aileron, rudder, throttle
 
 
-def _two_altitudes(time):
+def _two_altitudes(time: Array) -> tuple[Array, ...]:
     elevator = (
         doublet(time, 14, 0.7, -0.06)
         + multisine(time, 24, 48, np.arange(8, 42, 3), 0.035)

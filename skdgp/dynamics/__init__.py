@@ -1,4 +1,4 @@
-"""The aircraft half: what is flown, how it moves, and what its flights say about its aerodynamics.
+"""The aircraft half: the aircraft, its motion, and its aerodynamic coefficients.
 
 Body axes x forward, y right, z down; moments about the centre of gravity; SI units and radians.
 The seam to the learning half is a table: flights in, the six coefficients out, and back.
@@ -21,19 +21,16 @@ from skdgp.dynamics._control.derivatives import stability_derivatives
 from skdgp.dynamics._control.linearize import LinearModel, linearize
 from skdgp.dynamics._control.trim import Trim, trim
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._equations.integrate import rk4, rk4_step
 from skdgp.dynamics._equations.inverse import aerodynamic_coefficients
-from skdgp.dynamics._equations.rigid_body import STATE_NAMES, rigid_body_derivative
+from skdgp.dynamics._equations.rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._replay.replay import replay, replay_errors
 from skdgp.dynamics._simulation.gusts import dryden_wind
 from skdgp.dynamics._simulation.simulate import simulate
 from skdgp.dynamics._simulation.simulator import Simulator
 from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_bands
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, ThrustTable
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
-from skdgp.dynamics._vehicle.propeller import Propeller
-from skdgp.dynamics._vehicle.thrust_line import ThrustLine
-from skdgp.dynamics._vehicle.thrust_table import ThrustTable
 
 __all__ = [
     "STATE_NAMES",

@@ -23,7 +23,7 @@ from sklearn.utils import Bunch
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Seed
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -44,7 +44,6 @@ from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_repor
 
 FORMAT = 1  # of the metrics
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
-FAULTS_WARNING = "Faults in the log"  # how the warning of FlightCheck begins
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 WIDTHS = {
     "spherical": "one width for all regressors",
@@ -174,7 +173,7 @@ def identify(
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
         # The steps of the pipeline meet the same faults again.
-        warnings.filterwarnings("ignore", FAULTS_WARNING, FlightDataWarning)
+        warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
 
         _announce("coefficients")
         table = pd.concat(train.values(), ignore_index=True)
@@ -297,7 +296,7 @@ def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
     regressors = pipeline["regressorselector"].regressors
     columns = _flights.regressor_columns([pd.DataFrame(columns=pipeline[0].feature_names_in_)], regressors)
     flights = _flights.usable_flights(flights, regressors, columns)
-    warnings.filterwarnings("ignore", FAULTS_WARNING, FlightDataWarning)
+    warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
     return flights
 
 

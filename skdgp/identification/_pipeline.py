@@ -13,6 +13,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
+from skdgp._flight.channels import SENSOR_GUST
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft
@@ -27,8 +28,6 @@ from skdgp.preprocessing import (
 )
 
 CALIBRATION_ROWS = 1500
-CALM = 0.1
-"""Change of the air in one second [m/s] that sensors leave unknown without any gusts."""
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 
 
@@ -184,7 +183,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
             continue
         flight = step.transform(flight)
         if isinstance(step, FlightPathReconstruction) and not step.missing_ and "gust" in flight:
-            ratio = (flight["gust"].to_numpy() ** 2 + CALM**2) / (step.gust_std_**2 + CALM**2)
+            ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (step.gust_std_**2 + SENSOR_GUST**2)
     if isinstance(pipeline[-1], CalibratedRegressor):
         ratio = np.ones(len(flight))
     return np.asarray(flight), ratio

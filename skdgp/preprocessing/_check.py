@@ -13,8 +13,15 @@ from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import check_clock, flight_segments, part_restarts
-from skdgp._flight.fault_detectors import usual_spacing
-from skdgp._flight.faults import POSSIBLE, Finding, FlightDataWarning, find_faults, told, without_faults
+from skdgp._flight.faults import (
+    POSSIBLE,
+    Finding,
+    FlightDataWarning,
+    faults_message,
+    find_faults,
+    usual_spacing,
+    without_faults,
+)
 from skdgp.preprocessing._table import WRAPPED, TableTransformer, numeric, unwrapped, with_columns, wrapped_near
 
 COLUMNS = ("flight", "channel", "kind", "start", "end", "n_samples", "message")
@@ -137,7 +144,7 @@ class FlightCheck(TableTransformer):
         faults = [finding for finding in findings if finding.kind != "gap"]
         if faults:
             then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
-            warnings.warn(told(faults, f"Faulty values are NaN{then}."), FlightDataWarning, stacklevel=4)
+            warnings.warn(faults_message(faults, f"Faulty values are NaN{then}."), FlightDataWarning, stacklevel=4)
         return self._interpolate_gaps(without_faults(table, findings))
 
     def _columns_out(self, names):

@@ -67,6 +67,7 @@ class ElevonSplitter(TableTransformer):
     ... )
     """
 
+    in_simulation = "controls"
     _parameter_constraints: dict = {
         "surfaces": [list, tuple],
         "controls": [list, tuple],

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import EULER
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
-from skdgp._flight.frames import air_data, cross_matrix
+from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
 from skdgp.preprocessing._table import has_values, interpolate_missing, numeric
 
 FORCE, RATE = ("ax", "ay", "az"), ("p", "q", "r")
@@ -182,19 +182,6 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) ->
     return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled, gravity)
 
 
-def air_data_gradient(velocity: Matrix) -> Array:
-    """Return the derivative of airspeed, alpha, beta by the velocity, (n, 3, 3); bounded at low speed."""
-    u, v, w = velocity.T
-    speed = np.maximum(np.linalg.norm(velocity, axis=1), MIN_AIRSPEED)
-    across = np.maximum(np.hypot(u, w), MIN_AIRSPEED)
-    gradient = np.zeros((len(velocity), 3, 3))
-    gradient[:, 0] = velocity / speed[:, None]
-    gradient[:, 1, 0], gradient[:, 1, 2] = -w / across**2, u / across**2
-    gradient[:, 2] = -velocity * (v / (speed**2 * across))[:, None]
-    gradient[:, 2, 1] += 1 / across
-    return gradient
-
-
 def air_data_rates(path: Path, log: Log) -> Matrix:
     """Return the rates of change of airspeed, alpha, beta (n, 3) in air of constant velocity.
 
@@ -202,13 +189,13 @@ def air_data_rates(path: Path, log: Log) -> Matrix:
     """
     velocity = path.air_velocity()
     acceleration = path.force(log) + path.attitude.inv().apply(_gravity(log)) - np.cross(path.rate(log), velocity)
-    return np.einsum("nij,nj->ni", air_data_gradient(velocity), acceleration)
+    return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
 
 
 def air_data_equations(path: Path) -> Equations:
     """Return airspeed, alpha, beta as residuals, with their derivatives by path and mean wind."""
     velocity, R = path.air_velocity(), path.attitude.as_matrix()
-    gradient = air_data_gradient(velocity)
+    gradient = air_data_slopes(velocity, MIN_AIRSPEED)
     by_ned = gradient @ R.swapaxes(1, 2)
     d_state = np.concatenate([by_ned, gradient @ cross_matrix(velocity), -by_ned], axis=2)
     d_constants = np.zeros((len(R), 3, len(CONSTANTS)))

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
 
 from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.channels import LEAST_GUST
 from skdgp.preprocessing._path_equations import (
     AIR,
     CONSTANTS,
@@ -39,7 +40,6 @@ GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}
 PROCESS = (*["accelerometer"] * 3, *["gyro"] * 3, "gust_horizontal", "gust_horizontal", "gust_vertical")
 MEASUREMENTS = ("airspeed", "alpha", "beta", "v_horizontal", "v_horizontal", "v_down", "tilt", "tilt", "heading")
 """The noise of each process equation and each measurement equation."""
-MIN_GUST = 1e-3  # m/s in one second
 MIN_NOISE = 1e-9
 PRIOR_COUNT = 10
 """Number of residuals that the initial noise of a sensor is worth; it decides where the flight has no information."""
@@ -287,7 +287,7 @@ def _variance_components(
         if name not in sums or not sums[name].n_samples:
             continue
         squares, trace, count = sums[name]
-        guessed, least = (PRIOR_COUNT, MIN_NOISE) if name in NOISE else (0, MIN_GUST)
+        guessed, least = (PRIOR_COUNT, MIN_NOISE) if name in NOISE else (0, LEAST_GUST)
         redundancy = max(count - trace, 1.0)
         guess = guessed * (NOISE.get(name, 0.0) / noise[name]) ** 2
         ratio = (squares + guess) / (redundancy + guessed)

@@ -7,12 +7,9 @@ from numbers import Real
 import numpy as np
 
 from skdgp._compute.sklearn_compat import Interval
+from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
-
-RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
-ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
-SUFFIX = "_hat"
 
 
 class RateNondimensionalizer(TableTransformer):
@@ -59,6 +56,7 @@ class RateNondimensionalizer(TableTransformer):
     1      20.0  0.5  0.0350
     """
 
+    in_simulation = "rates"
     _parameter_constraints: dict = {
         "span": [Interval(Real, 0, None, closed="neither")],
         "chord": [Interval(Real, 0, None, closed="neither")],
@@ -78,7 +76,7 @@ class RateNondimensionalizer(TableTransformer):
         return with_columns(table, self._non_dimensional(table))
 
     def _columns_out(self, names):
-        added = [name + SUFFIX for name in self.rates_]
+        added = [name + HAT for name in self.rates_]
         return names + [name for name in added if name not in names]
 
     def _non_dimensional(self, table):
@@ -91,9 +89,7 @@ class RateNondimensionalizer(TableTransformer):
                 "expected positive airspeed: keep the rows in flight, such as flight[flight.airspeed > 10]."
             )
         values = dict(zip(self.rates_, numeric(table, self.rates_).T, strict=True))
-        return {name + SUFFIX: self._scale(name, airspeed) * rate for name, rate in values.items()}
+        return {name + HAT: self._scale(name, airspeed) * rate for name, rate in values.items()}
 
     def _scale(self, name, airspeed):
-        if name in ACCELERATION_LENGTHS:
-            return (getattr(self, ACCELERATION_LENGTHS[name]) / (2 * airspeed)) ** 2
-        return getattr(self, RATE_LENGTHS[name]) / (2 * airspeed)
+        return rate_factor(name, getattr(self, (RATE_LENGTHS | ACCELERATION_LENGTHS)[name]), airspeed)

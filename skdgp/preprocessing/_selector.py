@@ -12,11 +12,10 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import TRUTH_SUFFIX
+from skdgp._flight.channels import HAT, TRUTH_SUFFIX
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._elevons import ELEVONS, MIXED
-from skdgp.preprocessing._rates import SUFFIX
 from skdgp.preprocessing._table import TableTransformer, numeric
 
 SURFACES = (*MIXED, "rudder")
@@ -94,6 +93,7 @@ class RegressorSelector(TableTransformer):
     0    0.1       0.0
     """
 
+    in_simulation = "regressors"
     _parameter_constraints: dict = {
         "regressors": [StrOptions(set(REGRESSOR_SETS)), list, tuple, np.ndarray],
         "extra": [list, tuple, np.ndarray],
@@ -163,7 +163,7 @@ class RegressorSelector(TableTransformer):
 
     def _from_set(self, table, names):
         _check_made(table, names)
-        names = [name + SUFFIX if name + SUFFIX in table else name for name in names]
+        names = [name + HAT if name + HAT in table else name for name in names]
         self.absent_ = [name for name in OPTIONAL if name in names and _absent(name, table)]
         if all(surface in self.absent_ for surface in SURFACES):
             check_columns(table, SURFACES)
@@ -180,7 +180,7 @@ def _absent(name: str, table: pd.DataFrame) -> bool:
 
 def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
     """Raise ValueError, with the step that adds it, if a column is missing."""
-    if all(name in table or name + SUFFIX in table for name in names):
+    if all(name in table or name + HAT in table for name in names):
         return
     check_columns(table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table])
     missing = {name: maker for name, maker in MAKERS.items() if name in names and name not in table}
@@ -244,7 +244,7 @@ def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None
 
 def _sources(name: str, table: pd.DataFrame) -> dict[str, int]:
     """Return the number of missing values of the measured columns that a regressor is computed from."""
-    rate = name.removesuffix(SUFFIX)
+    rate = name.removesuffix(HAT)
     sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
     sources += ELEVONS if name in MIXED else ()
     holes = {source: ~(np.abs(numeric(table, [source])) < LARGEST) for source in sources if source in table}

@@ -33,6 +33,7 @@ class TableTransformer(  # type: ignore[call-arg]
     """
 
     _known = frozenset(CHANNELS)
+    in_simulation = "measurements"  # see skdgp.dynamics.as_aerodynamics
 
     @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X: Any, y: Any = None) -> Self:

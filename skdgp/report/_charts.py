@@ -17,7 +17,6 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import FlightDisplay
 from skdgp.plotting._flight import ground_path
 from skdgp.plotting._style import display_unit
-from skdgp.plotting._time_histories import replay_rows
 from skdgp.report._content import FlightResult, ReportContent, measured_states
 from skdgp.report._tables import state, symbol, text
 
@@ -80,7 +79,7 @@ def coefficient_chart(result: FlightResult, band: str, span, every: int) -> str:
 
 def state_chart(result: FlightResult, horizon: float, span, every: int) -> str:
     """Return the chart of the lateral states that were replayed and measured."""
-    rows = replay_rows(result.replay, horizon)
+    rows = result.replay_over(horizon)
     panels = []
     for name, measured in measured_states(result).items():
         factor, unit = display_unit(name)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._display import check_time
-from skdgp.plotting._time_histories import LATERAL_STATES
+from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
 from skdgp.report._tables import SCORES
 
 
@@ -95,6 +96,10 @@ class FlightResult:
             object.__setattr__(self, name, values)
         if self.replay is not None and self.table is None:
             raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
+
+    def replay_over(self, horizon: float) -> pd.DataFrame:
+        """Return the rows of the replay of one horizon."""
+        return replay_rows(cast("pd.DataFrame", self.replay), horizon)
 
     @property
     def noisy_std(self) -> Matrix:

@@ -7,9 +7,10 @@ import zlib
 from collections.abc import Callable
 from html import escape
 from io import StringIO
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
@@ -23,7 +24,6 @@ from skdgp.plotting import (
 )
 from skdgp.plotting._flight import START_MARKERS, named_flights, start_marker
 from skdgp.plotting._style import PALETTE, QUIET, ROLES
-from skdgp.plotting._time_histories import replay_rows
 from skdgp.report._content import FlightResult, measured_states
 
 EXCERPT = 15.0
@@ -106,10 +106,10 @@ def coefficient_panels(result: FlightResult, span, n_bins: int) -> list[str]:
 
 def state_panels(result: FlightResult, horizon: float, span, n_bins: int) -> list[str]:
     """Return one panel for each lateral state that was replayed and measured."""
-    states, rows = list(measured_states(result)), replay_rows(result.replay, horizon)
+    states, rows, table = list(measured_states(result)), result.replay_over(horizon), cast("pd.DataFrame", result.table)
 
     def draw(ax, name):
-        StateDisplay.from_replay(rows, result.table, states=[name], ax=ax, time_span=span, n_bins=n_bins, legend=False)
+        StateDisplay.from_replay(rows, table, states=[name], ax=ax, time_span=span, n_bins=n_bins, legend=False)
 
     return [
         strip(

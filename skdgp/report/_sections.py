@@ -10,7 +10,6 @@ import pandas as pd
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._style import CYCLE, PALETTE
-from skdgp.plotting._time_histories import replay_rows
 from skdgp.report import _charts as charts
 from skdgp.report import _pictures as pictures
 from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
@@ -184,7 +183,7 @@ def _replays(result: FlightResult, span, detail: Detail, draw: bool) -> str:
 
 
 def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
-    rows, names = replay_rows(result.replay, horizon), list(measured_states(result))
+    rows, names = result.replay_over(horizon), list(measured_states(result))
     if not names:
         return ""
     key = [("measured", "measured", ""), ("blue", "replayed", "")]

@@ -308,7 +308,7 @@ class TestBadInput:
         table = pd.read_csv(folder / "latlon.csv")
         gone = [name for name in table if name.startswith(("thrust", "propeller"))]
         table.drop(columns=gone).to_csv(tmp_path / "glider.csv", index=False)
-        refused("Nothing tells the thrust.*On the command line: --thrust none", train=[str(tmp_path / "glider.csv")])
+        refused("thrust .* is unknown.*On the command line: --thrust none", train=[str(tmp_path / "glider.csv")])
 
     def test_external_forces_that_are_not_there(self, refused):
         refused("lacks the columns 'tether_x'", "--external-forces", "tether")
@@ -328,7 +328,7 @@ class TestBadInput:
             ({"name": "a\nb"}, r"Got name='a\\nb', but expected a line of text"),
             ({"name": ["a"]}, "but expected a line of text"),
             ({"thrust_line": {"position": [10**400, 0, 0]}}, "thrust-line position .*, but expected three finite"),
-            ({"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}}, "Got diameter=.'x'. of a propeller"),
+            ({"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}}, "Got diameter='x' of a propeller"),
             ({"propeller": {"diameter": 1, "thrust_coefficients": None}}, "Got thrust_coefficients=None of a prop"),
         ],
     )

@@ -13,7 +13,7 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp.datasets import _example_flights, load_example_flights
-from skdgp.datasets._sensors import SENSOR_NOISE
+from skdgp.datasets._example_flights import SENSOR_NOISE
 from skdgp.dynamics import aerodynamic_coefficients, air_data, euler_to_matrix
 
 FLIGHTS = ("lateral", "latlon", "two_altitudes")

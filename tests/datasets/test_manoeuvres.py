@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from skdgp.datasets._manoeuvres import doublet, multisine, pulse, three_two_one_one
+from skdgp.datasets._flight_plans import doublet, multisine, pulse, three_two_one_one
 
 TIME = np.arange(0.0, 40.0, 0.01)
 

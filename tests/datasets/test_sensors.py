@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.datasets._sensors import SENSOR_NOISE, measure
+from skdgp.datasets._example_flights import SENSOR_NOISE, measure
 
 N = 40_000
 

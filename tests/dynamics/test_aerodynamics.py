@@ -3,11 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp._flight.channels import COEFFICIENTS
@@ -156,6 +157,28 @@ def test_a_calibrated_estimator_that_learned_from_a_table(flight, targets):
     regressor = DependentGPRegressor(n_latent=1, optimizer=None).fit(table, targets)
     model = CalibratedRegressor(regressor, cv="prefit", level=0.6).fit(table, targets, groups=np.repeat([0, 1, 2], 40))
     np.testing.assert_allclose(as_aerodynamics(model)(table.to_numpy()[:5]), regressor.predict(table[:5]))
+
+
+def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targets):
+    class Choice(TransformerMixin, BaseEstimator):
+        """Chooses regressors as RegressorSelector does."""
+
+        in_simulation = "regressors"
+
+        def fit(self, X, y=None):
+            self.regressors_, self.data_min_, self.data_max_ = ["alpha", "beta"], np.zeros(2), np.ones(2)
+            return self
+
+        def transform(self, X):
+            return X[self.regressors_]
+
+    neighbours = FunctionTransformer(lambda X: X.rolling(3, min_periods=1).mean())  # has nothing to smooth here
+    model = make_pipeline(neighbours, Choice(), LinearRegression()).fit(flight, targets)
+    aerodynamics = as_aerodynamics(model)
+    assert aerodynamics.regressors == ("alpha", "beta")
+    np.testing.assert_array_equal(aerodynamics.limits, [[0, 0], [1, 1]])
+    point = flight[["alpha", "beta"]].iloc[:1]
+    np.testing.assert_allclose(aerodynamics(point.to_numpy()), model[-1].predict(point))
 
 
 def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, targets):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from skdgp._flight.frames import air_data_slopes, cross, cross_matrix
 from skdgp.dynamics import (
     air_data,
     air_velocity,
@@ -93,3 +94,19 @@ def test_wind_from_the_right_is_positive_sideslip_and_from_below_positive_alpha(
 
 def test_air_data_at_rest_is_defined():
     np.testing.assert_array_equal(air_data([0.0, 0.0, 0.0]), [0.0, 0.0, 0.0])
+
+
+def test_slopes_of_air_data_are_its_derivatives():
+    velocity, step = np.array([[20.0, 3.0, -4.0], [5.0, -2.0, 6.0]]), 1e-6
+    slopes = air_data_slopes(velocity)
+    for k in range(3):
+        h = step * np.eye(3)[k]
+        differences = (np.stack(air_data(velocity + h)) - np.stack(air_data(velocity - h))) / (2 * step)
+        np.testing.assert_allclose(slopes[..., k], differences.T, atol=1e-8)
+    assert np.abs(air_data_slopes([0.0, 0.0, 0.0], least_speed=3.0)).max() <= 1 / 3
+
+
+def test_cross_product_is_numpys():
+    a, b = np.random.default_rng(0).normal(size=(2, 4, 5, 3))
+    np.testing.assert_allclose(cross(a, b[0]), np.cross(a, b[0]), atol=1e-15)
+    np.testing.assert_allclose(cross_matrix(a[0, 0]) @ b[0, 0], cross(a[0, 0], b[0, 0]), atol=1e-15)

@@ -100,11 +100,11 @@ def test_the_flight_given_is_not_changed(simulated, aircraft):
         (lambda f: f.assign(alpha=np.rad2deg(f["alpha"]) + 4), "Got alpha up to .*deg2rad"),
         (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got phi up to .*deg2rad"),
         (lambda f: f.assign(p=np.rad2deg(f["p"])), "roll rate p integrates to .* times the change of phi"),
-        (lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60), "Got .q. up to"),
+        (lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60), "Got q up to"),
         (lambda f: f.assign(density=1.1e-3), "Got density from 0.0011"),
         (lambda f: f.assign(density=1100.0), "Got density from 1100"),
         (lambda f: f.assign(ax="fast"), "column 'ax' of type .* expected numbers"),
-        (lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]), "Nothing tells the thrust"),
+        (lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]), "thrust of this flight is unknown"),
         (lambda f: f.iloc[:0], "no rows"),
         (lambda f: f.assign(az=f["az"].where(f.index != 7, np.inf)), "infinite"),
     ],
@@ -125,7 +125,7 @@ def test_flights_that_cannot_be(simulated, aircraft, change, words):
         (lambda f: f.assign(airspeed=f["airspeed"].where(f.index > 9, 0.5)), "under a fifth of its median"),
     ],
 )
-def test_flights_that_smell(simulated, aircraft, change, words):
+def test_flights_of_probably_wrong_units_warn(simulated, aircraft, change, words):
     with pytest.warns(UserWarning, match=words):
         aerodynamic_coefficients(change(simulated), aircraft, cutoff=None)
 

@@ -5,10 +5,11 @@ import pytest
 
 from skdgp._flight.frames import quaternion_rate
 from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body
-from skdgp.dynamics._control.jacobian import ERRORS, OUTPUTS, jacobian
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._control.linearize import ERRORS, OUTPUTS, jacobian
+from skdgp.dynamics._equations.motion import Air, Motion
 
 WIND, WIND_RATE = np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3])
+AIR = Air(WIND, WIND_RATE)
 QUASI_STEADY = ["alpha", "beta", "p_hat", "q", "r_hat", "airspeed", "phi", "elevator", "thrust"]
 IMPLICIT = [*QUASI_STEADY, "alpha_dot_hat", "beta_dot", "q_dot_hat", "ax", "az"]
 CONTROLS = {"elevator": -0.05, "thrust": 22.0}
@@ -45,7 +46,7 @@ def moved(state, error):
 
 def followed(motion, state, controls, start):
     """Rates of all errors but the attitude's, and outputs, by the whole of `Motion.at`."""
-    now = motion.at(state, controls, WIND, WIND_RATE)
+    now = motion.at(state, controls, AIR)
     seen = [now.airspeed, now.alpha, now.beta, *(now.force / motion.aircraft.mass)]
     return np.concatenate([now.derivative[:6], now.derivative[10:], seen])
 
@@ -64,7 +65,7 @@ def differenced(motion, state, controls, inputs, h=1e-5):
 @pytest.mark.parametrize("names", [QUASI_STEADY, IMPLICIT], ids=["quasi-steady", "implicit"])
 def test_is_the_derivative_of_the_motion(names, aircraft):
     motion, state = Motion(curved(names), aircraft), states()
-    found = jacobian(motion, state, CONTROLS, inputs=list(CONTROLS), wind=WIND, wind_rate=WIND_RATE)
+    found = jacobian(motion, state, CONTROLS, inputs=list(CONTROLS), air=AIR)
     expected = differenced(motion, state, CONTROLS, CONTROLS)
     assert np.all(found.instant.settled)
     full = np.block([[found.state, found.controls], [found.outputs_state, found.outputs_controls]])
@@ -76,12 +77,12 @@ def test_is_the_derivative_of_the_motion(names, aircraft):
 def test_errors_of_the_model_reach_the_motion(names, aircraft):
     """An offset of the coefficient function, the implicit regressors following it."""
     model, state, h = curved(names), states(), 1e-5
-    found = jacobian(Motion(model, aircraft), state, CONTROLS, wind=WIND, wind_rate=WIND_RATE).coefficients
+    found = jacobian(Motion(model, aircraft), state, CONTROLS, air=AIR).coefficients
     for k in range(6):
         offset = h * np.eye(6)[k]
         more, less = (
             Motion(Aerodynamics(lambda X, o=s * offset: model(X) + o, names), aircraft)
-            .at(state, CONTROLS, WIND, WIND_RATE)
+            .at(state, CONTROLS, AIR)
             .derivative
             for s in (1, -1)
         )
@@ -113,10 +114,10 @@ def test_an_error_of_attitude_turns_as_rotations_do(aircraft):
 def test_many_states_at_once_are_each_alone(aircraft):
     motion, state = Motion(curved(IMPLICIT), aircraft), states((2, 3))
     controls = {"elevator": np.linspace(-0.1, 0.1, 6).reshape(2, 3), "thrust": 22.0}
-    many = jacobian(motion, state, controls, inputs=["elevator"], wind=WIND)
+    many = jacobian(motion, state, controls, inputs=["elevator"], air=Air(WIND))
     assert many.state.shape == (2, 3, len(ERRORS), len(ERRORS))
     alone = {"elevator": controls["elevator"][1, 2], "thrust": 22.0}
-    one = jacobian(motion, state[1, 2], alone, inputs=["elevator"], wind=WIND)
+    one = jacobian(motion, state[1, 2], alone, inputs=["elevator"], air=Air(WIND))
     for name in ("state", "controls", "coefficients", "outputs_state", "outputs_controls"):
         assert getattr(many, name)[1, 2] == pytest.approx(getattr(one, name), rel=1e-7, abs=1e-7)
 

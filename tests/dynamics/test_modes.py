@@ -1,9 +1,11 @@
 """Modes: published aircraft, and names that hold where modes split or merge."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from skdgp.dynamics._control.modes import mode_table
+from skdgp.dynamics import LinearModel
+from skdgp.dynamics._control.linearize import Matrices
 
 ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
 # Boeing 747-100 at Mach 0.8 and 40,000 ft, in feet: Etkin & Reid 1996, equations 6.2,1 and 6.7,1.
@@ -23,6 +25,13 @@ LATERAL = np.array(
         [0, 1, 0, 0],
     ]
 )
+
+
+def mode_table(A, states, paths=None):
+    """The modes of x' = A x."""
+    square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
+    drawn = None if paths is None else Matrices(paths, None, None, None)
+    return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], np.zeros(13), {}, drawn).modes()
 
 
 def both():

@@ -249,7 +249,7 @@ class TestControls:
         (table_of(1.0), {"duration": 2.0}, "ends after 1 s, but the simulation lasts 2 s"),
         (table_of(1.0).assign(rudder=np.nan), {}, r"NaN or infinite in \['rudder'\]"),
         (table_of(1.0).drop(columns="rudder"), {}, "controls lack 'rudder'"),
-        (table_of(1.0).drop(columns="thrust"), {}, "Nothing tells the thrust"),
+        (table_of(1.0).drop(columns="thrust"), {}, "thrust is unknown"),
         (table_of(1.0)[::-1], {}, "time does not increase"),
         ({"elevator": np.inf}, {"duration": 1.0}, "expected a finite number"),
         ({"elevator": 0.0}, {}, "Got no duration"),

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from skdgp.dynamics._replay.windows import restart_windows, runs_of
+from skdgp.dynamics._replay.replay import restart_windows
 
 
 @pytest.mark.parametrize("horizon", [0.05, 0.3, 1.0, 100.0, np.inf])
@@ -26,11 +26,6 @@ def test_stored_clocks_that_were_rounded_give_full_windows():
 
 def test_no_runs_no_windows():
     assert restart_windows(np.arange(5.0), [], 1.0).shape[0] == 0
-
-
-def test_runs_break_at_bad_rows_and_segments():
-    good = np.array([1, 1, 0, 1, 1, 1, 0, 0, 1], dtype=bool)
-    assert runs_of(good, [slice(0, 5), slice(5, 9)]) == [slice(0, 2), slice(3, 5), slice(5, 6), slice(8, 9)]
 
 
 def test_windows_start_where_the_state_is_known_and_cover_what_they_can():

@@ -2,52 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS
-from skdgp.dynamics._control.jacobian import check_settled
-from skdgp.dynamics._control.linearize import check_paths, flight_point
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
+from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
 from skdgp.dynamics._control.trim import Trim
-from skdgp.dynamics._equations.motion import ACCELERATION_LENGTHS, HAT, LENGTHS, Motion
+from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-
-__all__ = ["stability_derivatives"]
+from skdgp.dynamics._vehicle.loads import Thrust
 
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
 """Rates about the x and the z axis, which turn with the axes."""
+LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 NORMAL_95 = 1.959963984540054
 
 
 def stability_derivatives(
-    model,
+    model: Any,
     aircraft: Aircraft,
     point: Trim | Sequence[Trim] | ArrayLike,
     controls: Mapping[str, ArrayLike] | None = None,
     *,
     axes: str = "body",
     n_paths: int = 200,
-    random_state=0,
-    thrust="auto",
+    random_state: Seed = 0,
+    thrust: Thrust = "auto",
     gravity: float = STANDARD_GRAVITY,
-    density=None,
+    density: float | Callable | None = None,
 ) -> pd.DataFrame:
-    r"""Return the coefficients and their derivatives at a flight, or at several, and how sure the model is of them.
+    r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
 
     Derivatives by rates are by the non-dimensional ones, :math:`pb/2V`, :math:`qc/2V`, :math:`rb/2V`,
-    :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever the model was given (Stevens, Lewis & Johnson 2016,
-    section 2.3). Lift and drag follow from
+    :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever regressors the model has (Stevens, Lewis & Johnson 2016,
+    section 2.3). Lift and drag are
 
     .. math:: C_L = C_X \sin\alpha - C_Z \cos\alpha, \quad C_D = -C_X \cos\alpha - C_Z \sin\alpha, \quad
-        C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D
+        C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D.
 
-    as their axes turn with alpha. Stability axes are the body's, turned to the alpha of the flight and fixed there:
-    in them are then the moments, and the rates p and r.
+    Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and the rates p and r are
+    in them.
 
     Parameters
     ----------
@@ -55,18 +56,17 @@ def stability_derivatives(
         As for :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
     point : Trim, array-like of shape (13,), or several of them
-        Where: trims, or states (`STATE_NAMES`) with their ``controls``.
+        Trims, or states (`STATE_NAMES`) with their ``controls``.
     controls : mapping of str to float or array-like of shape (n,), optional
     axes : {"body", "stability"}
         "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
     n_paths : int
-        How many functions of the posterior tell the standard deviations, each with a relative error of
-        1 / sqrt(2 n_paths); 0: no deviations. One function has all its derivatives together, so their sums are told
-        rightly too. A model without a posterior has none.
+        Number of posterior functions that give the standard deviations, each with a relative error of
+        1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
     random_state : int, RandomState instance or None
-        Of these.
+        Of the paths.
     thrust, gravity, density
-        As for :func:`skdgp.dynamics.simulate`; they tell the regressors that follow from the loads, if there are any.
+        As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the loads.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def stability_derivatives(
 
     Notes
     -----
-    A model without alpha_dot and beta_dot gives the rates what these do, as far as they went together in the flights:
+    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went together in the flights:
     its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot, its Cn_r between Cn_r and Cn_r - Cn_beta_dot cos(alpha), its
     Cn_p between Cn_p and Cn_p + Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1; docs/control.md).
 
@@ -129,18 +129,18 @@ def stability_derivatives(
 class _Frame:
     """From coefficients and slopes in body axes, by the model's regressors, to rows and columns of the table."""
 
-    def __init__(self, motion: Motion, now, axes: str):
+    def __init__(self, motion: Motion, now: Instant, axes: str):
         self.rows, self.alpha, self.stability = ROWS[axes], now.alpha, axes == "stability"
         self.turn = _axes(now.alpha, self.rows, self.stability)
         self.columns = list(motion.regressors)
         self.scale = np.stack([_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1)
-        self.added = []
+        self.added: list[str] = []
         if self.stability:
             have = set(self.columns)
             self.added = [n for pair in TURNED if have & set(pair) for n in pair if n not in have]
         self.columns += self.added
 
-    def __call__(self, coefficients, slopes) -> np.ndarray:
+    def __call__(self, coefficients: Array, slopes: Array) -> Array:
         """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
         C = self.turn @ coefficients[..., None]
         S = self.turn @ (slopes * self.scale[:, None, :])
@@ -158,7 +158,7 @@ class _Frame:
                     S[..., x], S[..., z] = cos * about_x + sin * about_z, cos * about_z - sin * about_x
         return np.concatenate([C, S], axis=-1)
 
-    def table(self, values, std) -> pd.DataFrame:
+    def table(self, values: Array, std: Array | None) -> pd.DataFrame:
         """Return the table of one point, of values and deviations (rows, 1 + columns)."""
         names = ["", *self.columns]
         pairs = [(row, name) for row in self.rows for name in names]
@@ -172,8 +172,10 @@ class _Frame:
         return table
 
 
-def _points(motion: Motion, point, controls):
-    """Return states (n, 13), controls by name (n,), and whether a single point was asked for."""
+def _points(
+    motion: Motion, point: Any, controls: Mapping[str, ArrayLike] | None
+) -> tuple[Array, dict[str, Array], bool]:
+    """Return states (n, 13), controls by name (n,), and whether it is a single point."""
     if isinstance(point, Sequence) and len(point) and all(isinstance(one, Trim) for one in point):
         found = [flight_point(motion, one, controls) for one in point]
     elif isinstance(point, Trim) or np.ndim(point) == 1:
@@ -188,7 +190,7 @@ def _points(motion: Motion, point, controls):
     return np.stack([state for state, _ in found]), {n: np.array([c[n] for _, c in found]) for n in names}, False
 
 
-def _axes(alpha, rows, stability) -> np.ndarray:
+def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:
     """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
     sin, cos = np.sin(alpha), np.cos(alpha)
     turn = np.zeros((len(alpha), len(rows), 6))
@@ -205,17 +207,15 @@ def _axes(alpha, rows, stability) -> np.ndarray:
     return turn
 
 
-def _scale(motion: Motion, k: int, airspeed) -> np.ndarray:
+def _scale(motion: Motion, k: int, airspeed: Array) -> np.ndarray:
     """Return the slope by the conventional quantity over the slope by the model's k-th regressor, (n,)."""
     name, full = motion.regressors[k], motion.aerodynamics.regressors[k]
-    lengths = LENGTHS | ACCELERATION_LENGTHS
-    if name not in lengths:
+    if name not in LENGTHS:
         return np.ones_like(airspeed)
-    usual, own = (getattr(of, lengths[name]) for of in (motion.aircraft, motion.aerodynamics))
-    power = 2 if name in ACCELERATION_LENGTHS else 1
-    one = (1.0 if own is None else own / usual) if HAT in full else 2.0 * airspeed / usual
-    return np.broadcast_to(one**power, airspeed.shape)
+    length, model_length = (getattr(owner, LENGTHS[name]) for owner in (motion.aircraft, motion.aerodynamics))
+    factor = rate_factor(name, model_length or length, airspeed) if HAT in full else 1.0
+    return factor / rate_factor(name, length, airspeed)
 
 
 def _unit(name: str) -> str:
-    return "rad" if name in LENGTHS or name in ACCELERATION_LENGTHS else CHANNELS[name].unit if name in CHANNELS else ""
+    return "rad" if name in LENGTHS else CHANNELS[name].unit if name in CHANNELS else ""

@@ -1,39 +1,171 @@
-"""Linear models about a steady flight: A, B, C, D with names, their spread, and modes."""
+"""Linear models: derivatives of the motion, A, B, C, D with names and their spread, modes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import copy
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import eig
+from scipy.optimize import linear_sum_assignment
 
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
+from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import quaternion_to_euler
-from skdgp.dynamics._control.jacobian import OUTPUTS, check_settled, jacobian
-from skdgp.dynamics._control.modes import mode_table
-from skdgp.dynamics._equations.motion import Motion
+from skdgp._flight.frames import cross_matrix, euler_per_rotation, quaternion_rate, quaternion_to_euler
+from skdgp.dynamics._equations.error_covariance import ERRORS
+from skdgp.dynamics._equations.motion import Air, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.propulsion import thrust_control
+from skdgp.dynamics._vehicle.loads import Thrust, thrust_control
 
-__all__ = ["LinearModel", "Matrices", "check_paths", "flight_point", "linearize"]
-
-ALL_STATES = ("north", "east", "down", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r")
+ALL_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
+OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
 ALONG = {"north", "down", "u", "w", "theta", "q", "airspeed", "alpha", "ax", "az"}
 ACROSS = {"east", "v", "phi", "psi", "p", "r", "beta", "ay"}
 LATERAL_CONTROLS, LONGITUDINAL_CONTROLS = {"aileron", "rudder"}, {"elevator", "thrust", "throttle", "propeller_speed"}
+LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+"""States of the modes along and across the plane of symmetry."""
+TURN, SPIN = slice(6, 9), slice(9, 12)
+"""Places in `ERRORS`."""
+POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
+"""Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of themselves."""
+WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
+"""Of the central difference of fourth order."""
+
+
+class Jacobian(NamedTuple):
+    """Derivatives at states (...), whose errors are `ERRORS`; an error of the coefficients is added to the model's."""
+
+    state: Array
+    """d error_dot / d error, (..., 12, 12)."""
+    controls: Array
+    """(..., 12, k)."""
+    coefficients: Array
+    """(..., 12, 6)."""
+    outputs_state: Array
+    """d outputs / d error, of `OUTPUTS`, (..., 6, 12)."""
+    outputs_controls: Array
+    """(..., 6, k)."""
+    instant: Instant
+
+
+def jacobian(
+    motion: Motion,
+    state: Array,
+    controls: Mapping,
+    *,
+    inputs: Sequence[str] = (),
+    air: Air | None = None,
+) -> Jacobian:
+    r"""Return the derivatives of an aircraft's motion at states (..., 13).
+
+    The motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of regressors
+    :math:`X = G(x, u, C)`, which depend on C where they follow from the loads (alpha_dot, ax, ...). So
+
+    .. math:: dC = (I - c_X G_C)^{-1} (c_X (G_x dx + G_u du) + e), \quad d\dot x = F_x dx + F_u du + F_C dC
+
+    with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some 1e-10. ``controls``
+    are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate by. Where the aerodynamics are paths,
+    these are the first axis of ``state``.
+    """
+    state = np.asarray(state, dtype=float)
+    instant = motion.at(state, controls, air)
+    F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant, air)
+    slopes = motion.aerodynamics.gradient(instant.regressors)
+    n = len(ERRORS) + len(inputs)
+    change: np.ndarray = slopes @ G[..., :n]
+    gain: np.ndarray = np.eye(6)
+    if motion.is_implicit:
+        gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
+        change = gain @ change
+    rate, output = F[..., :n] + F[..., n:] @ change, H[..., :n] + H[..., n:] @ change
+    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -cross_matrix(state[..., RATES]), np.eye(3)
+    return Jacobian(rate[..., :12], rate[..., 12:], F[..., n:] @ gain, output[..., :12], output[..., 12:], instant)
+
+
+def check_settled(instant: Instant) -> None:
+    """Raise ValueError if the fixed point of the implicit regressors was not found."""
+    if not np.all(instant.settled):
+        raise ValueError(
+            "The coefficients depend so strongly on the accelerations they cause that the motion is not determined: "
+            "learn a model without accelerations, as RegressorSelector() does."
+        )
+
+
+def _mechanics(
+    motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant, air: Air | None
+) -> tuple[Array, Array, Array]:
+    """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
+    frozen: Any = copy.copy(motion)
+    if air is not None:
+        parts: Any = (None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air)
+        air = Air(*parts)
+    n_inputs, shape = len(inputs), state.shape[:-1]
+    controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
+    steps = np.concatenate(
+        [
+            np.full((*shape, 3), POSITION_STEP),
+            np.repeat(FRACTION * instant.airspeed[..., None], 3, axis=-1),
+            np.full((*shape, 6), ANGLE_STEP),
+            *(FRACTION * (1.0 + np.abs(controls[name]))[..., None] for name in inputs),
+            np.full((*shape, 6), FRACTION),
+        ],
+        axis=-1,
+    )
+    slopes = np.zeros(())
+    for move, weight in WEIGHTS.items():
+        moves = move * steps[..., None] * np.eye(steps.shape[-1])
+        C = instant.coefficients[..., None, :] + moves[..., 12 + n_inputs :]
+        frozen.aerodynamics = lambda X, C=C: C
+        moved = {name: np.repeat(value[..., None], steps.shape[-1], axis=-1) for name, value in controls.items()}
+        for k, name in enumerate(inputs):
+            moved[name] = moved[name] + moves[..., 12 + k]
+        slopes = slopes + weight * _responses(frozen.at(_shifted(state, moves[..., :12]), moved, air), motion)
+    slopes = np.swapaxes(slopes / steps[..., None], -1, -2)
+    d = len(motion.regressors)
+    return slopes[..., :12, :], slopes[..., 12 : 12 + d, :], slopes[..., 12 + d :, :]
+
+
+def _shifted(state: Array, errors: Array) -> Array:
+    """Return the states (..., 13) with errors (..., m, 12), as (..., m, 13)."""
+    shifted = np.repeat(state[..., None, :], errors.shape[-2], axis=-2)
+    shifted[..., :6] += errors[..., :6]
+    shifted[..., RATES] += errors[..., SPIN]
+    shifted[..., ATTITUDE] += quaternion_rate(shifted[..., ATTITUDE], errors[..., TURN])
+    return shifted
+
+
+def _responses(instant: Instant, motion: Motion) -> Array:
+    """Return error_dot, zero for the attitude, which `jacobian` has exactly, then regressors and outputs."""
+    derivative = instant.derivative
+    seen = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
+    return np.concatenate(
+        [
+            derivative[..., :6],
+            np.zeros((*derivative.shape[:-1], 3)),
+            derivative[..., RATES],
+            instant.regressors,
+            seen,
+            instant.force / motion.aircraft.mass,
+        ],
+        axis=-1,
+    )
 
 
 class Matrices(NamedTuple):
     """A, B, C, D: tables, or arrays with the paths as first axis."""
 
-    A: pd.DataFrame | np.ndarray
-    B: pd.DataFrame | np.ndarray
-    C: pd.DataFrame | np.ndarray
-    D: pd.DataFrame | np.ndarray
+    A: Any
+    B: Any
+    C: Any
+    D: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +178,7 @@ class LinearModel:
         Rows and columns carry the names of states, inputs, outputs.
     state : ndarray of shape (13,)
     controls : dict
-        Where it was taken.
+        The flight.
     paths : Matrices or None
         The same of each path of the posterior, (n_paths, ...).
     """
@@ -55,36 +187,30 @@ class LinearModel:
     B: pd.DataFrame
     C: pd.DataFrame
     D: pd.DataFrame
-    state: np.ndarray
-    controls: dict
+    state: Array
+    controls: dict[str, float]
     paths: Matrices | None = None
 
     @property
     def states(self) -> list[str]:
-        """Their names."""
+        """Names of the states."""
         return list(self.A.columns)
 
     @property
     def inputs(self) -> list[str]:
-        """Their names."""
+        """Names of the inputs."""
         return list(self.B.columns)
 
     @property
     def outputs(self) -> list[str]:
-        """Their names."""
+        """Names of the outputs."""
         return list(self.C.index)
 
     @property
     def std(self) -> Matrices:
-        """Standard deviations of the entries over the paths, as tables.
-
-        Raises
-        ------
-        ValueError
-            If there are no paths.
-        """
+        """Standard deviations of the entries over the paths, as tables; raises ValueError if there are no paths."""
         if self.paths is None:
-            raise ValueError("Got a linear model without paths: linearize(..., n_paths=100) tells how sure it is.")
+            raise ValueError("Got a linear model without paths: linearize(..., n_paths=100) has them.")
         means = (self.A, self.B, self.C, self.D)
         return Matrices(
             *(
@@ -99,16 +225,17 @@ class LinearModel:
             (states, self.states, "states"), (inputs, self.inputs, "inputs"), (outputs, self.outputs, "outputs")
         ):  # fmt: skip
             check_names(asked, have, f"{what} of the linear model")
-        blocks = ((states, states), (states, inputs), (outputs, states), (outputs, inputs))
-        tables = [table.loc[list(a), list(b)] for table, (a, b) in zip(self._tables(), blocks, strict=True)]
+        blocks = _block_names(list(states), list(inputs), list(outputs))
+        tables = [table.loc[a, b] for table, (a, b) in zip(self._tables(), blocks, strict=True)]
         paths = None
         if self.paths is not None:
-            cut = [
-                values[:, table.index.get_indexer(list(a))][:, :, table.columns.get_indexer(list(b))]
-                for values, table, (a, b) in zip(self.paths, self._tables(), blocks, strict=True)
-            ]
+            cut = []
+            for values, table, (a, b) in zip(self.paths, self._tables(), blocks, strict=True):
+                rows, columns = list(table.index), list(table.columns)
+                cut.append(values[:, [rows.index(name) for name in a]][:, :, [columns.index(name) for name in b]])
             paths = Matrices(*cut)
-        return LinearModel(*tables, self.state, self.controls, paths)
+        A, B, C, D = tables
+        return LinearModel(A, B, C, D, self.state, self.controls, paths)
 
     def longitudinal(self) -> LinearModel:
         """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
@@ -119,13 +246,13 @@ class LinearModel:
         return self._without(ALONG, LONGITUDINAL_CONTROLS)
 
     def modes(self) -> pd.DataFrame:
-        r"""Return a row for each mode: what it is called, how fast it is, how it is damped.
+        r"""Return a row for each mode: its name, how fast it is, how it is damped.
 
-        A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Longitudinal modes are told from lateral ones, the
-        short period from the phugoid (w and q), the Dutch roll from roll and spiral (v and r, p) by participation
-        factors (Perez-Arriaga, Verghese & Schweppe 1982): the share of each state in each mode, whatever its unit. A
-        pair that has split into two real roots keeps its name with a number; a roll and a spiral that have become one
-        oscillation are the "roll-spiral". Position, height and heading are left out: they integrate.
+        A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Modes are named by participation factors
+        (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode: of w and q in short period and
+        phugoid, of v, r and p in Dutch roll, roll and spiral. A pair that has split into two real roots keeps its name
+        with a number; a roll and a spiral that have become one oscillation are the "roll-spiral". Position and heading
+        are left out.
 
         Returns
         -------
@@ -135,22 +262,16 @@ class LinearModel:
             paths also ``frequency_std``, ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which
             hold 95 % of the paths: the upper one is infinite where some do not decay.
         """
-        return mode_table(self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A)
+        return _mode_table(self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A)
 
-    def to_scipy(self):
+    def to_scipy(self) -> Any:
         """Return it as :class:`scipy.signal.StateSpace`, which has no names."""
         from scipy.signal import StateSpace
 
         return StateSpace(*(table.to_numpy() for table in self._tables()))
 
-    def to_control(self):
-        """Return it as :class:`control.StateSpace` of python-control, with names.
-
-        Raises
-        ------
-        ImportError
-            If python-control is absent.
-        """
+    def to_control(self) -> Any:
+        """Return it as :class:`control.StateSpace` of python-control, with names; raises ImportError without it."""
         try:
             import control
         except ImportError as error:
@@ -160,10 +281,10 @@ class LinearModel:
         tables = (table.to_numpy() for table in self._tables())
         return control.ss(*tables, states=self.states, inputs=self.inputs, outputs=self.outputs)
 
-    def _tables(self):
+    def _tables(self) -> tuple[pd.DataFrame, ...]:
         return self.A, self.B, self.C, self.D
 
-    def _without(self, names, inputs) -> LinearModel:
+    def _without(self, names: set[str], inputs: set[str]) -> LinearModel:
         return self.select(
             [name for name in self.states if name not in names],
             [name for name in self.inputs if name not in inputs],
@@ -172,24 +293,24 @@ class LinearModel:
 
 
 def linearize(
-    model,
+    model: Any,
     aircraft: Aircraft,
-    point,
+    point: Any,
     controls: Mapping[str, float] | None = None,
     *,
     states: Sequence[str] = STATES,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     n_paths: int = 0,
-    random_state=0,
-    thrust="auto",
+    random_state: Seed = 0,
+    thrust: Thrust = "auto",
     gravity: float = STANDARD_GRAVITY,
-    density=None,
+    density: float | Callable | None = None,
 ) -> LinearModel:
-    """Linearise an aircraft's motion about a trim, through the slopes of its model.
+    """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
-    Regressors that follow from the loads (alpha_dot, accelerations) are taken along by the implicit function theorem.
-    Air is at rest; in steady wind the same holds of the motion relative to the air.
+    Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit function theorem.
+    Air is at rest; in steady wind the same holds for the motion relative to the air.
 
     Parameters
     ----------
@@ -197,20 +318,20 @@ def linearize(
         As for :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
     point : Trim or array-like of shape (13,)
-        Where: a trim, or a state (`STATE_NAMES`) with its ``controls``.
+        A trim, or a state (`STATE_NAMES`) with its ``controls``.
     controls : mapping of str to float, optional
     states : sequence of str
-        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]. Those left out stand still: with
+        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]; others stand still. With
         ``"down"`` the density changes with height.
     inputs : sequence of str, optional
-        By default the model's controls and what sets the thrust.
+        By default the model's controls and the one that sets the thrust.
     outputs : sequence of str, optional
         Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these six.
     n_paths : int
-        How many functions of the model's posterior to linearise too, at the same point, for `LinearModel.std` and the
-        spread of the modes.
+        Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and the spread of
+        the modes.
     random_state : int, RandomState instance or None
-        Of these.
+        Of the paths.
     thrust, gravity, density
         As for :func:`skdgp.dynamics.simulate`.
 
@@ -249,22 +370,27 @@ def linearize(
     state, controls = flight_point(motion, point, controls)
     engine = thrust_control(aircraft, thrust)
     known = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
-    inputs = known if inputs is None else list(inputs)
-    check_names(inputs, controls, "controls of this flight, of which the inputs are chosen,")
+    chosen_inputs = known if inputs is None else list(inputs)
+    check_names(chosen_inputs, controls, "controls of this flight, of which the inputs are chosen,")
     check_names(states, ALL_STATES, "states")
-    outputs = list(dict.fromkeys([*states, *OUTPUTS])) if outputs is None else list(outputs)
-    check_names(outputs, (*ALL_STATES, *OUTPUTS), "outputs")
-    chosen = list(states), inputs, outputs
+    chosen_outputs = list(dict.fromkeys([*states, *OUTPUTS])) if outputs is None else list(outputs)
+    check_names(chosen_outputs, (*ALL_STATES, *OUTPUTS), "outputs")
+    chosen = list(states), chosen_inputs, chosen_outputs
     paths = None
     if check_paths(n_paths):
-        drawn = Motion(
-            motion.aerodynamics.sample(n_paths, random_state), aircraft, thrust=thrust, gravity=gravity, density=density
-        )
+        drawn = copy.copy(motion)
+        drawn.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         paths = _matrices(drawn, np.broadcast_to(state, (n_paths, 13)), controls, *chosen)
-    tables = _matrices(motion, state, controls, *chosen)
-    names = ((states, states), (states, inputs), (outputs, states), (outputs, inputs))
-    tables = [pd.DataFrame(t, index=list(a), columns=list(b)) for t, (a, b) in zip(tables, names, strict=True)]
-    return LinearModel(*tables, state, controls, paths)
+    names = _block_names(*chosen)
+    blocks = zip(_matrices(motion, state, controls, *chosen), names, strict=True)
+    tables = [pd.DataFrame(values, index=rows, columns=columns) for values, (rows, columns) in blocks]
+    A, B, C, D = tables
+    return LinearModel(A, B, C, D, state, controls, paths)
+
+
+def _block_names(states: list[str], inputs: list[str], outputs: list[str]) -> list[tuple[list[str], list[str]]]:
+    """Return the names of rows and columns of A, B, C, D."""
+    return [(states, states), (states, inputs), (outputs, states), (outputs, inputs)]
 
 
 def check_paths(n_paths: int) -> int:
@@ -274,7 +400,7 @@ def check_paths(n_paths: int) -> int:
     return n_paths
 
 
-def flight_point(motion: Motion, point, controls) -> tuple[np.ndarray, dict]:
+def flight_point(motion: Motion, point: Any, controls: Mapping | None) -> tuple[Array, dict[str, float]]:
     """Return state (13,) and controls of a trim, or of a state and its controls."""
     if isinstance(point, Sequence) and any(hasattr(one, "state") for one in point):
         raise TypeError(f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in trims].")
@@ -292,7 +418,9 @@ def flight_point(motion: Motion, point, controls) -> tuple[np.ndarray, dict]:
     return state, {name: float(value) for name, value in motion.mixed(controls).items()}
 
 
-def _matrices(motion: Motion, state, controls, states, inputs, outputs) -> Matrices:
+def _matrices(
+    motion: Motion, state: Array, controls: Mapping, states: list[str], inputs: list[str], outputs: list[str]
+) -> Matrices:
     found = jacobian(motion, state, controls, inputs=inputs)
     check_settled(found.instant)
     if not np.isfinite(found.state).all():
@@ -306,22 +434,129 @@ def _matrices(motion: Motion, state, controls, states, inputs, outputs) -> Matri
     return Matrices(rate[..., rows, :][..., rows], B[..., rows, :], C[..., seen, :][..., rows], D[..., seen, :])
 
 
-def _in_euler_angles(rate, state) -> tuple[np.ndarray, np.ndarray]:
+def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
     """Return A of the states with Euler angles, and d error / d state, of A of the states with small rotations."""
     phi, theta, _ = np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0)
     _, q, r = np.moveaxis(state[..., RATES], -1, 0)
-    sin, cos, tan, sec = np.sin(phi), np.cos(phi), np.tan(theta), 1.0 / np.cos(theta)
+    per_rotation = euler_per_rotation(phi, theta)
     change = np.zeros_like(rate) + np.eye(12)
-    change[..., 6, 6], change[..., 6, 8] = 1.0, -np.sin(theta)
-    change[..., 7, 7], change[..., 7, 8] = cos, sin * np.cos(theta)
-    change[..., 8, 7], change[..., 8, 8] = -sin, cos * np.cos(theta)
+    change[..., TURN, TURN] = np.linalg.inv(per_rotation)
     rate = rate @ change
-    yaw, pitch = q * sin + r * cos, q * cos - r * sin
-    rate[..., 6:9, :] = 0.0
+    rate[..., TURN, :] = 0.0
+    rate[..., TURN, SPIN] = per_rotation
+    # The Euler angles' rates, (p + tan(theta) yaw, pitch, sec(theta) yaw), by phi and theta.
+    yaw, pitch = q * np.sin(phi) + r * np.cos(phi), q * np.cos(phi) - r * np.sin(phi)
+    tan, sec = np.tan(theta), 1.0 / np.cos(theta)
     rate[..., 6, 6], rate[..., 6, 7] = tan * pitch, yaw * sec**2
     rate[..., 7, 6] = -yaw
     rate[..., 8, 6], rate[..., 8, 7] = pitch * sec, yaw * sec * tan
-    rate[..., 6, 9], rate[..., 6, 10], rate[..., 6, 11] = 1.0, sin * tan, cos * tan
-    rate[..., 7, 10], rate[..., 7, 11] = cos, -sin
-    rate[..., 8, 10], rate[..., 8, 11] = sin * sec, cos * sec
     return rate, change
+
+
+def _mode_table(A: np.ndarray, states: Sequence[str], paths: np.ndarray | None = None) -> pd.DataFrame:
+    r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
+    states = list(states)
+    core = [name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family]
+    core = core or states
+    rows = [states.index(name) for name in core]
+    A = A[np.ix_(rows, rows)]
+    eigenvalues, left, right = eig(A, left=True)
+    share = np.abs(left.conj() * right)
+    named = _named(_units(eigenvalues), share / share.sum(axis=0), core, eigenvalues)
+    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in named.values()], index=list(named))
+    if paths is None:
+        return table
+    spread = [_matched(np.linalg.eigvals(path), eigenvalues) for path in paths[:, rows][:, :, rows]]
+    found = np.array([[_values(values[list(unit)]) for unit in named.values()] for values in spread])
+    decay = np.quantile(found[..., 2], [0.025, 0.975], axis=0)
+    table["frequency_std"], table["damping_std"] = found[..., 0].std(axis=0, ddof=1), found[..., 1].std(axis=0, ddof=1)
+    table["time_constant_lower"], table["time_constant_upper"] = _inverse(decay[1]), _inverse(decay[0])
+    table.loc[decay[0] <= 0, "time_constant_upper"] = np.inf
+    table.loc[decay[1] <= 0, "time_constant_lower"] = -np.inf
+    return table
+
+
+def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:
+    """Return pairs of conjugate eigenvalues, that of positive imaginary part first, and single real ones."""
+    units: list[tuple[int, ...]] = []
+    for k, value in enumerate(eigenvalues):
+        if value.imag > 0:
+            units.append((k, int(np.argmin(np.abs(eigenvalues - value.conj())))))
+        elif value.imag == 0:
+            units.append((k,))
+    return units
+
+
+def _named(
+    units: list[tuple[int, ...]], share: Array, states: list[str], eigenvalues: Array
+) -> dict[str, tuple[int, ...]]:
+    """Return the units by name, of the shares that the states have in each eigenvalue."""
+
+    def moving(names, unit):
+        return share[np.ix_([states.index(name) for name in names], unit)].sum()
+
+    def split(units, names, size):
+        return max(_choices(units, size), key=lambda chosen: sum(moving(names, unit) for unit in chosen))
+
+    named: dict[str, tuple[int, ...]] = {}
+    rest = list(units)
+    if set(LONGITUDINAL) <= set(states):
+        along = split(rest, LONGITUDINAL, 4)
+        rest = [unit for unit in rest if unit not in along]
+        short = split(along, ("w", "q"), 2)
+        named |= _numbered("short period", short, eigenvalues)
+        named |= _numbered("phugoid", [unit for unit in along if unit not in short], eigenvalues)
+    if set(LATERAL) <= set(states):
+        dutch = split(rest, ("v", "r"), 2)
+        others = sorted((unit for unit in rest if unit not in dutch), key=lambda unit: -moving(("p",), unit))
+        named |= _numbered("Dutch roll", dutch, eigenvalues)
+        named |= dict(zip(("roll", "spiral") if len(others) == 2 else ("roll-spiral",), others, strict=True))
+        rest = []
+    if not named:
+        named = _numbered("mode", rest, eigenvalues)
+    return named
+
+
+def _choices(units: list, size: int) -> Iterator[list]:
+    """Yield every choice of units that holds ``size`` eigenvalues."""
+    for number in range(1, size + 1):
+        for chosen in combinations(units, number):
+            if sum(map(len, chosen)) == size:
+                yield list(chosen)
+
+
+def _numbered(name: str, units: list, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
+    """Return the one unit by its name; several with numbers, the fastest first."""
+    units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
+    return {name: units[0]} if len(units) == 1 else {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
+
+
+def _values(eigenvalues: np.ndarray) -> tuple[float, float, float]:
+    """Return frequency, damping and rate of decay of one root, or of two as s^2 + 2 zeta omega s + omega^2."""
+    decay = float(-eigenvalues.real.mean())
+    frequency = float(np.sqrt(np.abs(np.prod(eigenvalues)))) if len(eigenvalues) == 2 else float(abs(eigenvalues[0]))
+    return frequency, decay / frequency if frequency > 0 else 0.0, decay
+
+
+def _row(eigenvalues: np.ndarray) -> dict[str, Any]:
+    frequency, damping, decay = _values(eigenvalues)
+    return {
+        "eigenvalue": eigenvalues[0],
+        "frequency": frequency,
+        "damping": damping,
+        "time_constant": float(_inverse(decay)),
+        "time_to_half": float(np.log(2.0) * _inverse(max(decay, 0.0))),
+        "time_to_double": float(np.log(2.0) * _inverse(max(-decay, 0.0))),
+        "period": float(2.0 * np.pi * _inverse(abs(eigenvalues[0].imag))),
+    }
+
+
+def _inverse(values: Any) -> np.ndarray:
+    values = np.asarray(values, dtype=float)
+    return np.divide(1.0, values, out=np.full(values.shape, np.inf), where=values != 0)
+
+
+def _matched(found: np.ndarray, eigenvalues: np.ndarray) -> np.ndarray:
+    """Return the eigenvalues of a path in the order of those that they lie nearest to."""
+    _, order = linear_sum_assignment(np.abs(eigenvalues[:, None] - found))
+    return found[order]

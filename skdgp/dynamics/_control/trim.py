@@ -2,26 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
-from skdgp._flight.channels import COEFFICIENTS
-from skdgp.dynamics._control.jacobian import check_settled
-from skdgp.dynamics._control.steady_flight import SteadyFlight
-from skdgp.dynamics._equations.motion import Motion
-from skdgp.dynamics._equations.rigid_body import RATES, STANDARD_GRAVITY
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.channels import RATES as RATE_NAMES
+from skdgp._flight.checks import check_names, degrees_error
+from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
+from skdgp.dynamics._control.linearize import check_settled
+from skdgp.dynamics._equations.motion import IMPLICIT, Instant, Motion
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import FORCES, MOMENTS, Thrust, thrust_control
 
-__all__ = ["Trim", "trim"]
+SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right")
+ENGINE = ("thrust", "throttle", "propeller_speed")
+THRUSTS = ("thrust", "propeller_speed", *FORCES, *MOMENTS)
+"""Controls that give the thrust of any engine."""
+ANGLES = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
+OTHERS = {"climb": (-1.4, 1.4), "turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
+DEFLECTION = np.pi / 4
+"""Largest one of a control of a model that does not say what it was learned from."""
+LEAST_MARGIN = 0.1
+"""Least distance by which a control or alpha may leave what a model was learned from [rad]."""
+ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
+TOLERANCE = 1e-6
+"""Largest acceleration of a trim [m/s^2, rad/s^2]."""
+DEMAND = 100.0
+"""Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is as given."""
+STEP = 1e-5
+"""Of differences of the residual, by an unknown or a fraction of it."""
+STARTS = (0.5, 0.25, 0.75, 0.05)
+"""Where between its limits alpha starts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trim:
-    """A steady flight, and how near to steady it is.
+    """A steady flight.
 
     Parameters
     ----------
@@ -38,14 +62,14 @@ class Trim:
     coefficients : ndarray of shape (6,)
         CX CY CZ Cl Cm Cn.
     solved : tuple of str
-        What was solved for; the rest was given.
+        The unknowns; the rest was given.
     residual : float
-        The largest acceleration that is left [m/s^2 or rad/s^2].
+        The largest acceleration that remains [m/s^2 or rad/s^2].
     beyond : dict
         Regressors outside what the model was learned from: name to (value, smallest, largest).
     """
 
-    state: np.ndarray
+    state: Array
     controls: dict
     airspeed: float
     altitude: float
@@ -55,29 +79,29 @@ class Trim:
     beta: float
     phi: float
     theta: float
-    rates: np.ndarray
-    coefficients: np.ndarray
+    rates: Array
+    coefficients: Array
     solved: tuple[str, ...]
     residual: float
     beyond: dict
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         named = {name: getattr(self, name) for name in ("climb", "turn_rate", "alpha", "beta", "phi", "theta")}
-        told = [f"{name} {value:.4g}" for name, value in (named | self.controls).items()]
-        told += [f"beyond what was flown in {', '.join(self.beyond)}"] if self.beyond else []
-        return f"Trim({self.airspeed:g} m/s, {', '.join(told)})"
+        parts = [f"{name} {value:.4g}" for name, value in (named | self.controls).items()]
+        parts += [f"beyond what was flown in {', '.join(self.beyond)}"] if self.beyond else []
+        return f"Trim({self.airspeed:g} m/s, {', '.join(parts)})"
 
     def to_frame(self) -> pd.DataFrame:
         """Return the trim as a table of one row; ``beyond`` lists names."""
         named = {name: getattr(self, name) for name in ("airspeed", "altitude", "climb", "turn_rate")}
         named |= {name: getattr(self, name) for name in ("alpha", "beta", "phi", "theta")}
-        named |= dict(zip("pqr", self.rates, strict=True)) | self.controls
+        named |= dict(zip(RATE_NAMES, self.rates, strict=True)) | self.controls
         named |= dict(zip(COEFFICIENTS, self.coefficients, strict=True))
         return pd.DataFrame([named | {"residual": self.residual, "beyond": ", ".join(self.beyond)}])
 
 
 def trim(
-    model,
+    model: Any,
     aircraft: Aircraft,
     airspeed: ArrayLike,
     *,
@@ -89,20 +113,20 @@ def trim(
     controls: Sequence[str] | None = None,
     fixed: Mapping[str, float] | None = None,
     limits: Mapping[str, tuple[float, float]] | None = None,
-    thrust="auto",
+    thrust: Thrust = "auto",
     gravity: float = STANDARD_GRAVITY,
-    density=None,
+    density: float | Callable | None = None,
 ) -> Trim | list[Trim]:
-    r"""Find the steady flight of an aircraft at an airspeed.
+    r"""Return the steady flight of an aircraft at an airspeed.
 
     Six accelerations vanish and the flight path has its angle (Stevens, Lewis & Johnson 2016, section 3.6),
 
     .. math:: \dot u = \dot v = \dot w = \dot p = \dot q = \dot r = 0, \quad
-        \dot h = V \sin\gamma, \quad (p, q, r) = \dot\psi\,(-\sin\theta, \sin\phi\cos\theta, \cos\phi\cos\theta),
+        \dot h = V \sin\gamma, \quad (p, q, r) = \dot\psi\,(-\sin\theta, \sin\phi\cos\theta, \cos\phi\cos\theta).
 
-    solved for alpha, theta, phi and four controls: of the model, and the one that sets the thrust. With ``bank`` the
-    turn rate is solved for instead of phi. With fewer controls, as without a rudder, sideslip is solved for instead of
-    being zero, and so it is if both ``bank`` and ``turn_rate`` are given (a steady sideslip).
+    The unknowns are alpha, theta, phi and four controls: those of the model, and the one that sets the thrust. With
+    ``bank`` the turn rate is unknown instead of phi. Sideslip is unknown, instead of zero, where there are fewer
+    controls, as without a rudder, or where both ``bank`` and ``turn_rate`` are given (a steady sideslip).
 
     Parameters
     ----------
@@ -114,21 +138,20 @@ def trim(
     altitude : float
         [m], for the density of the air; a climb is steady at that altitude.
     climb : float or None
-        Angle of the flight path [rad]; None: what the thrust that is ``fixed`` gives, or none in a glider.
+        Angle of the flight path [rad]; None: unknown, for a thrust that is ``fixed`` or a glider.
     turn_rate, bank : float, optional
         Rate of change of heading [rad/s], or phi [rad]; neither: straight flight.
     beta : float, optional
         Sideslip [rad]; by default 0 where four controls can hold it.
     controls : sequence of str, optional
-        Which controls to solve for; by default all that are not ``fixed``. At most four.
+        The controls that are unknown, at most four; by default all that are not ``fixed``.
     fixed : mapping of str to float, optional
         Values of other controls. A ``throttle`` that the model knows but that does not set the thrust (an aircraft
-        without a propeller) is otherwise in the middle of what was flown.
+        without a propeller) is by default the middle of what was flown.
     limits : mapping of str to pair of float, optional
         Of controls, alpha, beta, phi, theta. By default controls and alpha may leave what the model was learned from
-        by the width of it on either side, or 0.1 rad: a model knows nothing of stops, and beyond knows nothing at all.
-        Where a model does not say what it was learned from, surfaces reach 45 degrees. ``throttle`` is 0 to 1,
-        ``thrust`` > 0.
+        by the width of it on either side, at least 0.1 rad; surfaces reach 45 degrees where that is unknown;
+        ``throttle`` is 0 to 1, ``thrust`` > 0.
     thrust, gravity, density
         As for :func:`skdgp.dynamics.simulate`.
 
@@ -139,8 +162,8 @@ def trim(
     Raises
     ------
     ValueError
-        If there is no such flight: which accelerations are left, and what is at its limit. If what is asked for is
-        not finite, or an angle beyond a right one.
+        If there is no such flight, with the accelerations that remain and the unknowns at a limit; if a given value is
+        not finite, or an angle of 90 degrees or more.
 
     Examples
     --------
@@ -168,21 +191,22 @@ def trim(
     if bank is None and turn_rate is None:
         given["turn_rate"] = 0.0
     steady = SteadyFlight(motion, given, controls, dict(fixed or {}), dict(limits or {}))
-    found, near = [], None
+    found: list[Trim] = []
+    near = None
     for one in np.atleast_1d(airspeeds).tolist():
         near = steady.solve(one, near)
         found.append(_trim_of(steady, near, one))
     return found if airspeeds.ndim else found[0]
 
 
-def _trim_of(steady: SteadyFlight, x: np.ndarray, airspeed: float) -> Trim:
-    """Return the trim that the values of the unknowns make."""
+def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
+    """Return the trim at values of the unknowns."""
     known, state, controls = steady.flight(x, airspeed)
     now = steady.instant(known, state, controls)
     check_settled(now)
-    aerodynamics, bounds = steady.motion.aerodynamics, ()
-    if aerodynamics.limits is not None:
-        bounds = zip(aerodynamics.regressors, now.regressors.tolist(), *aerodynamics.limits.tolist(), strict=True)
+    aerodynamics = steady.motion.aerodynamics
+    limits = [[], []] if aerodynamics.limits is None else aerodynamics.limits.tolist()
+    bounds = zip(aerodynamics.regressors, now.regressors.tolist(), *limits, strict=aerodynamics.limits is not None)
     named = {k: float(known[k]) for k in ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")}
     return Trim(
         state=state,
@@ -195,3 +219,191 @@ def _trim_of(steady: SteadyFlight, x: np.ndarray, airspeed: float) -> Trim:
         residual=float(np.abs(steady.residual(x, airspeed)[:6]).max()),
         beyond={name: (value, low, high) for name, value, low, high in bounds if not low <= value <= high},
     )
+
+
+class SteadyFlight:
+    """The equations of a steady flight in the unknowns of one aircraft.
+
+    ``given`` holds altitude, climb, turn_rate, phi, beta, None where one is unknown; the rest is that of `trim`.
+    """
+
+    def __init__(self, motion: Motion, given: dict, controls: Sequence[str] | None, fixed: dict, limits: dict):
+        self.motion, self.fixed = motion, fixed
+        _check_given(given, fixed)
+        self.flown = _flown(motion)
+        self.controls = self._controls(controls)
+        self.given = {name: value for name, value in given.items() if value is not None}
+        if "beta" not in self.given and len(self.controls) >= 4 - ("climb" not in self.given):
+            self.given |= {} if {"phi", "turn_rate"} <= set(self.given) else {"beta": 0.0}
+        flight = [name for name in ("alpha", "beta", "theta", "phi", "turn_rate", "climb") if name not in self.given]
+        self.unknowns = (*flight, *self.controls)
+        if len(self.unknowns) > 7:
+            raise ValueError(
+                f"Got {len(self.unknowns)} unknowns, {', '.join(self.unknowns)}, but a steady flight has 7 equations: "
+                f"give the value of {len(self.unknowns) - 7} more, controls as fixed={{name: value}}."
+            )
+        self.limits = {name: self._limits(name) for name in self.unknowns}
+        check_names(limits, (*self.unknowns, *fixed), "unknowns of this trim, and the limits given with them,")
+        for name, pair in limits.items():
+            if np.shape(pair) != (2,):
+                raise ValueError(f"Got limits of {name} {pair!r}, but expected two numbers, smallest and largest.")
+        self.limits |= {name: tuple(map(float, pair)) for name, pair in limits.items() if name in self.unknowns}
+        for name, (low, high) in self.limits.items():
+            if not low < high:
+                raise ValueError(f"Got limits of {name} from {low:g} to {high:g}, but expected smallest < largest.")
+
+    def _controls(self, controls: Sequence[str] | None) -> tuple[str, ...]:
+        """Return the controls to solve for; those that remain are fixed."""
+        motion, engine = self.motion, thrust_control(self.motion.aircraft, self.motion.thrust)
+        if engine is not None and motion.aircraft.propeller is not None and "propeller_speed" in motion.controls:
+            engine = "propeller_speed"
+        if motion.thrust == "auto" and any(name in self.fixed for name in THRUSTS):
+            engine = None
+        needed = dict.fromkeys([*motion.controls, *([] if engine is None else [engine])])
+        check_names(controls or (), needed, "controls of the model and the engine")
+        check_names(self.fixed, (*needed, *THRUSTS), "controls of the model and the engine")
+        for name in needed:
+            if name in ENGINE and name != engine and name not in self.fixed and name in self.flown:
+                self.fixed[name] = float(np.mean(self.flown[name]))
+        free = [name for name in needed if name not in self.fixed]
+        lacking = [name for name in free if controls is not None and name not in controls]
+        lacking += [n for n in free if n != engine and (n in ENGINE or (n in CHANNELS and n not in SURFACES))]
+        if lacking:
+            raise ValueError(
+                f"The trim lacks values of {lacking}, which no steady flight determines: give fixed="
+                f"{{{lacking[0]!r}: value}}."
+            )
+        return tuple(free)
+
+    def _limits(self, name: str) -> tuple[float, float]:
+        if name in OTHERS:
+            return OTHERS[name]
+        if name == "propeller_speed":
+            idle, full = getattr(self.motion.aircraft.propeller, "speed_range", None) or (0.0, np.inf)
+            return idle, full
+        if name in ("theta", "phi", "beta") or name not in self.flown:
+            return ANGLES.get(name, (-DEFLECTION, DEFLECTION))
+        low, high = self.flown[name]
+        margin = max(high - low, LEAST_MARGIN)
+        return low - margin, high + margin
+
+    def solve(self, airspeed: float, near: Array | None = None) -> Array:
+        """Return the values of the unknowns, searched first ``near`` those of another flight."""
+        low, high = np.array([self.limits[name] for name in self.unknowns]).T
+        best: Any = None
+        for start in ([] if near is None else [near]) + [self._start(airspeed, part) for part in STARTS]:
+            margin = 1e-6 * np.minimum(high - low, 1.0)
+            solution = least_squares(
+                self.residual, np.clip(start, low + margin, high - margin), jac=self._slopes, args=(airspeed,),
+                bounds=(low, high), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200,
+            )  # fmt: skip
+            if best is None or solution.cost < best.cost:
+                best = solution
+            if np.abs(best.fun).max() < TOLERANCE:
+                break
+        if not np.abs(best.fun).max() < TOLERANCE:
+            raise ValueError(self._why(best, airspeed))
+        return best.x
+
+    def _start(self, airspeed: float, part: float) -> Array:
+        start = {name: min(max(0.0, low), high) for name, (low, high) in self.limits.items()}
+        given = {"climb": 0.0, "turn_rate": 0.0, "phi": 0.0} | self.given
+        if "alpha" in start:
+            low, high = self.flown.get("alpha", (-0.1, 0.3))
+            start["alpha"] = low + part * (high - low)
+            start["theta"] = start["alpha"] + given["climb"]
+        if "phi" in start:
+            start["phi"] = np.arctan(airspeed * given["turn_rate"] / self.motion.gravity)
+        if "turn_rate" in start:
+            start["turn_rate"] = self.motion.gravity * np.tan(given["phi"]) / airspeed
+        if "thrust" in start:
+            start["thrust"] = 0.15 * self.motion.aircraft.mass * self.motion.gravity
+        if "throttle" in start:
+            start["throttle"] = 0.5
+        if "propeller_speed" in start and self.motion.aircraft.propeller is not None:  # an advance ratio of 1/2
+            start["propeller_speed"] = 4.0 * np.pi * airspeed / self.motion.aircraft.propeller.diameter
+        return np.array([start[name] for name in self.unknowns])
+
+    def flight(self, x: Array, airspeed: float) -> tuple[dict, Array, dict]:
+        """Return the flight by name, its state and its controls, at unknowns (..., k)."""
+        known = self.given | dict(zip(self.unknowns, np.moveaxis(x, -1, 0), strict=True))
+        state = np.zeros((*x.shape[:-1], 13))
+        state[..., 2] = -known["altitude"]
+        state[..., VELOCITY] = air_velocity(airspeed, known["alpha"], known["beta"])
+        state[..., ATTITUDE] = euler_to_quaternion(known["phi"], known["theta"], 0.0)
+        vertical = gravity_in_body_axes(known["phi"], known["theta"], 1.0)
+        state[..., RATES] = np.asarray(known["turn_rate"])[..., None] * vertical
+        return known, state, self.fixed | {name: known[name] for name in self.controls}
+
+    def instant(self, known: dict, state: Array, controls: dict) -> Instant:
+        """Return what happens in this flight; implicit regressors are searched from those of a steady one."""
+        steady = np.zeros((*state.shape[:-1], len(IMPLICIT)))
+        weight = gravity_in_body_axes(known["phi"], known["theta"], self.motion.gravity)
+        steady[..., 5:] = cross(state[..., RATES], state[..., VELOCITY]) - weight
+        return self.motion.at(state, controls, implicit=steady)
+
+    def residual(self, x: Array, airspeed: float) -> Array:
+        """Return the six accelerations, and the error of the path's slope, (..., 7)."""
+        known, state, controls = self.flight(x, airspeed)
+        derivative = self.instant(known, state, controls).derivative
+        if not np.isfinite(derivative).all():
+            raise ValueError(
+                f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
+                f"{np.mean(known['alpha']):.3g} rad, but expected six accelerations: the model, the thrust or the air "
+                "is not defined there."
+            )
+        path = DEMAND * (-derivative[..., 2] / airspeed - np.sin(known["climb"]))
+        return np.concatenate([derivative[..., VELOCITY], derivative[..., RATES], path[..., None]], axis=-1)
+
+    def _slopes(self, x: Array, airspeed: float) -> Array:
+        """Return d residual / d unknowns by central differences, all points at once."""
+        steps = STEP * np.maximum(1.0, np.abs(x))
+        more, less = self.residual(x + np.stack([np.diag(steps), -np.diag(steps)]), airspeed)
+        return (more - less).T / (2.0 * steps)
+
+    def _why(self, best: Any, airspeed: float) -> str:
+        """Return the error text: what accelerations remain, and what is at a limit."""
+        left = [
+            f"{name} = {value:.3g} {'m' if name[0] in 'uvw' else 'rad'}/s^2"
+            for name, value in zip(ACCELERATIONS, best.fun[:6], strict=True)
+            if abs(value) > 0.01 * np.abs(best.fun[:6]).max()
+        ]
+        at = []
+        for name, value in zip(self.unknowns, best.x, strict=True):
+            low, high = self.limits[name]
+            near = 1e-3 * (high - low if np.isfinite(high - low) else 1.0)
+            at += [f"{name} at its limit {limit:.4g}" for limit in (low, high) if abs(value - limit) < near]
+        remedy = "Ask for another airspeed, climb or turn, or widen limits={name: (lowest, highest)}"
+        if not at:
+            remedy = (
+                f"Nothing is at a limit: {', '.join(self.unknowns)} cannot balance it. Ask for another airspeed (too "
+                "slow, it stalls), free a control, or let the path follow (climb=None: no thrust holds it)"
+            )
+        return (
+            f"There is no trim of {self.motion.aircraft.name} at {self._asked(airspeed)}: nearest to it are left "
+            f"{', '.join(left)}{', with ' + ', '.join(at) if at else ''}. {remedy}."
+        )
+
+    def _asked(self, airspeed: float) -> str:
+        units = {"altitude": "m", "turn_rate": "rad/s"}
+        asked = [f"{name} {value:g} {units.get(name, 'rad')}" for name, value in self.given.items()]
+        return ", ".join([f"airspeed {airspeed:g} m/s", *asked, *(f"{n} {v:g}" for n, v in self.fixed.items())])
+
+
+def _check_given(given: dict, fixed: dict) -> None:
+    """Raise ValueError if a given value is no number, or an angle in degrees."""
+    for name, value in (given | fixed).items():
+        parameter = "bank" if name == "phi" else name
+        if value is not None and not (np.ndim(value) == 0 and np.isreal(value) and np.isfinite(value)):
+            raise ValueError(f"Got {parameter}={value!r}, but expected a finite number.")
+        if name in ("climb", "phi", "beta") and value is not None and abs(value) >= np.pi / 2:
+            raise degrees_error(f"{parameter}={value:g}", f"radians, less than {np.pi / 2:.3f}", parameter)
+
+
+def _flown(motion: Motion) -> dict[str, tuple[float, float]]:
+    """Return what the model was learned from, by name, of the regressors that are no scaled rates."""
+    aerodynamics = motion.aerodynamics
+    if aerodynamics.limits is None:
+        return {}
+    pairs = zip(aerodynamics.regressors, motion.regressors, *aerodynamics.limits.tolist(), strict=True)
+    return {name: (low, high) for full, name, low, high in pairs if "_hat" not in full}

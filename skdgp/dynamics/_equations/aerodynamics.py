@@ -4,23 +4,48 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
-__all__ = ["Aerodynamics", "as_aerodynamics"]
-
 STEP = 1e-4
-"""Of central differences, where a model has no slopes of its own: a fraction of what a regressor moves, or itself."""
-OWN_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
-"""What a regressor calls outputs that had no names."""
+"""Of central differences, where a model has no slopes: a fraction of the range of a regressor, or absolute."""
+NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
+"""Names that a regressor gives to outputs without names."""
+SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
+
+
+@runtime_checkable
+class HasGradient(Protocol):
+    """A regressor with slopes."""
+
+    def predict_gradient(self, X: Array) -> Array:
+        """Return the slopes (n, P, d) at X (n, d)."""
+
+
+@runtime_checkable
+class HasPosterior(Protocol):
+    """A regressor that draws functions from its posterior; its ``predict`` has ``return_cov``."""
+
+    def sample_paths(self, n_paths: int, random_state: Any) -> Any:
+        """Return the functions, with ``each`` and ``gradient``."""
+
+
+@runtime_checkable
+class HasTableOutput(Protocol):
+    """A transformer that returns tables or arrays."""
+
+    def set_output(self, *, transform: str) -> Any:
+        """Choose between them."""
 
 
 class Mixing(NamedTuple):
@@ -28,28 +53,26 @@ class Mixing(NamedTuple):
 
     surfaces: tuple[str, ...]
     controls: tuple[str, ...]
-    matrix: np.ndarray
+    matrix: Array
 
 
 class Aerodynamics:
     """The six coefficients of an aircraft as a function of named regressors.
-
-    A fitted pipeline, one sample of its posterior and a textbook formula are the same thing to whoever flies them.
 
     Parameters
     ----------
     function : callable
         Regressors (n, d) to CX CY CZ Cl Cm Cn (n, 6).
     regressors : sequence of str
-        What the d columns are: words of the vocabulary (docs/notation.md), with ``_hat`` behind a rate for its
-        non-dimensional form, or controls by any name.
+        Names of the d columns (docs/notation.md), with ``_hat`` behind a rate for its non-dimensional form, or
+        controls by any name.
     gradient : callable, optional
         Regressors (n, d) to slopes (n, 6, d); by default central differences of fourth order.
     sampler : callable, optional
         (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients (n_paths, n, 6) and to
-        slopes (n_paths, n, 6, d): functions drawn from what is believed. Without it the model has no uncertainty.
+        slopes (n_paths, n, 6, d), of functions drawn from the posterior. Without it the model has no uncertainty.
     covariance : callable, optional
-        Regressors (n, d) to the joint covariance (6 n, 6 n) of what is believed, all n of the first coefficient first.
+        Regressors (n, d) to the joint posterior covariance (6 n, 6 n), all n of the first coefficient first.
     limits : array-like of shape (2, d), optional
         Smallest and largest value of each regressor that the model was learned from.
     span, chord : float, optional
@@ -82,7 +105,7 @@ class Aerodynamics:
         gradient: Callable | None = None,
         sampler: Callable | None = None,
         covariance: Callable | None = None,
-        limits=None,
+        limits: ArrayLike | None = None,
         span: float | None = None,
         chord: float | None = None,
         mixing: Mixing | None = None,
@@ -97,16 +120,16 @@ class Aerodynamics:
         self.n_paths: int | None = None
         self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         paths = "" if self.n_paths is None else f", {self.n_paths} paths"
         return f"Aerodynamics({', '.join(self.regressors)}{paths})"
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether functions can be drawn from what the model believes."""
+        """Whether functions can be drawn from a posterior."""
         return self._sampler is not None
 
-    def __call__(self, X) -> np.ndarray:
+    def __call__(self, X: ArrayLike) -> Array:
         """Return the coefficients (..., 6) at regressors (..., d)."""
         X = np.asarray(X, dtype=float)
         if self.n_paths is not None:
@@ -115,7 +138,7 @@ class Aerodynamics:
             return self.function(X)
         return self.function(X.reshape(-1, X.shape[-1])).reshape(*X.shape[:-1], 6)
 
-    def gradient(self, X) -> np.ndarray:
+    def gradient(self, X: ArrayLike) -> Array:
         """Return the slopes of the coefficients (..., 6, d) at regressors (..., d)."""
         X = np.asarray(X, dtype=float)
         d = X.shape[-1]
@@ -125,15 +148,10 @@ class Aerodynamics:
             return self._each(self._gradient, X, (6, d))
         return self._gradient(X.reshape(-1, d)).reshape(*X.shape[:-1], 6, d)
 
-    def sample(self, n_paths: int, random_state=0) -> Aerodynamics:
-        """Return functions drawn from what the model believes, as one model.
+    def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
+        """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 
-        Its regressors have the paths as their first axis, (n_paths, ..., d): each path is asked at its own.
-
-        Raises
-        ------
-        ValueError
-            If the model has no uncertainty.
+        The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors of its own.
         """
         if self._sampler is None:
             raise ValueError(
@@ -145,14 +163,8 @@ class Aerodynamics:
         drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = values, slopes, None, n_paths
         return drawn
 
-    def covariance(self, X) -> np.ndarray:
-        """Return the joint covariance of the coefficients at regressors (n, d), (6 n, 6 n), coefficient by coefficient.
-
-        Raises
-        ------
-        ValueError
-            If the model has no uncertainty.
-        """
+    def covariance(self, X: ArrayLike) -> Array:
+        """Return the joint covariance (6 n, 6 n) at regressors (n, d); raise ValueError without a posterior."""
         if self._covariance is None:
             raise ValueError(
                 f"Got a model without a posterior covariance ({self!r}), but expected a pipeline that ends in "
@@ -160,17 +172,17 @@ class Aerodynamics:
             )
         return self._covariance(np.asarray(X, dtype=float))
 
-    def _each(self, function, X, shape):
-        """Return what each path says at its own regressors, (n_paths, ..., *shape)."""
+    def _each(self, function: Callable, X: Array, shape: tuple[int, ...]) -> Array:
+        """Return the values of each path at its regressors, (n_paths, ..., *shape)."""
         if X.shape[0] != self.n_paths:
             raise ValueError(
                 f"Got regressors of shape {X.shape}, but expected the {self.n_paths} paths as their first axis."
             )
         if X.ndim == 3:
             return function(X)
-        return function(X.reshape(self.n_paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
+        return function(X.reshape(len(X), -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
-    def _differences(self, X) -> np.ndarray:
+    def _differences(self, X: Array) -> Array:
         size = np.ptp(self.limits, axis=0) if self.limits is not None else np.zeros(X.shape[-1])
         slopes = []
         for k in range(X.shape[-1]):
@@ -181,21 +193,12 @@ class Aerodynamics:
         return np.stack(slopes, axis=-1)
 
 
-def as_aerodynamics(model) -> Aerodynamics:
-    """Return the model as a function of named regressors, without tables in between.
+def as_aerodynamics(model: Any) -> Aerodynamics:
+    """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
 
-    Parameters
-    ----------
-    model : Aerodynamics, Pipeline or estimator
-        A fitted pipeline with a ``RegressorSelector`` (what stands before it treats measurements, which a simulation
-        has no need of; what stands behind it is kept), or a fitted estimator that learned from a table whose columns
-        are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It predicts
-        all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them, as scikit-learn's own.
-
-    Returns
-    -------
-    Aerodynamics
-        Gives the numbers of the pipeline, one row in some tens of microseconds.
+    ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned from a table whose
+    columns are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It
+    predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them.
 
     Raises
     ------
@@ -203,6 +206,20 @@ def as_aerodynamics(model) -> Aerodynamics:
         If it is none of these.
     ValueError
         If the regressors have no names, or were scaled before they were chosen, or a coefficient is missing.
+
+    Notes
+    -----
+    A transformer declares by its class attribute ``in_simulation`` what becomes of it in a simulation, which has exact
+    states and no neighbours in time:
+
+    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,). The last counts.
+    - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
+    - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
+    - "measurements": treats measurements, and is left out. So is a step without the attribute.
+
+    These stand before the choice of regressors or are it. A step behind it works row by row, by ``transform``. The
+    regressor at the end may have ``predict_gradient`` (`HasGradient`) and ``sample_paths`` (`HasPosterior`). A
+    meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
 
     Examples
     --------
@@ -223,42 +240,45 @@ def as_aerodynamics(model) -> Aerodynamics:
         )
     check_is_fitted(model)
     steps = _steps_of(model)
-    place = max((k for k, step in enumerate(steps) if hasattr(step, "regressors_")), default=-1)
-    if place >= 0:
-        names = list(steps[place].regressors_)
-    elif hasattr(steps[0], "feature_names_in_"):
-        names = list(steps[0].feature_names_in_)
-    else:
+    roles = [getattr(step, "in_simulation", "measurements") for step in steps]
+    place = max((k for k, role in enumerate(roles) if role == "regressors"), default=-1)
+    before, behind = steps[: max(place, 0)], steps[place + 1 :]
+    by_role = dict(zip(roles[: place + 1], steps, strict=False))
+    chosen, rates, splitter = (by_role.get(role) for role in ("regressors", "rates", "controls"))
+    names = getattr(steps[0], "feature_names_in_", None) if chosen is None else chosen.regressors_
+    if names is None:
         raise ValueError(
             f"Got a {type(model).__name__} whose regressors have no names: put RegressorSelector([...]) into the "
             "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
         )
-    scaled = [type(step).__name__ for step in steps[: max(place, 0)] if hasattr(step, "scale_")]
+    scaled = [type(step).__name__ for step in before if isinstance(step, SCALERS)]
     if scaled:
         raise ValueError(
             f"Got {scaled} before the choice of regressors, but expected flight channels in their units there, as a "
             "simulation gives them: put it behind RegressorSelector."
         )
-    chain = _Chain([_plain(step) for step in steps[place + 1 : -1]], _nameless(steps[-1]), len(names))
-    lengths = next((step for step in reversed(steps[:place]) if hasattr(step, "rates_")), None)
-    limits = [getattr(steps[place], name, None) for name in ("data_min_", "data_max_")] if place >= 0 else [None]
+    chain = _Chain([_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names))
+    limits = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")]
+    mixing = None
+    if splitter is not None:
+        mixing = Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
     return Aerodynamics(
         chain.mean,
-        names,
+        list(names),
         gradient=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
         covariance=chain.covariance if chain.can_sample else None,
-        limits=None if any(limit is None for limit in limits) else limits,
-        span=getattr(lengths, "span", None),
-        chord=getattr(lengths, "chord", None),
-        mixing=_mixing(steps[: max(place, 0)]),
+        limits=None if limits[0] is None else np.array(limits),
+        span=None if rates is None else rates.span,
+        chord=None if rates is None else rates.chord,
+        mixing=mixing,
     )
 
 
 class _Chain:
-    """What stands behind the choice of regressors: scalings and other transforms, and the regressor at the end."""
+    """The steps behind the choice of regressors: scalings, other transforms, and the regressor at the end."""
 
-    def __init__(self, transforms, regressor, n_regressors: int):
+    def __init__(self, transforms: list, regressor: Any, n_regressors: int):
         self.regressor = regressor
         self.shift, self.scale, affine = np.zeros(n_regressors), np.ones(n_regressors), 0
         for step in transforms:
@@ -269,24 +289,24 @@ class _Chain:
             affine += 1
         self.others = transforms[affine:]
         self.order = self._order()
-        self.has_slopes = not self.others and hasattr(regressor, "predict_gradient")
-        self.can_sample = not self.others and hasattr(regressor, "sample_paths")
+        self.has_slopes = not self.others and isinstance(regressor, HasGradient)
+        self.can_sample = not self.others and isinstance(regressor, HasPosterior)
 
-    def mean(self, X):
+    def mean(self, X: Array) -> Array:
         """Return the coefficients (n, 6) at regressors (n, d)."""
         return self._predicted(X)[:, self.order]
 
-    def slopes(self, X):
+    def slopes(self, X: Array) -> Array:
         """Return their slopes (n, 6, d)."""
         return self.regressor.predict_gradient((X - self.shift) / self.scale)[:, self.order] / self.scale
 
-    def covariance(self, X):
+    def covariance(self, X: Array) -> Array:
         """Return the joint posterior covariance (6 n, 6 n)."""
         covariance = self.regressor.predict((X - self.shift) / self.scale, return_cov=True)[1]
         blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
         return blocks[self.order][:, :, self.order].reshape(6 * len(X), 6 * len(X))
 
-    def sample(self, n_paths, random_state):
+    def sample(self, n_paths: int, random_state: Any) -> tuple[Callable, Callable]:
         """Return values and slopes of functions drawn from the posterior."""
         paths, order, shift, scale = (
             self.regressor.sample_paths(n_paths, random_state), self.order, self.shift, self.scale,
@@ -296,15 +316,15 @@ class _Chain:
             lambda X: paths.gradient((X - shift) / scale)[..., order, :] / scale,
         )
 
-    def _predicted(self, X):
+    def _predicted(self, X: Array) -> Array:
         X = (X - self.shift) / self.scale
         for step in self.others:
             X = step.transform(X)
         return self.regressor.predict(X)
 
-    def _order(self):
-        names = list(getattr(self.regressor, "output_names_", OWN_NAMES))
-        if names == OWN_NAMES:
+    def _order(self) -> slice | list[int]:
+        names = list(getattr(self.regressor, "output_names_", NO_NAMES))
+        if names == NO_NAMES:
             shape = np.shape(self._predicted(self.shift[None]))
             if shape != (1, 6):
                 raise ValueError(
@@ -321,7 +341,7 @@ class _Chain:
         return slice(None) if order == list(range(len(names))) else order
 
 
-def _steps_of(model) -> list:
+def _steps_of(model: Any) -> list:
     """Return the fitted steps of a model: of the pipeline in a search, frozen, or calibrated as a whole, too."""
     inner = model.estimator if isinstance(model, FrozenEstimator) else getattr(model, "best_estimator_", None)
     if inner is not None:
@@ -329,33 +349,29 @@ def _steps_of(model) -> list:
     if isinstance(model, Pipeline):
         steps = [step for _, step in model.steps if step not in (None, "passthrough")]
         return [*steps[:-1], *_steps_of(steps[-1])]
-    if hasattr(model, "std_scale_"):  # deviations are of the outputs, so it may stand around the last step alone
-        model = copy.copy(model)
-        *before, model.estimator_ = _steps_of(model.estimator_)
-        return [*before, model]
+    if getattr(model, "acts_on_outputs", False):  # so it may stand around the last step alone
+        *before, last = _steps_of(model.estimator_)
+        return [*before, _with(model, estimator_=last)]
     return [model]
 
 
-def _plain(transform):
-    """Return the transform as it takes and gives arrays, whatever `set_output` said."""
-    transform = copy.deepcopy(_nameless(transform))
-    return transform.set_output(transform="default") if hasattr(transform, "set_output") else transform
+def _for_arrays(transform: Any) -> Any:
+    """Return the transform as if fitted on an array, returning arrays, whatever `set_output` chose."""
+    twin = copy.deepcopy(_without_names(transform))
+    return twin.set_output(transform="default") if isinstance(twin, HasTableOutput) else twin
 
 
-def _nameless(step):
-    """Return the step as it takes arrays: without names of columns, which it would ask for."""
-    if not hasattr(step, "feature_names_in_"):
-        return step
-    step = copy.copy(step)
-    if "feature_names_in_" in vars(step):
-        del step.feature_names_in_
-    elif hasattr(step, "estimator_"):
-        step.estimator_ = _nameless(step.estimator_)
-    return step
+def _without_names(step: Any) -> Any:
+    """Return the step as if fitted on an array: one that was fitted on a table warns at arrays."""
+    if getattr(step, "acts_on_outputs", False):
+        return _with(step, estimator_=_without_names(step.estimator_))
+    twin = object.__new__(type(step))
+    twin.__dict__.update({name: value for name, value in vars(step).items() if name != "feature_names_in_"})
+    return twin
 
 
-def _mixing(steps) -> Mixing | None:
-    splitter = next((step for step in reversed(steps) if hasattr(step, "mixing_")), None)
-    if splitter is None:
-        return None
-    return Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
+def _with(model: Any, **attributes: Any) -> Any:
+    """Return a copy of the model with other attributes."""
+    twin = copy.copy(model)
+    twin.__dict__.update(attributes)
+    return twin

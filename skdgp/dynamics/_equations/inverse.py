@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_columns, check_flight, check_table
-from skdgp._flight.faults import NOT_MEASURED, POSSIBLE, FlightDataWarning, find_faults, told, without_faults
+from skdgp._flight.faults import NOT_MEASURED, POSSIBLE, FlightDataWarning, faults_message, find_faults, without_faults
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp.dynamics._equations.rigid_body import gyroscopic_moment
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import dynamic_pressure, external_loads, propulsive_loads
-
-__all__ = ["aerodynamic_coefficients"]
 
 RATES = ["p", "q", "r"]
 RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
@@ -41,8 +40,6 @@ def aerodynamic_coefficients(
         F_A = m f - F_T,   M_A = I omega_dot + omega x (I omega) - M_T,
         (CX, CY, CZ) = F_A / (qbar S),   (Cl, Cm, Cn) = M_A / (qbar S (b, c, b)),   qbar = rho V^2 / 2.
 
-    Gravity does not appear: an accelerometer does not feel it.
-
     Parameters
     ----------
     flight : pandas.DataFrame
@@ -53,15 +50,14 @@ def aerodynamic_coefficients(
         Mass, inertia and reference lengths.
     cutoff : float, "auto" or None, default="auto"
         Zero-phase smoothing of the measured channels, and of the rates before they are differentiated: a corner
-        frequency [Hz], the smoother that each channel's own spectrum implies, or none.
+        frequency [Hz], the smoother of each channel's spectrum, or none.
     thrust : {"auto", "columns", "propeller", None}, default="auto"
-        The columns thrust_x, thrust_y, thrust_z [N] (and thrust_l, thrust_m, thrust_n [N m]) where they stand,
-        else the aircraft's propeller at ``propeller_speed`` [rad/s]. None: no propulsion (a glider).
+        As for `propulsive_loads`.
     external_forces : sequence of str, default=()
-        Further loads to take away: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
+        Further loads to subtract: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
         tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.
     ignore : iterable of str, default=()
-        Columns of ``flight`` that are not looked at for faults.
+        Columns of ``flight`` that are not searched for faults.
 
     Returns
     -------
@@ -73,12 +69,12 @@ def aerodynamic_coefficients(
     ------
     ValueError
         If a column is missing, time does not increase, airspeed is not positive, values are impossible in SI
-        units, or nothing tells the thrust.
+        units, or nothing gives the thrust.
 
     Warns
     -----
     FlightDataWarning
-        If samples were not measured, and the coefficients are not known there.
+        If samples were not measured: the coefficients are NaN there.
 
     Examples
     --------
@@ -106,18 +102,20 @@ def aerodynamic_coefficients(
 
 
 def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
-    """Return the flight with NaN for what was not measured of the channels needed, and tell of it."""
+    """Return the flight with NaN for what was not measured of the channels needed; warn of it."""
     check_columns(check_table(flight), ["time", *NEEDED])
     found = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
     found = [each for each in found if each.kind in NOT_MEASURED]
     if found:
-        warnings.warn(told(found, "The coefficients are not known there (NaN)."), FlightDataWarning, stacklevel=3)
+        warnings.warn(
+            faults_message(found, "The coefficients are not known there (NaN)."), FlightDataWarning, stacklevel=3
+        )
     return without_faults(flight, found)
 
 
 def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
-    clock = {"time": flight["time"].to_numpy(float), "flight": flight.get("flight"), "cutoff": cutoff}
+    clock: dict[str, Any] = {"time": flight["time"].to_numpy(float), "flight": flight.get("flight"), "cutoff": cutoff}
     names = ["airspeed", *SPECIFIC_FORCE, *RATES]
     given = all(name in flight for name in RATE_DERIVATIVES)
     if given:

@@ -1,81 +1,87 @@
-"""Forces and moments at an instant, and the state's derivative, from state and controls."""
+"""What acts on the aircraft at an instant, and how it moves."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
-from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
+from skdgp._flight.channels import (
+    ACCELERATION_LENGTHS,
+    CHANNELS,
+    EULER,
+    HAT,
+    RATE_LENGTHS,
+    TRUTH_SUFFIX,
+    rate_factor,
+)
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import air_data, ned_to_body, quaternion_to_euler
-from skdgp.dynamics._equations.aerodynamics import as_aerodynamics
+from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
+from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.propulsion import propulsion_of
+from skdgp.dynamics._vehicle.loads import Thrust, aerodynamic_loads, propulsion_loads
 
-__all__ = ["Instant", "Motion"]
-
-HAT = "_hat"
 CONTROLS = (
     *("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle", "propeller_speed", "thrust"),
     *("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n", "gust"),
 )
-"""Words of the vocabulary that are set and not rebuilt; a control may also have any name that is not in it."""
-LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
-ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
-LENGTHS_OF_RATES = ("span", "chord")
+"""Channels that are set, not rebuilt from the state; a control may also have a name that is no channel."""
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
-"""What follows from the loads, and so from the coefficients that it is a regressor of."""
+"""Channels that follow from the loads, and so from the coefficients that they may be regressors of."""
 STATES = ("airspeed", "alpha", "beta", "density", "altitude", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
-PLACES = {"u": 3, "v": 4, "w": 5, "p": 10, "q": 11, "r": 12}
+PLACES = {"u": 3, "v": 4, "w": 5}
 MOST_ITERATIONS = 60
 MEMORY = 4
+"""Changes that Anderson's method mixes."""
 RIDGE, TINY = 1e-12, 1e-300
 TOLERANCE = 1e-10
 """Of the implicit regressors, each over 1 + its size."""
 
 
+class Air(NamedTuple):
+    """Motion of the air at the aircraft."""
+
+    wind: Array
+    """Velocity, north, east, down, (..., 3) [m/s]."""
+    wind_rate: Array | None = None
+    """Its rate of change along the flight, (..., 3) [m/s^2]."""
+    rotation: Array | None = None
+    """Rates of the air, body axes, (..., 3) [rad/s]: p, q, r as regressors are relative to it."""
+
+
 class Instant(NamedTuple):
     """What acts on the aircraft and what follows, at states (..., 13)."""
 
-    derivative: np.ndarray
+    derivative: Array
     """Of the state, (..., 13)."""
-    coefficients: np.ndarray
+    coefficients: Array
     """(..., 6)."""
-    regressors: np.ndarray
+    regressors: Array
     """(..., d)."""
-    airspeed: np.ndarray
-    alpha: np.ndarray
-    beta: np.ndarray
-    density: np.ndarray
-    force: np.ndarray
+    airspeed: Array
+    alpha: Array
+    beta: Array
+    density: Array
+    force: Array
     """All but gravity, body axes, (..., 3) [N]."""
-    moment: np.ndarray
-    implicit: np.ndarray | None
+    moment: Array
+    implicit: Array | None
     """The regressors of `IMPLICIT`, (..., 8), where the model has any."""
-    settled: np.ndarray | bool
-    """Whether the fixed point of these was found."""
+    settled: Array | bool
+    """Whether the fixed point of the implicit regressors was found."""
 
 
 class Motion:
-    """An aircraft with its aerodynamics and propulsion: `at` says how it moves.
+    """An aircraft with its aerodynamics and propulsion: `at` returns how it moves.
 
-    Parameters
-    ----------
-    model : Aerodynamics, Pipeline or estimator
-        As for :func:`skdgp.dynamics.as_aerodynamics`.
-    aircraft : Aircraft
-    thrust : "auto", callable or None
-        As for :func:`skdgp.dynamics.simulate`.
-    gravity : float
-        [m/s^2].
-    density : float, callable or None
-        Density [kg/m^3], or a function of altitude [m]; None: the standard atmosphere.
+    ``model``, ``aircraft``, ``thrust``, ``gravity`` and ``density`` are those of `skdgp.dynamics.simulate`. With
+    ``lagged`` the implicit regressors are the guess that `at` is given, instead of the fixed point.
 
     Attributes
     ----------
@@ -85,8 +91,18 @@ class Motion:
         Those of them that are controls: neither state nor motion.
     """
 
-    def __init__(self, model, aircraft: Aircraft, *, thrust="auto", gravity: float = STANDARD_GRAVITY, density=None):
-        self.aerodynamics = as_aerodynamics(model)
+    def __init__(
+        self,
+        model: Any,
+        aircraft: Aircraft,
+        *,
+        thrust: Thrust = "auto",
+        gravity: float = STANDARD_GRAVITY,
+        density: float | Callable | None = None,
+        lagged: bool = False,
+    ):
+        self.aerodynamics: Aerodynamics = as_aerodynamics(model)
+        self.lagged = lagged
         if not isinstance(aircraft, Aircraft):
             raise TypeError(f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft.")
         self.aircraft, self.gravity, self.thrust = aircraft, gravity, thrust
@@ -94,7 +110,7 @@ class Motion:
             raise ValueError(f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of altitude [m].")
         self._density = _density_of_air if density is None else density
         self._check_lengths()
-        self._plan = [self._rule(name) for name in self.aerodynamics.regressors]
+        self._plan = [self._source(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, *_ in self._plan)
         self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
         unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
@@ -103,18 +119,18 @@ class Motion:
                 f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt along a flight: "
                 f"learn one without them. What is rebuilt: {', '.join((*STATES, *IMPLICIT))}."
             )
-        self._needs_angles = any(name in ("phi", "theta", "psi") for name in self.regressors)
+        self._needs_angles = any(name in EULER for name in self.regressors)
         self._implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self._implicit]
 
     def _check_lengths(self) -> None:
         """Warn where the model seems to be of another aircraft."""
-        model, aircraft = (
-            [getattr(owner, name) for name in LENGTHS_OF_RATES] for owner in (self.aerodynamics, self.aircraft)
-        )
-        if None not in model and not np.isclose(model, aircraft, rtol=0.01).any():
+        span, chord = self.aerodynamics.span, self.aerodynamics.chord
+        if span is None or chord is None:
+            return
+        if not np.isclose([span, chord], [self.aircraft.span, self.aircraft.chord], rtol=0.01).any():
             warnings.warn(
-                f"The model's rates were made non-dimensional by span {model[0]:g} m and chord {model[1]:g} m, but "
+                f"The model's rates were made non-dimensional by span {span:g} m and chord {chord:g} m, but "
                 f"{self.aircraft!r} has others: is this the aircraft that the model was learned from?",
                 UserWarning,
                 stacklevel=4,
@@ -125,26 +141,19 @@ class Motion:
         """Whether the coefficients depend on what follows from them."""
         return bool(self._implicit)
 
-    def _rule(self, full: str) -> tuple[str, float, int]:
-        """Return the quantity that a regressor is made from, and the length and power of L / 2V that scale it."""
+    def _source(self, full: str) -> tuple[str, float | None]:
+        """Return the channel that a regressor is made from, and the length that makes it non-dimensional."""
         name = full.removesuffix(TRUTH_SUFFIX)
         if not name.endswith(HAT):
-            return name, 1.0, 0
+            return name, None
         name = name.removesuffix(HAT)
-        lengths = LENGTHS | ACCELERATION_LENGTHS
+        lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
         if name not in lengths:
             raise ValueError(f"Got regressor {full!r}, but only rates have a non-dimensional form: {list(lengths)}.")
-        own = getattr(self.aerodynamics, lengths[name])
-        return name, getattr(self.aircraft, lengths[name]) if own is None else own, 1 + (name in ACCELERATION_LENGTHS)
+        return name, getattr(self.aerodynamics, lengths[name]) or getattr(self.aircraft, lengths[name])
 
     def mixed(self, controls: Mapping) -> dict:
-        """Return the controls that the model needs beside those given, made from surfaces where these are given.
-
-        Raises
-        ------
-        ValueError
-            If a control that the model needs is missing.
-        """
+        """Return all controls of the model, made from surfaces where these are given; ValueError if one is missing."""
         if not isinstance(controls, Mapping):
             raise TypeError(f"Got {type(controls).__name__} as controls, but expected values by name: {{name: value}}.")
         controls = dict(controls)
@@ -157,30 +166,31 @@ class Motion:
         check_names(self.controls, controls, "controls")
         return controls
 
-    def at(self, state, controls: Mapping, wind=None, wind_rate=None, implicit=None) -> Instant:
-        """Return what happens at states (..., 13) under ``controls``, by name, each (...).
+    def at(self, state: Array, controls: Mapping, air: Air | None = None, implicit: Array | None = None) -> Instant:
+        """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
-        ``wind`` (..., 3) is the velocity of the air [m/s], north, east, down, ``wind_rate`` its rate of change.
-        ``implicit`` (..., 8) is a guess of the regressors of `IMPLICIT`: the last ones are a good one.
+        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best those of the last call.
         """
         velocity = state[..., VELOCITY]
-        steady = None
-        if wind is not None:
-            steady = ned_to_body(state[..., ATTITUDE], wind)
-            velocity = velocity - steady
+        wind = None
+        if air is not None:
+            wind = ned_to_body(state[..., ATTITUDE], air.wind)
+            velocity = velocity - wind
         airspeed, alpha, beta = air_data(velocity)
         altitude = -state[..., 2]
         density = self._density(altitude) if callable(self._density) else self._density
-        X = self._explicit(state, controls, airspeed, alpha, beta, density, altitude)
-        others = propulsion_of(self.aircraft, self.thrust, controls, airspeed, density)
+        X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
+        others = propulsion_loads(self.aircraft, self.thrust, controls, airspeed, density)
         if not self._implicit:
             return self._loaded(state, X, airspeed, alpha, beta, density, others)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
-        tried = []
+        tried: list[tuple[Array, Array]] = []
         for _ in range(MOST_ITERATIONS):
             self._insert(X, guess, airspeed)
             now = self._loaded(state, X, airspeed, alpha, beta, density, others)
-            found = self._follow(state, now, velocity, steady, wind_rate)
+            found = self._follow(state, now, velocity, wind, air)
+            if self.lagged:
+                return now._replace(implicit=found)
             off = ((found - guess) / (1.0 + np.abs(found)))[..., self._follows]
             settled = np.abs(off).max(axis=-1) < TOLERANCE
             if np.all(settled | ~np.isfinite(off).all(axis=-1)):
@@ -188,15 +198,16 @@ class Motion:
             guess = _anderson(tried, found, off)
         return now._replace(implicit=found, settled=settled)
 
-    def _explicit(self, state, controls, airspeed, alpha, beta, density, altitude) -> np.ndarray:
-        """Return the regressors (..., d), those that follow from the loads still to be filled in."""
+    def _explicit(self, state, controls, air, airspeed, alpha, beta, density, altitude) -> Array:
+        """Return the regressors (..., d), of which those that follow from the loads are not yet set."""
         values = {"airspeed": airspeed, "alpha": alpha, "beta": beta, "density": density, "altitude": altitude}
         if self._needs_angles:
             angles = quaternion_to_euler(state[..., ATTITUDE])
-            values |= {name: angles[..., k] for k, name in enumerate(("phi", "theta", "psi"))}
+            values |= {name: angles[..., k] for k, name in enumerate(EULER)}
+        rates = state[..., RATES] if air is None or air.rotation is None else state[..., RATES] - air.rotation
+        values |= {"p": rates[..., 0], "q": rates[..., 1], "r": rates[..., 2]}
         X = np.empty((*state.shape[:-1], len(self._plan)))
-        over = 0.5 / airspeed
-        for k, (name, length, power) in enumerate(self._plan):
+        for k, (name, length) in enumerate(self._plan):
             if name in PLACES:
                 value = state[..., PLACES[name]]
             elif name in values:
@@ -205,55 +216,51 @@ class Motion:
                 continue
             else:
                 value = controls[name]
-            X[..., k] = value * (length * over) if power else value
+            X[..., k] = value * rate_factor(name, length, airspeed) if length else value
         return X
 
-    def _insert(self, X, implicit, airspeed) -> None:
-        """Fill in the regressors that follow from the loads."""
+    def _insert(self, X: Array, implicit: Array, airspeed: Array) -> None:
+        """Set the regressors that follow from the loads."""
         for k in self._implicit:
-            name, length, power = self._plan[k]
+            name, length = self._plan[k]
             value = implicit[..., IMPLICIT.index(name)]
-            X[..., k] = value * (0.5 * length / airspeed) ** power if power else value
+            X[..., k] = value * rate_factor(name, length, airspeed) if length else value
 
     def _loaded(self, state, X, airspeed, alpha, beta, density, others) -> Instant:
+        """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
         C = self._coefficients(X)
-        scale = (0.5 * self.aircraft.wing_area) * density * airspeed * airspeed
-        force = C[..., :3] * np.asarray(scale)[..., None] + others[0]
-        moment = C[..., 3:] * (np.asarray(scale)[..., None] * self.aircraft.moment_lengths) + others[1]
+        force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
+        force, moment = force + others[0], moment + others[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, None, True)
 
-    def _coefficients(self, X) -> np.ndarray:
+    def _coefficients(self, X: Array) -> Array:
         """Return the model's coefficients, NaN where a state has diverged: models refuse what is not finite."""
         if np.isfinite(X).all():
             return self.aerodynamics(X)
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
         return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
 
-    def _follow(self, state, now: Instant, velocity, steady, wind_rate) -> np.ndarray:
-        """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`."""
+    def _follow(self, state, now: Instant, velocity, wind, air) -> Array:
+        """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`; ``wind`` in body axes."""
         acceleration = now.derivative[..., VELOCITY]
-        if steady is not None:  # the wind is constant over the earth, so in body axes it turns against the aircraft
-            acceleration = acceleration + np.cross(state[..., RATES], steady)
-        if wind_rate is not None:
-            acceleration = acceleration - ned_to_body(state[..., ATTITUDE], wind_rate)
-        u, v, w = (velocity[..., k] for k in range(3))
-        u_dot, v_dot, w_dot = (acceleration[..., k] for k in range(3))
-        across2 = u * u + w * w
+        if wind is not None:  # a wind that is constant over the earth turns against the aircraft in body axes
+            acceleration = acceleration + cross(state[..., RATES], wind)
+            if air.wind_rate is not None:
+                acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
         found = np.empty((*state.shape[:-1], len(IMPLICIT)))
-        found[..., 0] = (u * w_dot - w * u_dot) / across2
-        found[..., 1] = (across2 * v_dot - v * (u * u_dot + w * w_dot)) / (np.sqrt(across2) * now.airspeed**2)
+        found[..., :2] = (air_data_slopes(velocity)[..., 1:, :] @ acceleration[..., None])[..., 0]
         found[..., 2:5] = now.derivative[..., RATES]
         found[..., 5:] = now.force / self.aircraft.mass
         return found
 
 
-def _density_of_air(altitude):
-    """Return the standard atmosphere's density, NaN where it knows none."""
+def _density_of_air(altitude: Array) -> Array:
+    """Return the density of the standard atmosphere, NaN outside of it."""
     return standard_density(np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan))
 
 
-def _anderson(tried: list, found, off) -> np.ndarray:
+def _anderson(tried: list[tuple[Array, Array]], found: Array, off: Array) -> Array:
     """Return the next guess from the last ones, (found, off) each: the mixture whose residual vanishes to first order.
 
     Anderson (1965), over the last `MEMORY` changes, for each trajectory by itself.

@@ -1,4 +1,4 @@
-"""The rigid body: Newton and Euler in body axes over a flat earth.
+"""The rigid body: Newton and Euler in body axes over a flat earth, and their integration in time.
 
 One state vector, last axis of length 13, named in `STATE_NAMES`: position NED [m], velocity relative to the
 ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
@@ -6,24 +6,19 @@ ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skdgp._compute.typing import Array
+from skdgp._flight.atmosphere import GRAVITY as STANDARD_GRAVITY
+from skdgp._flight.frames import cross
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-
-__all__ = [
-    "ATTITUDE",
-    "POSITION",
-    "RATES",
-    "STANDARD_GRAVITY",
-    "STATE_NAMES",
-    "VELOCITY",
-    "rigid_body_derivative",
-]
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
-STANDARD_GRAVITY = 9.80665
 
 
 def rigid_body_derivative(
@@ -32,13 +27,12 @@ def rigid_body_derivative(
     moment: ArrayLike,
     aircraft: Aircraft,
     gravity: ArrayLike = STANDARD_GRAVITY,
-) -> np.ndarray:
+) -> Array:
     """Return d state / dt of a rigid aircraft under ``force`` and ``moment``.
 
     position_dot = R v;  v_dot = force / m + R^T (0, 0, g) - omega x v;
     quaternion_dot = 1/2 quaternion * omega;  omega_dot = I^-1 (moment - omega x (I omega)),
-    R the rotation body to NED (Stevens, Lewis & Johnson 2016, section 1.7). The quaternion's length does not
-    matter, so nothing renormalises it.
+    R the rotation body to NED (Stevens, Lewis & Johnson 2016, section 1.7), for quaternions of any length.
 
     Parameters
     ----------
@@ -93,12 +87,53 @@ def rigid_body_derivative(
     return derivative
 
 
-def gyroscopic_moment(rates: np.ndarray, aircraft: Aircraft) -> np.ndarray:
+def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:
     """Return omega x (I omega), (..., 3) [N m], of body rates (..., 3) [rad/s]."""
-    momentum = rates @ aircraft.inertia
-    p, q, r = rates[..., 0], rates[..., 1], rates[..., 2]
-    moment = np.empty_like(momentum)
-    moment[..., 0] = q * momentum[..., 2] - r * momentum[..., 1]
-    moment[..., 1] = r * momentum[..., 0] - p * momentum[..., 2]
-    moment[..., 2] = p * momentum[..., 1] - q * momentum[..., 0]
-    return moment
+    return cross(rates, rates @ aircraft.inertia)
+
+
+def rk4_step(derivative: Callable[[Any, Array], Array], t: Any, state: Array, dt: float | Array) -> Array:
+    """Return the state one step ``dt`` [s] after ``t``, of d state / dt = derivative(t, state), by Runge and Kutta.
+
+    The derivative is evaluated at t, twice at t + dt/2 and at t + dt; the error of a step is of order dt^5.
+
+    Parameters
+    ----------
+    derivative : callable
+        ``derivative(t, state)``, of the state's shape.
+    t : float
+        Time [s].
+    state : ndarray (...)
+        Leading axes hold independent cases.
+    dt : float or ndarray
+        Step [s].
+
+    Returns
+    -------
+    ndarray (...)
+    """
+    k1 = derivative(t, state)
+    k2 = derivative(t + 0.5 * dt, state + 0.5 * dt * k1)
+    k3 = derivative(t + 0.5 * dt, state + 0.5 * dt * k2)
+    k4 = derivative(t + dt, state + dt * k3)
+    return state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+def rk4(derivative: Callable[[float, Array], Array], state0: ArrayLike, times: ArrayLike) -> Array:
+    """Return the states at ``times`` [s] (n_times,), (n_times, ...), by `rk4_step` from each time to the next.
+
+    ``state0`` (...) is the state at the first time; its leading axes hold independent cases.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.dynamics import rk4
+    >>> rk4(lambda t, y: -y, np.array([1.0, 2.0]), np.linspace(0, 1, 11))[-1].round(5)
+    array([0.36788, 0.73576])
+    """
+    times = np.asarray(times, dtype=float)
+    states = np.empty(times.shape + np.shape(state0))
+    states[0] = state0
+    for k in range(len(times) - 1):
+        states[k + 1] = rk4_step(derivative, times[k], states[k], times[k + 1] - times[k])
+    return states

@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from skdgp._flight.channels import COEFFICIENTS, EULER
+from skdgp._compute.linalg import covariance_root
+from skdgp._compute.typing import Array, Indices
+from skdgp._flight.channels import BODY_VELOCITY, COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_columns, check_flight
-from skdgp._flight.frames import body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
-from skdgp.dynamics._equations.integrate import rk4_step
-from skdgp.dynamics._equations.rigid_body import (
-    ATTITUDE,
-    POSITION,
-    RATES,
-    STANDARD_GRAVITY,
-    VELOCITY,
-    rigid_body_derivative,
+from skdgp._flight.clock import true_runs
+from skdgp._flight.frames import (
+    cross_matrix,
+    quaternion_to_matrix,
 )
-from skdgp.dynamics._replay.replay_covariance import REPLAYED, covariance_factor, replayed_std
-from skdgp.dynamics._replay.windows import restart_windows, runs_of
+from skdgp.dynamics._equations import rigid_body
+from skdgp.dynamics._equations.error_covariance import (
+    STATES,
+    checked_std,
+    error_covariances,
+    standard_deviations,
+    start_errors,
+    state_readouts,
+)
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative, rk4_step
+from skdgp.dynamics._simulation.inputs import table_states
+from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propulsive_loads
 
-__all__ = ["replay", "replay_errors"]
+REPLAYED = (*POSITION, *EARTH_VELOCITY, *EULER, *RATES)
 
 
 def replay(
@@ -43,18 +49,17 @@ def replay(
     external_forces: Sequence[str] = (),
     gravity: float = STANDARD_GRAVITY,
 ) -> pd.DataFrame:
-    """Integrate predicted coefficients along a flight, restarting from the measured state every horizon.
+    """Return predicted coefficients integrated along a flight, restarting from the measured state every horizon.
 
-    The equations of motion of `rigid_body_derivative` are integrated by RK4 over the log's samples, with the
-    loads of the predicted coefficients at the measured airspeed and density, the propulsive and external loads
-    and gravity. All windows of a horizon are integrated as one batch.
+    The equations of `rigid_body_derivative` are integrated by RK4 over the log's samples, with the loads of the
+    predicted coefficients at the measured airspeed and density, the propulsive and external loads and gravity.
 
     Parameters
     ----------
     flight : pandas.DataFrame
         ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``; ``v_north``, ``v_east``,
         ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down`` where known; ``flight`` (id); the columns
-        that tell the thrust.
+        of the thrust.
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     coefficients : array-like of shape (n, 6)
@@ -64,7 +69,7 @@ def replay(
     horizon : float or sequence of float, default=2.0
         Seconds from restart to restart.
     correlation_time : float, default=0.5
-        Time [s] over which the errors of the coefficients forget themselves: error = std * z with
+        Of the errors of the coefficients [s]: error = std * z with
         ``corr(z(t), z(t')) = exp(-|t - t'| / correlation_time)``. 0: every sample anew; ``numpy.inf``: one error for a
         whole window, the widest bands.
     initial_std : mapping of str to float, optional
@@ -90,9 +95,8 @@ def replay(
 
     Notes
     -----
-    The bands are linear: with small errors of position, velocity, attitude and rates, and the errors z as six
-    further states, the covariance obeys P' = A P + P A^T + Q along the replayed path. They hold what ``std``
-    and ``initial_std`` say and nothing else: not the noise of airspeed, density, thrust, mass or inertia.
+    The bands are the covariance of small errors of position, velocity, attitude and rates along the replayed path, from
+    ``std`` and ``initial_std`` alone: airspeed, density, thrust, mass and inertia count as exact.
 
     Examples
     --------
@@ -115,33 +119,27 @@ def replay(
         )
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, "p", "q", "r"])
     path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces)
-    runs, tables = runs_of(path.is_driven(), segments), []
+    driven, start_std, tables = path.is_driven(), checked_std(initial_std), []
+    runs = [
+        slice(part.start + run.start, part.start + run.stop) for part in segments for run in true_runs(driven[part])
+    ]
     for h in horizons.tolist():
-        rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state).all(axis=1))
-        flown = _integrate(path, rows, aircraft, float(gravity))
-        bands = _bands(path, rows, flown, aircraft, correlation_time, initial_std or {})
-        tables.append(_table(flight, rows, flown, bands, h))
+        rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state.sum(axis=1)))
+        states = _integrate(path, rows, aircraft, float(gravity))
+        std = None
+        if path.load_factor is not None:
+            std = _standard_deviations(path, rows, states, aircraft, float(gravity), correlation_time, start_std)
+        tables.append(_table(flight, rows, states, std, h))
     return pd.concat(tables) if len(tables) > 1 else tables[0]
 
 
 def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str = "") -> pd.DataFrame:
     """Return how far a replay is from the flight: median absolute error of each state for each horizon.
 
-    Parameters
-    ----------
-    trajectory : pandas.DataFrame
-        What `replay` returned.
-    flight : pandas.DataFrame
-        The flight replayed.
-    suffix : str, default=""
-        Added to the names of the flight's columns: "_true" compares with the truth of a simulation.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns ``state``, ``horizon`` [s], ``median`` (over all samples but the restarts themselves),
-        ``at_end`` (over the ends of full windows) and, where the replay has bands, ``coverage``: the share of
-        samples within 1.96 standard deviations. Units of the states; angles the short way round.
+    ``trajectory`` is what `replay` returned of ``flight``; ``suffix`` is added to the names of the flight's columns:
+    "_true" compares with the truth of a simulation. The columns are ``state``, ``horizon`` [s], ``median`` (over all
+    samples but the restarts), ``at_end`` (over the ends of full windows) and, where the replay has bands, ``coverage``:
+    the share of samples within 1.96 standard deviations. Units are those of the states; angles the short way round.
 
     Examples
     --------
@@ -157,7 +155,8 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
     if not states:
         raise ValueError(f"The flight has none of the replayed states {list(REPLAYED)} with suffix {suffix!r}.")
     rows = []
-    for horizon, part in trajectory.groupby("horizon", sort=False):
+    for horizon in trajectory["horizon"].unique().tolist():
+        part = trajectory[trajectory["horizon"] == horizon]
         if len(part) != len(flight):
             raise ValueError(f"Got a replay of {len(part)} rows for a flight of {len(flight)}, but expected as many.")
         elapsed = part["elapsed"].to_numpy()
@@ -175,53 +174,52 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
 
 
 class _Path(NamedTuple):
-    """What drives a replay and what it starts from, one row per sample."""
+    """Loads and measured states of a flight, one row per sample."""
 
-    time: np.ndarray  # (n,)
-    force: np.ndarray  # (n, 3), all but gravity
-    moment: np.ndarray  # (n, 3)
-    state: np.ndarray  # (n, 13), measured
-    load_factor: np.ndarray | None  # (n, 6, 6), loads per unit of coefficient error
+    time: Array  # (n,)
+    force: Array  # (n, 3), all but gravity
+    moment: Array  # (n, 3)
+    state: Array  # (n, 13), measured
+    load_factor: Any  # None, or (n, 6, 6), loads per unit of coefficient error
 
     @classmethod
-    def of(cls, flight, aircraft, coefficients, std, thrust, external_forces) -> _Path:
+    def of(
+        cls,
+        flight: pd.DataFrame,
+        aircraft: Aircraft,
+        coefficients: pd.DataFrame | ArrayLike,
+        std: pd.DataFrame | ArrayLike | None,
+        thrust: str | None,
+        external_forces: Sequence[str],
+    ) -> _Path:
         airspeed, density = flight["airspeed"].to_numpy(float), flight["density"].to_numpy(float)
         loads = (
             aerodynamic_loads(_coefficient_array(coefficients, flight), airspeed, density, aircraft),
             propulsive_loads(flight, aircraft, thrust),
             external_loads(flight, external_forces),
         )
-        force, moment = (sum(parts) for parts in zip(*loads, strict=True))
+        force, moment = (np.sum(parts, axis=0) for parts in zip(*loads, strict=True))
         load_factor = None
         if std is not None:
             per_coefficient = np.hstack(aerodynamic_loads(np.ones((len(flight), 6)), airspeed, density, aircraft))
-            load_factor = per_coefficient[:, :, None] * covariance_factor(std, len(flight))
-        return cls(flight["time"].to_numpy(float), force, moment, measured_state(flight), load_factor)
+            load_factor = per_coefficient[:, :, None] * _covariance_factor(std, len(flight))
+        return cls(flight["time"].to_numpy(float), force, moment, _measured_states(flight), load_factor)
 
-    def is_driven(self) -> np.ndarray:
+    def is_driven(self) -> Any:
         """Return where the loads, and with them the uncertainty, are known, (n,)."""
         driven = np.isfinite(self.force).all(axis=1) & np.isfinite(self.moment).all(axis=1)
         return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))
 
 
-def measured_state(flight: pd.DataFrame) -> np.ndarray:
-    """Return the rigid-body states (n, 13) that a flight measured; position 0 where it has none."""
-    state = np.zeros((len(flight), 13))
-    state[:, ATTITUDE] = euler_to_quaternion(*flight[list(EULER)].to_numpy(float).T)
-    state[:, RATES] = flight[["p", "q", "r"]].to_numpy(float)
-    for k, name in enumerate(["north", "east", "down"]):
-        if name in flight:
-            state[:, k] = flight[name]
-    earth, body = ["v_north", "v_east", "v_down"], ["u", "v", "w"]
-    if all(name in flight for name in body) and not all(name in flight for name in earth):
-        state[:, VELOCITY] = flight[body].to_numpy(float)
-        return state
-    check_columns(flight, earth)
-    state[:, VELOCITY] = ned_to_body(state[:, ATTITUDE], flight[earth].to_numpy(float))
-    return state
+def _measured_states(flight: pd.DataFrame) -> Array:
+    """Return the states (n, 13) that a flight measured; position 0 where it has none."""
+    if all(name in flight for name in BODY_VELOCITY) and not all(name in flight for name in EARTH_VELOCITY):
+        return table_states(flight, BODY_VELOCITY)
+    check_columns(flight, EARTH_VELOCITY)
+    return table_states(flight, EARTH_VELOCITY)
 
 
-def _coefficient_array(coefficients: pd.DataFrame | ArrayLike, flight: pd.DataFrame) -> np.ndarray:
+def _coefficient_array(coefficients: Any, flight: pd.DataFrame) -> Array:
     if hasattr(coefficients, "columns"):
         check_columns(coefficients, COEFFICIENTS, what="table of coefficients")
         coefficients = coefficients[list(COEFFICIENTS)]
@@ -234,14 +232,16 @@ def _coefficient_array(coefficients: pd.DataFrame | ArrayLike, flight: pd.DataFr
     return values
 
 
-def _table(flight, rows, flown, bands, horizon) -> pd.DataFrame:
+def _table(flight: pd.DataFrame, rows: Indices, states: Array, std: Array | None, horizon: float) -> pd.DataFrame:
     """Return the samples of all windows in the order of the flight; a shared row shows the end of its window."""
+    seen = channels(states)
+    flown = np.stack([seen[name] for name in REPLAYED], axis=-1)
     time, n = flight["time"].to_numpy(float), len(flight)
     columns = {"window": np.full(n, -1), "elapsed": np.full(n, np.nan), "states": np.full((n, 12), np.nan)}
     window = np.broadcast_to(np.arange(len(rows))[:, None], rows.shape)
     values = {"window": window, "elapsed": time[rows] - time[rows[:, :1]], "states": flown}
-    if bands is not None:
-        columns["bands"], values["bands"] = np.full((n, 12), np.nan), bands
+    if std is not None:
+        columns["std"], values["std"] = np.full((n, 12), np.nan), std
     for samples in (slice(0, 1), slice(1, None)):
         for name, column in columns.items():
             column[rows[:, samples]] = values[name][:, samples]
@@ -255,45 +255,124 @@ def _table(flight, rows, flown, bands, horizon) -> pd.DataFrame:
     angles += 2 * np.pi * np.nan_to_num(np.round((measured - angles) / (2 * np.pi)))
     known = [k for k, name in enumerate(REPLAYED) if k >= 3 or name in flight]
     table[[REPLAYED[k] for k in known]] = columns["states"][:, known]
-    if bands is not None:
-        table[[f"{REPLAYED[k]}_std" for k in known]] = columns["bands"][:, known]
+    if std is not None:
+        table[[f"{REPLAYED[k]}_std" for k in known]] = columns["std"][:, known]
     return table
 
 
-def _bands(path, rows, flown, aircraft, correlation_time, initial_std) -> np.ndarray | None:
-    if path.load_factor is None:
-        return None
-    return replayed_std(
-        flown, np.diff(path.time[rows]), path.force[rows] / aircraft.mass, path.load_factor[rows], aircraft,
-        correlation_time, initial_std,
-    )  # fmt: skip
-
-
-def _integrate(path: _Path, rows: np.ndarray, aircraft: Aircraft, gravity: float) -> np.ndarray:
-    """Return position, NED velocity, Euler angles and rates (n_windows, n_steps + 1, 12) of each window."""
+def _integrate(path: _Path, rows: Indices, aircraft: Aircraft, gravity: float) -> Array:
+    """Return the states (n_windows, n_steps + 1, 13) of each window, its loads linear over every step."""
     states = np.empty((*rows.shape, 13))
     states[:, 0] = path.state[rows[:, 0]]
     for k in range(rows.shape[1] - 1):
-        step = rows[:, k : k + 2]
-        rate = partial(_rate_per_step, path=path, step=step, aircraft=aircraft, gravity=gravity)
-        states[:, k + 1] = rk4_step(rate, 0.0, states[:, k], 1.0)
-    velocity = body_to_ned(states[..., ATTITUDE], states[..., VELOCITY])
-    angles = quaternion_to_euler(states[..., ATTITUDE])
-    return np.concatenate([states[..., POSITION], velocity, angles, states[..., RATES]], axis=-1)
+        here, there = rows[:, k], rows[:, k + 1]
+        dt = (path.time[there] - path.time[here])[:, None]
+
+        def rate_per_step(fraction: float, state: Array, here=here, there=there, dt=dt) -> Array:
+            force, moment = ((1 - fraction) * load[here] + fraction * load[there] for load in (path.force, path.moment))
+            return rigid_body_derivative(state, force, moment, aircraft, gravity) * dt
+
+        states[:, k + 1] = rk4_step(rate_per_step, 0.0, states[:, k], 1.0)
+    return states
 
 
-def _rate_per_step(fraction, state, *, path, step, aircraft, gravity) -> np.ndarray:
-    """Return d state / d fraction, 0 to 1, of each window's own time step, its loads linear over the step."""
-    here, there = step[:, 0], step[:, 1]
-    force, moment = ((1 - fraction) * load[here] + fraction * load[there] for load in (path.force, path.moment))
-    dt = (path.time[there] - path.time[here])[:, None]
-    return rigid_body_derivative(state, force, moment, aircraft, gravity) * dt
+def _standard_deviations(
+    path: _Path,
+    rows: Indices,
+    states: Array,
+    aircraft: Aircraft,
+    gravity: float,
+    correlation_time: float,
+    start_std: Mapping[str, float],
+) -> Array:
+    """Return the standard deviations (n_windows, n_steps + 1, 12) of `REPLAYED`."""
+    steps = np.diff(path.time[rows]).T[..., None, None]
+    samples = _error_rates(path, rows, states, aircraft, gravity)
+    covariances = error_covariances(samples, steps, start_errors(start_std, states[:, 0]), correlation_time)
+    places = [STATES.index(name) for name in REPLAYED]
+    std = np.empty((*rows.shape, len(REPLAYED)))
+    for k, covariance in enumerate(covariances):
+        std[:, k] = standard_deviations(covariance, state_readouts(states[:, k])[:, places])
+    return std
 
 
-def _difference(values: np.ndarray, reference: np.ndarray, state: str) -> np.ndarray:
+def _error_rates(
+    path: _Path, rows: Indices, states: Array, aircraft: Aircraft, gravity: float
+) -> Iterator[tuple[Array, Array]]:
+    """Yield A (n_windows, 12, 12) and B (n_windows, 12, 6) of every sample: the loads do not depend on the state."""
+    P, V, T, W = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+    inertia = aircraft.inertia
+    for k in range(rows.shape[1]):
+        state, load_factor = states[:, k], path.load_factor[rows[:, k]]
+        rotation = quaternion_to_matrix(state[:, ATTITUDE])
+        velocity, omega = cross_matrix(state[:, VELOCITY]), cross_matrix(state[:, rigid_body.RATES])
+        A, B = np.zeros((len(state), 12, 12)), np.zeros((len(state), 12, 6))
+        A[:, P, V], A[:, P, T] = rotation, -rotation @ velocity
+        A[:, V, V], A[:, V, W] = -omega, velocity
+        A[:, V, T] = cross_matrix(gravity * rotation[:, 2])
+        A[:, T, T], A[:, T, W] = -omega, np.eye(3)
+        A[:, W, W] = aircraft.inertia_inverse @ (cross_matrix(state[:, rigid_body.RATES] @ inertia) - omega @ inertia)
+        B[:, V] = load_factor[:, :3] / aircraft.mass
+        B[:, W] = aircraft.inertia_inverse @ load_factor[:, 3:]
+        yield A, B
+
+
+def _difference(values: Array, reference: Array, state: str) -> Array:
     difference = values - reference
     return np.angle(np.exp(1j * difference)) if state in EULER else difference
 
 
-def _nanmedian(values: np.ndarray) -> float:
+def _nanmedian(values: Array) -> float:
     return float(np.nanmedian(values)) if np.isfinite(values).any() else np.nan
+
+
+def _covariance_factor(std: ArrayLike, n_samples: int) -> Array:
+    """Return L (n, 6, 6) with L L^T the covariance of the coefficients, of std (n, 6) or covariance (n, 6, 6)."""
+    values = np.asarray(std, dtype=float)
+    if values.shape not in ((n_samples, 6), (n_samples, 6, 6)):
+        raise ValueError(
+            f"Got std of shape {values.shape}, but expected ({n_samples}, 6), standard deviations of "
+            f"{', '.join(COEFFICIENTS)} at each sample, or ({n_samples}, 6, 6), their covariances."
+        )
+    if values.ndim == 2:
+        if (values < 0).any():
+            raise ValueError("Got negative values in std, but expected standard deviations >= 0.")
+        return values[:, :, None] * np.eye(6)
+    good = np.isfinite(values).all(axis=(1, 2))
+    eigenvalues = np.linalg.eigvalsh(values[good])
+    if (eigenvalues < -1e-8 * np.abs(eigenvalues).max(axis=1, initial=0.0, keepdims=True)).any():
+        raise ValueError("Got covariances with negative eigenvalues in std, but expected positive semi-definite ones.")
+    factor = np.full_like(values, np.nan)
+    factor[good] = covariance_root(values[good])
+    return factor
+
+
+def restart_windows(time: Array, runs: Iterable[slice], horizon: float, known: np.ndarray | None = None) -> Indices:
+    """Return the rows of each window, (n_windows, n_steps + 1), shorter windows padded with their last row.
+
+    A window starts at a row of a run whose state is ``known`` (n,), by default any, and ends at the last such row no
+    more than ``horizon`` [s] later, where the next one starts. Where no known row lies within the horizon, it ends with
+    the horizon, and the next one starts at the next known row.
+    """
+    known = np.ones(len(time), dtype=bool) if known is None else known
+    windows = [window for run in runs for window in _windows_of_run(time, run, horizon, np.flatnonzero(known))]
+    if not windows:
+        return np.empty((0, 1), dtype=int)
+    length = max(map(len, windows))
+    return np.stack([np.pad(rows, (0, length - len(rows)), mode="edge") for rows in windows])
+
+
+def _windows_of_run(time: Array, run: slice, horizon: float, known: Indices) -> Iterator[Indices]:
+    starts = known[(known >= run.start) & (known < run.stop - 1)]
+    at = 0
+    while at < len(starts):
+        start = starts[at]
+        # A millionth of the horizon forgives the rounding of stored times.
+        end = time[start] + horizon * (1 + 1e-6) + 1e-9
+        last = max(run.start + int(np.searchsorted(time[run], end, side="right")) - 1, start + 1)
+        following = int(np.searchsorted(starts, last, side="right")) - 1
+        if following > at and last < run.stop - 1:
+            last, at = starts[following], following
+        else:
+            at = int(np.searchsorted(starts, last))
+        yield np.arange(start, last + 1)

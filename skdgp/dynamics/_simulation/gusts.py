@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from sklearn.utils import check_random_state
 
-__all__ = ["Gusts", "dryden_gusts", "dryden_system", "dryden_wind", "low_altitude_turbulence"]
+from skdgp._compute.linalg import covariance_root
+from skdgp._compute.typing import Array, Seed
 
 FEET = 0.3048
 CEILING = 1000 * FEET
@@ -32,19 +34,13 @@ def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarra
 
     With h in feet: L_w = h, L_u = L_v = h / (.177 + .000823 h)^1.2, sigma_w = .1 W, sigma_u = sigma_v =
     sigma_w / (.177 + .000823 h)^.4, W the wind speed 20 ft above the ground.
-
-    Examples
-    --------
-    >>> length, intensity = low_altitude_turbulence(height=150.0, wind_at_6m=8.0)
-    >>> length.round(), intensity.round(2)
-    (array([287., 287., 150.]), array([0.99, 0.99, 0.8 ]))
     """
     shear = 0.177 + 0.000823 * height / FEET
     length = height * np.array([shear**-1.2, shear**-1.2, 1.0])
     return length, 0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0])
 
 
-def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.ndarray, ...]:
+def dryden_system(airspeed: float, length: Array, intensity: Array, span: float) -> tuple[Array, ...]:
     r"""Return A (9, 9), B (9, 4), C (9, 9) of the gusts' linear system driven by unit white noise.
 
     x' = A x + B n, and C x = (u, v, w, u', v', w', p, q, r) of the air. With T = L / V (MIL-F-8785C, 3.7.2.2,
@@ -57,13 +53,13 @@ def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.n
               \frac{1}{1 + \frac{4 b}{\pi V} s}, \quad
         H_q = \frac{-s / V}{1 + \frac{4 b}{\pi V} s} H_w, \quad H_r = \frac{s / V}{1 + \frac{3 b}{\pi V} s} H_v.
 
-    The lags of H_q and H_r are the wing's averaging over its span. Here u, v and w pass them too, so that q and r
-    are exactly the gradients of the gusts that the aircraft feels, -w'/V and v'/V, and all have finite slopes.
+    The lags of H_q and H_r are the wing's averaging over its span. Here they apply to u, v and w too, so that q and r
+    are exactly -w'/V and v'/V of the gusts that the aircraft meets, and all slopes are finite.
     """
     (Tu, Tv, Tw), (su, sv, sw) = np.asarray(length) / airspeed, np.asarray(intensity)
     lag, lag_r = 4 * span / (np.pi * airspeed), 3 * span / (np.pi * airspeed)
     first = np.array([[-1 / Tu, 0.0], [su * np.sqrt(2 * Tu) / lag, -1 / lag]])
-    A = block_diag(first, _second_order(Tv, sv, lag_r), _second_order(Tw, sw, lag), -1 / lag)
+    A = block_diag(first, _second_order(Tv, sv, lag_r), _second_order(Tw, sw, lag), [[-1 / lag]])
     B = np.zeros((9, 4))
     B[0, 0], B[3, 1], B[6, 2] = 1 / Tu, 1 / Tv**2, 1 / Tw**2
     B[8, 3] = sw / lag * np.sqrt(0.8 * np.pi / (airspeed * length[2])) * (Tw / lag) ** (1 / 6)
@@ -73,25 +69,13 @@ def dryden_system(airspeed: float, length, intensity, span: float) -> tuple[np.n
     return A, B, np.vstack([velocity, slope, rates])
 
 
-def dryden_gusts(n_times: int, step: float, airspeed: float, length, intensity, span: float, rng) -> Gusts:
-    """Return stationary gusts every ``step`` seconds for several flights at once.
+def dryden_gusts(
+    n_times: int, step: float, airspeed: float, length: Any, intensity: Any, span: float, rng: np.random.Generator
+) -> Gusts:
+    """Return stationary gusts every ``step`` seconds for several flights at once, each (n_times, n_flights, 3).
 
-    Parameters
-    ----------
-    n_times : int
-    step : float
-        [s]. The linear systems are discretised exactly (matrix exponentials), so it may be any.
-    airspeed : float
-        Speed [m/s] at which the frozen field is crossed.
-    length, intensity : array-like of shape (n_flights, 3)
-        Scale lengths [m] and standard deviations [m/s] of u, v, w.
-    span : float
-        [m].
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Gusts
+    ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that is crossed at
+    ``airspeed`` [m/s]. The linear systems are discretised exactly (matrix exponentials), for any step.
     """
     systems = [dryden_system(airspeed, L, s, span) for L, s in zip(length, intensity, strict=True)]
     A, B, C = (np.array(matrices) for matrices in zip(*systems, strict=True))
@@ -99,8 +83,8 @@ def dryden_gusts(n_times: int, step: float, airspeed: float, length, intensity, 
     transition = expm(A * step)
     # In steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral.
     noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
-    x = np.einsum("fij,fj->fi", _root(covariance), rng.standard_normal((len(A), 9)))
-    shocks = np.einsum("fij,kfj->kfi", _root(noise), rng.standard_normal((n_times, len(A), 9)))
+    x = np.einsum("fij,fj->fi", covariance_root(covariance), rng.standard_normal((len(A), 9)))
+    shocks = np.einsum("fij,kfj->kfi", covariance_root(noise), rng.standard_normal((n_times, len(A), 9)))
     states = np.empty_like(shocks)
     for k, shock in enumerate(shocks):
         states[k] = x
@@ -115,16 +99,16 @@ def dryden_wind(
     height: float,
     *,
     wind_at_6m: float = 5.0,
-    mean_wind=(0.0, 0.0, 0.0),
+    mean_wind: ArrayLike = (0.0, 0.0, 0.0),
     heading: float = 0.0,
     span: float = 2.0,
     dt: float = 0.02,
-    random_state=None,
+    random_state: Seed = None,
 ) -> pd.DataFrame:
-    """Return a gusty wind to fly in: what ``simulate(wind=...)`` takes.
+    """Return a gusty wind for ``simulate(wind=...)``.
 
     Dryden turbulence of MIL-F-8785C below 1000 ft above a mean wind, crossed straight ahead at ``airspeed`` along
-    ``heading``. Its rotation, which rolls and pitches the aircraft besides, is not in it.
+    ``heading``, without its rotation.
 
     Parameters
     ----------
@@ -182,14 +166,7 @@ def dryden_wind(
     })  # fmt: skip
 
 
-def _second_order(T, sigma, lag) -> np.ndarray:
-    """Return A of the states x, x' and felt gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
+def _second_order(T: float, sigma: float, lag: float) -> Array:
+    """Return A of the states x, x' and gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
     gain = sigma * np.sqrt(T) / lag
     return np.array([[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]])
-
-
-def _root(covariance: np.ndarray) -> np.ndarray:
-    """Return the symmetric square roots of covariances (..., n, n) that may be near singular."""
-    scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(covariance / (scale[..., :, None] * scale[..., None, :]))
-    return scale[..., :, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ vectors.swapaxes(-1, -2))

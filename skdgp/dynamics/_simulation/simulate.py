@@ -2,50 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
-from skdgp.dynamics._equations.motion import CONTROLS, Motion
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
-from skdgp.dynamics._simulation.fly import fly
-from skdgp.dynamics._simulation.schedules import (
+from skdgp._compute.linalg import semidefinite_root
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import AIR_DATA, CHANNELS, TRUTH_SUFFIX
+from skdgp.dynamics._control.linearize import jacobian
+from skdgp.dynamics._equations.error_covariance import (
+    STATES,
+    checked_std,
+    error_covariances,
+    standard_deviations,
+    start_errors,
+    state_readouts,
+)
+from skdgp.dynamics._equations.motion import CONTROLS, Air, Instant, Motion
+from skdgp.dynamics._equations.rigid_body import RATES, STANDARD_GRAVITY, VELOCITY, rk4_step
+from skdgp.dynamics._simulation.inputs import (
     PROPULSION,
+    AirAt,
     Clock,
+    as_starts,
     control_schedule,
+    initial_states,
+    perturbed,
     tables_of,
     warn_of_clocks,
     wind_schedule,
 )
-from skdgp.dynamics._simulation.spread import linear_std
-from skdgp.dynamics._simulation.starts import as_starts, initial_states, perturbed
-from skdgp.dynamics._simulation.trajectory import trajectory_table, warn_of
+from skdgp.dynamics._simulation.trajectory import channels, trajectory_table, warn_of
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import Thrust
 
-__all__ = ["simulate"]
+SLOWEST = 1.0
+"""Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
+FASTEST, SPINNING = 1000.0, 60.0
+"""Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
+FLYING = ""
+MOST_KNOTS = 250
+"""Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 
 
 def simulate(
-    model,
+    model: Any,
     aircraft: Aircraft,
-    x0,
-    controls,
+    x0: Any,
+    controls: Any,
     dt: float = 0.02,
     *,
     duration: float | None = None,
-    wind=None,
+    wind: Any = None,
     n_paths: int | None = None,
-    random_state=0,
+    random_state: Seed = 0,
     return_std: bool = False,
     initial_std: Mapping[str, float] | None = None,
-    thrust: str | Callable | None = "auto",
+    thrust: Thrust = "auto",
     density: float | Callable | None = None,
     gravity: float = STANDARD_GRAVITY,
     hold: bool = False,
 ) -> pd.DataFrame:
-    r"""Fly the aircraft by its learned aerodynamics: RK4 over the six degrees of freedom.
+    r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them from a log, the
     model gives the coefficients, and Newton's and Euler's equations the rest (`rigid_body_derivative`). Regressors
@@ -54,17 +74,17 @@ def simulate(
     Parameters
     ----------
     model : Pipeline, estimator or Aerodynamics
-        What gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
+        Gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
         Mass, inertia, reference lengths, thrust line and propeller.
     x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like of shape (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``, ``alpha``, ``beta``,
         ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...; what is not given is zero.
     controls : DataFrame, list of DataFrame, mapping or callable
-        Elevator, aileron, rudder [rad], elevons, throttle and what else the model knows, and what tells the thrust. A
+        Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what gives the thrust: a
         table with ``time`` [s], its first row the start (linear between rows; a list: one for each start); constants
-        by name; or a function (t, state) to values by name, where ``state`` is a mapping of the vocabulary's names,
-        ``state["phi"]``, to arrays: a feedback law.
+        by name; or a feedback law, a function (t, state) to values by name, where ``state`` maps the names of
+        channels to arrays, ``state["phi"]``.
     dt : float, default=0.02
         Time step [s].
     duration : float, optional
@@ -73,16 +93,16 @@ def simulate(
         Velocity of the air, north, east, down [m/s]: constant; a table with ``time``, ``wind_north``, ``wind_east``,
         ``wind_down``; or a function (t, position (..., 3)).
     n_paths : int, optional
-        Fly so many functions drawn from the posterior instead of its mean: each path has its own aerodynamics for the
-        whole flight, as the aircraft has. Their spread is the uncertainty of the trajectory.
+        Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
+        is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
     return_std : bool, default=False
         Whether to add columns ``airspeed_std``, ``phi_std``, ... of the mean's trajectory: standard deviations by the
-        joint posterior of the coefficients along it, to first order. Cheap, and right while errors are small: some
-        seconds; ``n_paths`` is right for longer.
+        joint posterior of the coefficients along it, to first order. Fast, and right for some seconds, while errors are
+        small; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
-        Standard deviations of the start, for paths or ``return_std``: by name ("u", "v", "w", "v_north", ..., "phi",
+        Standard deviations of the start, for paths or ``return_std``, by name ("u", "v", "w", "v_north", ..., "phi",
         ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.
     thrust : "auto", callable or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line, or the propeller at
@@ -93,29 +113,29 @@ def simulate(
     gravity : float, default=9.80665
         [m/s^2].
     hold : bool, default=False
-        Whether a function is asked once a step and its answer held, as a flight computer does; else at every stage.
+        Whether a feedback law is asked once a step, as in a flight computer; else at every stage.
 
     Returns
     -------
     pandas.DataFrame
         A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude, density, ``ax``,
         ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls and coefficients; ``beyond``, the regressor that is
-        farthest outside of what was flown, or ""; ``ended``, why the trajectory is over, or "" while it is not: its
-        rows are then NaN. Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
+        farthest outside of what was flown, or ""; ``ended``, why the trajectory is over, or "": its rows are then NaN.
+        Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
 
     Raises
     ------
     ValueError
-        If the start is not finite, controls are missing or end early, nothing tells the thrust, a regressor cannot be
+        If the start is not finite, controls are missing or end early, nothing gives the thrust, a regressor cannot be
         rebuilt, or the model lacks a coefficient or has no posterior to draw from.
 
     Warns
     -----
     SimulationWarning
-        If a trajectory ends before its time (it diverged, lost its airspeed, or no fixed point was found), or leaves
-        what the model was learned from.
+        If a trajectory ends early (it diverged, lost its airspeed, or no fixed point was found), or leaves what the
+        model was learned from.
     UserWarning
-        If a start, the controls and the wind carry times that do not begin together, or a start does not fit its wind.
+        If start, controls and wind carry times that do not begin together, or a start does not fit its wind.
 
     Examples
     --------
@@ -138,7 +158,7 @@ def simulate(
     warn_of_clocks(starts, controls, wind, clock.dt)
     air = wind_schedule(wind, clock, len(starts))
     commands = control_schedule(controls, clock, _is_control(motion), len(starts), hold=hold)
-    states = initial_states(starts, None if air is None else lambda at: air(0, at)[0])
+    states = initial_states(starts, lambda at: air(0, at))
     if n_paths is not None:
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         states = perturbed(states, initial_std, n_paths, random_state)
@@ -148,14 +168,172 @@ def simulate(
         raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
     elif len(states) == 1:
         states = states[0]
-    record = fly(motion, commands, air, clock, states)
+    record = fly_record(motion, commands, air, clock, states)
     warn_of(record, motion)
     std = linear_std(record, motion, initial_std) if return_std else {}
     return trajectory_table(record, motion, _first_times(controls, len(starts)), std)
 
 
+class Record(NamedTuple):
+    """Trajectories as flown: arrays (n_steps + 1, ...) over time, NaN where a trajectory had ended."""
+
+    time: np.ndarray
+    """Since the start, (n_steps + 1,)."""
+    states: Array
+    regressors: Array
+    coefficients: Array
+    specific_force: Array
+    derivative: Array
+    density: Array
+    wind: Array | None
+    controls: dict[str, Array]
+    ended: Array
+    """Why each trajectory ended, (...), `FLYING` where it did not."""
+    end: Array
+    """The step at which it did, (...)."""
+
+    def rows(self, part: slice) -> Record:
+        """Return the record of some of the steps."""
+        controls = {name: values[part] for name, values in self.controls.items()}
+        arrays = (None if values is None else values[part] for values in self[:8])
+        return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
+
+
+def fly_record(motion: Motion, commands: Callable, air: AirAt, clock: Clock, state: Array) -> Record:
+    """Return what is flown from states (..., 13): the loop over time.
+
+    ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
+    :func:`wind_schedule`; a step has two stages.
+    """
+    start, n = state, clock.n_steps + 1
+    ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
+    flown: list[tuple[Array, Instant, dict, Array | None]] = []
+
+    def instant(step, stage, state, last):
+        stage += 2 * step
+        here = air(stage, state)
+        wind = None if here is None else here.wind
+        controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
+        return motion.at(state, controls, here, None if last is None else last.implicit), controls, wind
+
+    now = None
+    with np.errstate(all="ignore"):  # what diverges is ended
+        for k in range(n):
+            now, controls, wind = instant(k, 0, state, now)
+            over = end_reasons(state, now)
+            for reason, where in over.items():
+                first = np.broadcast_to(where, ended.shape) & (ended == FLYING)
+                ended[first], end[first] = reason, k
+            if not (ended == FLYING).any():
+                break
+            if over:
+                state = np.where((ended == FLYING)[..., None], state, start)  # flown on from there, never shown
+                now, controls, wind = instant(k, 0, state, None)
+            flown.append((state, now, controls, wind))
+            if k < clock.n_steps:
+                state = _step(instant, k, state, now, clock.dt)
+    return _record(motion, clock.dt * np.arange(n), flown, ended, end)
+
+
+def _record(motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, end: Array) -> Record:
+    """Return the record of the steps ``flown``: state, instant, controls and wind of each."""
+    is_over = np.arange(len(time)).reshape(-1, *[1] * ended.ndim) >= end
+
+    def over_time(values: Sequence, *size: int) -> Array:
+        array = np.full((len(time), *ended.shape, *size), np.nan)
+        for k, value in enumerate(values):
+            array[k] = value
+        array[is_over] = np.nan
+        return array
+
+    states, instants, controls, winds = zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
+    return Record(
+        time=time,
+        states=over_time(states, 13),
+        regressors=over_time([now.regressors for now in instants], len(motion.regressors)),
+        coefficients=over_time([now.coefficients for now in instants], 6),
+        specific_force=over_time([now.force for now in instants], 3) / motion.aircraft.mass,
+        derivative=over_time([now.derivative for now in instants], 13),
+        density=over_time([now.density for now in instants]),
+        wind=None if winds[0] is None else over_time(winds, 3),
+        controls={name: over_time([each[name] for each in controls]) for name in controls[0]},
+        ended=ended,
+        end=end,
+    )
+
+
+def _step(instant: Callable, k: int, state: Array, now: Instant, dt: float) -> Array:
+    """Return the states one step on."""
+
+    def derivative(t, x):
+        stage = round(2 * t / dt)
+        return now.derivative if stage == 0 else instant(k, stage, x, now)[0].derivative
+
+    return rk4_step(derivative, 0.0, state, dt)
+
+
+def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
+    """Return which trajectories cannot go on, by reason."""
+    fine = np.isfinite(now.derivative).all(axis=-1)
+    fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
+    fine = fine & (np.abs(state[..., RATES]) < SPINNING).all(axis=-1)
+    found: dict[str, Any] = {
+        "airspeed": now.airspeed < SLOWEST,
+        "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
+        "diverged": ~fine,
+        "fixed point": np.logical_not(now.settled),
+    }
+    return {reason: where for reason, where in found.items() if np.any(where)}
+
+
+def linear_std(record: Record, motion: Motion, initial_std: Mapping[str, float] | None) -> dict[str, Array]:
+    """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order.
+
+    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance.
+    """
+    start, shape = checked_std(initial_std), record.ended.shape
+    found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)}
+    for place in np.ndindex(shape):
+        n = int(record.end[place])
+        if n > 1:
+            for name, std in zip(found, _std_along(record, motion, start, place, n).T, strict=True):
+                found[name][(slice(n), *place)] = std
+    return found
+
+
+def _std_along(record: Record, motion: Motion, start: Mapping[str, float], place: Any, n: int) -> Array:
+    """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory."""
+    states = record.states[(slice(n), *place)]
+    knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
+    at: Any = (knots, *place)
+    wind = None if record.wind is None else Air(record.wind[at])
+    slopes = jacobian(
+        motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind
+    )
+    root = semidefinite_root(motion.aerodynamics.covariance(record.regressors[at]))  # (6 k, m), output by output
+    errors = np.moveaxis(root.reshape(6, len(knots), -1), 1, 0)
+    left = np.clip(np.searchsorted(knots, np.arange(n), side="right") - 1, 0, len(knots) - 2)
+    share = (np.arange(n) - knots[left]) / np.diff(knots)[left]
+
+    def between(values: Array, step: int) -> Array:
+        """Return values at the knots, (k, ...), at a step, linear between them."""
+        k, part = left[step], share[step]
+        return (1.0 - part) * values[k] + part * values[k + 1]
+
+    def samples() -> Iterator[tuple[Array, Array]]:
+        for step in range(n):
+            yield between(slopes.state, step), between(slopes.coefficients, step) @ between(errors, step)
+
+    covariances = error_covariances(samples(), [record.time[1]] * (n - 1), start_errors(start, states[0]))
+    readouts, air_data = state_readouts(states), slopes.outputs_state[:, :3]
+    return np.stack([
+        standard_deviations(covariance, np.concatenate([readouts[step], between(air_data, step)]))
+        for step, covariance in enumerate(covariances)
+    ])  # fmt: skip
+
+
 def _is_control(motion: Motion) -> Callable[[str], bool]:
-    """Return what tells which columns of a table are controls: a whole flight log may be given."""
+    """Return the function that finds the controls among the columns of a table, which may be a whole log."""
     if callable(motion.thrust):
         return lambda name: (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)
     mixing = motion.aerodynamics.mixing
@@ -163,6 +341,6 @@ def _is_control(motion: Motion) -> Callable[[str], bool]:
     return lambda name: name in known
 
 
-def _first_times(controls, n_starts) -> np.ndarray:
+def _first_times(controls: Any, n_starts: int) -> Array:
     first = [table["time"].iloc[0] for table in tables_of(controls)]
     return np.broadcast_to(np.array(first or [0.0], dtype=float), (n_starts,))

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
-from skdgp.dynamics._equations.integrate import rk4_step
+from skdgp._compute.typing import Array, Seed
 from skdgp.dynamics._equations.motion import Motion
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
-from skdgp.dynamics._simulation.fly import FLYING, lost
-from skdgp.dynamics._simulation.schedules import air_of
-from skdgp.dynamics._simulation.starts import as_starts, initial_states, perturbed
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY, rk4_step
+from skdgp.dynamics._simulation.inputs import as_starts, initial_states, perturbed, wind_field
+from skdgp.dynamics._simulation.simulate import FLYING, end_reasons
 from skdgp.dynamics._simulation.trajectory import beyond, channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-
-__all__ = ["Simulator"]
+from skdgp.dynamics._vehicle.loads import Thrust
 
 
 class Simulator:
     """A learned aircraft in the loop with a controller: ``reset``, then ``step`` by ``step``.
 
-    Each step holds the controls for ``dt`` and integrates the same equations as `simulate` (RK4). Several starts fly
-    side by side. With a seed each of them flies a function of its own, drawn from the posterior: a controller that is
-    good on all of them is good on what the aircraft may be.
+    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4). Several starts fly side by
+    side; with a seed, each flies a function of its own, drawn from the posterior.
 
     Parameters
     ----------
@@ -43,7 +41,7 @@ class Simulator:
     beyond : str or ndarray of str
         After a step: the regressor that is farthest outside of what the model was learned from, or "".
     control_names : tuple of str
-        Controls that the model needs; what tells the thrust is needed besides.
+        Controls that the model needs, besides what gives the thrust.
 
     Examples
     --------
@@ -68,20 +66,22 @@ class Simulator:
 
     def __init__(
         self,
-        model,
+        model: Any,
         aircraft: Aircraft,
         dt: float = 0.02,
         *,
-        wind=None,
-        thrust: str | Callable | None = "auto",
+        wind: Any = None,
+        thrust: Thrust = "auto",
         density: float | Callable | None = None,
         gravity: float = STANDARD_GRAVITY,
     ):
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
         self.motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
-        self.dt, self.ended, self._steps = float(dt), FLYING, 0
-        self._mean, self._air, self._state, self.beyond = self.motion.aerodynamics, air_of(wind), None, ""
+        self.dt, self._steps, self._mean, self._air = float(dt), 0, self.motion.aerodynamics, wind_field(wind)
+        self.ended: Any = FLYING
+        self.beyond: Any = ""
+        self._state: Any = None
 
     @property
     def control_names(self) -> tuple[str, ...]:
@@ -94,14 +94,16 @@ class Simulator:
         return self._steps * self.dt
 
     @property
-    def state(self) -> np.ndarray:
+    def state(self) -> Array:
         """The state (13,), or states (n, 13), see `STATE_NAMES`; NaN where a flight has ended."""
         if self._state is None:
             raise ValueError("Got no start yet: call reset(x0) first.")
         shown = np.where((self._ended == FLYING)[..., None], self._state, np.nan)
         return shown.reshape(-1, 13)[0] if self._single else shown
 
-    def reset(self, x0, *, random_state=None, initial_std: Mapping[str, float] | None = None) -> dict:
+    def reset(
+        self, x0: Any, *, random_state: Seed = None, initial_std: Mapping[str, float] | None = None
+    ) -> dict[str, Any]:
         """Begin a flight, or several, and return what is seen.
 
         Parameters
@@ -119,40 +121,34 @@ class Simulator:
             ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude.
         """
         starts = as_starts(x0)
-        states = initial_states(starts, None if self._air is None else lambda at: self._air(0.0, at)[0])
+        states = initial_states(starts, lambda at: self._air(0.0, at))
         states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
         self.motion.aerodynamics = self._mean if mean_flies else self._mean.sample(len(states), random_state)
         self._state = states[0] if single and mean_flies else states
         self._single, self._start, self._steps = single, self._state, 0
         self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)
-        self._implicit, self.beyond = None, "" if single else np.full(len(states), "", dtype=object)
+        self._implicit: Any = None
+        self.beyond = "" if single else np.full(len(states), "", dtype=object)
         return self._seen()
 
-    def step(self, controls: Mapping) -> dict:
-        """Hold the controls, by name, for one step, and return what is seen at its end.
-
-        Raises
-        ------
-        ValueError
-            If there was no `reset`, every flight has ended, or a control is missing.
-        """
+    def step(self, controls: Mapping) -> dict[str, Any]:
+        """Return what is seen after a step with controls by name; raises ValueError before `reset` or after the end."""
         if self._state is None or not (self._ended == FLYING).any():
             what = "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
             raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
         controls = self.motion.mixed(controls)
 
         def at(t, state):
-            wind, wind_rate = (None, None) if self._air is None else self._air(t, state)
-            now = self.motion.at(state, controls, wind, wind_rate, self._implicit)
+            now = self.motion.at(state, controls, self._air(t, state), self._implicit)
             self._implicit = now.implicit
             return now
 
-        with np.errstate(all="ignore"):  # what diverges is found
+        with np.errstate(all="ignore"):  # what diverges is ended
             state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
             self._steps += 1
             now = at(self.time, state)
-            for reason, where in lost(state, now).items():
+            for reason, where in end_reasons(state, now).items():
                 self._ended[np.broadcast_to(where, self._ended.shape) & (self._ended == FLYING)] = reason
         names = np.array(["", *self.motion.regressors], dtype=object)[beyond(self.motion, now.regressors)]
         self.beyond = str(np.reshape(names, -1)[0]) if self._single else names
@@ -160,9 +156,9 @@ class Simulator:
         self._state = state if flying.all() else np.where(flying[..., None], state, self._start)
         return self._seen()
 
-    def _seen(self) -> dict:
-        wind = None if self._air is None else self._air(self.time, self._state)[0]
-        seen = {"time": self.time} | channels(self._state, wind)
+    def _seen(self) -> dict[str, Any]:
+        air = self._air(self.time, self._state)
+        seen: dict[str, Any] = {"time": self.time} | channels(self._state, None if air is None else air.wind)
         over = self._ended != FLYING
         if over.any():
             seen = {name: np.where(over, np.nan, value) if name != "time" else value for name, value in seen.items()}

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import COEFFICIENTS, EULER
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import (
+    AIR_DATA,
+    BODY_VELOCITY,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+    SPECIFIC_FORCE,
+    WIND,
+)
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY
-
-__all__ = ["SimulationWarning", "beyond", "channels", "trajectory_bands", "trajectory_table", "warn_of"]
+from skdgp.dynamics._equations import rigid_body
+from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 
 BEYOND = 0.02
-"""By which a regressor may exceed what was flown, as a share of its range, before it is told."""
+"""Share of its range by which a regressor may exceed what was flown without a warning."""
 TINY = 1e-12
 REASONS = {
     "airspeed": "airspeed under 1 m/s",
@@ -25,69 +37,61 @@ REASONS = {
     "fixed point": "no fixed point of the regressors that follow from the loads",
 }
 
-EARTH, AIR = ("v_north", "v_east", "v_down"), ("airspeed", "alpha", "beta")
-
 
 class SimulationWarning(UserWarning):
     """A trajectory ended early, or left what the model was learned from."""
 
 
-def channels(states: np.ndarray, wind=None) -> dict[str, np.ndarray]:
+def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
     attitude = states[..., ATTITUDE]
     earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
     air = states[..., VELOCITY] if wind is None else states[..., VELOCITY] - ned_to_body(attitude, wind)
     groups = {
-        ("north", "east", "down"): states[..., POSITION],
-        EARTH: earth,
-        ("u", "v", "w"): states[..., VELOCITY],
+        POSITION: states[..., rigid_body.POSITION],
+        EARTH_VELOCITY: earth,
+        BODY_VELOCITY: states[..., VELOCITY],
         EULER: angles,
-        ("p", "q", "r"): states[..., RATES],
+        RATES: states[..., rigid_body.RATES],
     }
     found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
-    found |= dict(zip(AIR, air_data(air), strict=True))
+    found |= dict(zip(AIR_DATA, air_data(air), strict=True))
     return found | {"altitude": -states[..., 2]}
 
 
-def trajectory_table(record, motion, first_times, further) -> pd.DataFrame:
+def trajectory_table(record: Any, motion: Motion, first_times: Array, further: dict[str, Array]) -> pd.DataFrame:
     """Return what was flown as one flight table: path by path, start by start, row by row.
 
-    Parameters
-    ----------
-    record : Record
-        Of trajectories (), (n_starts,) or (n_paths, n_starts).
-    motion : Motion
-    first_times : ndarray (n_starts,)
-        What the clock shows at each start.
-    further : dict of str to ndarray (n_times, ...)
-        More columns.
+    The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times`` (n_starts,) is the time at
+    each start, ``further`` holds more columns (n_times, ...).
     """
     shape = record.ended.shape
     n_times = len(record.time)
     wind = record.wind
 
-    def column(values):
+    def column(values: Array) -> Array:
         return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
 
     over = np.arange(n_times).reshape(-1, *[1] * len(shape)) >= record.end
     seen = channels(record.states, wind) | {"density": record.density}
     for k, name in enumerate(("p_dot", "q_dot", "r_dot")):
-        seen[name] = record.derivative[..., RATES][..., k]
-    for names, values in ((("ax", "ay", "az"), record.specific_force), (COEFFICIENTS, record.coefficients)):
+        seen[name] = record.derivative[..., rigid_body.RATES][..., k]
+    for names, values in ((SPECIFIC_FORCE, record.specific_force), (COEFFICIENTS, record.coefficients)):
         seen |= {name: values[..., k] for k, name in enumerate(names)}
     if wind is not None:
-        seen |= {name: wind[..., k] for k, name in enumerate(("wind_north", "wind_east", "wind_down"))}
+        seen |= {name: wind[..., k] for k, name in enumerate(WIND)}
     clock = np.add.outer(record.time, first_times)
-    table = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
+    table: dict[str, Any] = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
     table |= _identity(shape, n_times)
     table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
-    table["beyond"] = pd.Categorical.from_codes(column(beyond(motion, record.regressors)), ["", *motion.regressors])
+    farthest = np.array(["", *motion.regressors], dtype=object)[column(beyond(motion, record.regressors))]
+    table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
     table["ended"] = pd.Categorical(column(np.where(over, record.ended, "")))
     return pd.DataFrame(table)
 
 
-def _identity(shape, n_times) -> dict:
-    """Return the columns that tell the trajectories apart."""
+def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
+    """Return the columns that name the trajectories."""
     if not shape:
         return {"flight": pd.Categorical(["simulation"] * n_times)}
     *paths, starts = np.indices(shape).reshape(len(shape), -1)
@@ -95,12 +99,12 @@ def _identity(shape, n_times) -> dict:
     if paths:
         several = shape[1] > 1
         names = [f"path {p}, {name}" if several else f"path {p}" for p, name in zip(*paths, names, strict=True)]
-    found = {"flight": pd.Categorical.from_codes(np.repeat(np.arange(len(names)), n_times), names)}
+    found: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
     found["start"] = np.repeat(starts, n_times)
     return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
 
 
-def beyond(motion, regressors) -> np.ndarray:
+def beyond(motion: Motion, regressors: Array) -> np.ndarray:
     """Return 1 + the one of the regressors (..., d) that is farthest outside of what was flown, 0 where none is."""
     limits = motion.aerodynamics.limits
     if limits is None:
@@ -111,9 +115,9 @@ def beyond(motion, regressors) -> np.ndarray:
     return np.where(outside.max(axis=-1) > BEYOND, 1 + outside.argmax(axis=-1), 0)
 
 
-def warn_of(record, motion) -> None:
+def warn_of(record: Any, motion: Motion) -> None:
     """Say which trajectories ended early, and which left what the model was learned from."""
-    ended = record.ended[~record.flying].tolist()
+    ended = [reason for reason in record.ended.ravel().tolist() if reason]
     n, dt = record.ended.size, record.time[1]
     if ended:
         why = ", ".join(f"{REASONS[reason]}: {ended.count(reason)}" for reason in REASONS if reason in ended)
@@ -124,12 +128,12 @@ def warn_of(record, motion) -> None:
             SimulationWarning,
             stacklevel=3,
         )
-    outside = beyond(motion, record.regressors)
-    if outside.any():
+    outside, limits = beyond(motion, record.regressors), motion.aerodynamics.limits
+    if limits is not None and outside.any():
         flights = outside.reshape(len(outside), -1)
         first = int(np.flatnonzero(flights.any(axis=1))[0])
         k = int(flights[first].max()) - 1
-        low, high = motion.aerodynamics.limits[:, k]
+        low, high = limits[:, k]
         values, name = record.regressors[..., k], motion.aerodynamics.regressors[k]
         warnings.warn(
             f"{np.count_nonzero(flights.any(axis=0))} of {n} trajectories left what the model was learned from, the "
@@ -143,22 +147,11 @@ def warn_of(record, motion) -> None:
 def trajectory_bands(
     trajectories: pd.DataFrame, level: float = 0.95, columns: Sequence[str] | None = None
 ) -> pd.DataFrame:
-    """Return the bands that simulated flights of an ensemble fill, time by time.
+    """Return the bands of an ensemble that `simulate` returned with ``n_paths``, by ``start`` and ``time``.
 
-    Parameters
-    ----------
-    trajectories : pandas.DataFrame
-        What `simulate` returned with ``n_paths``.
-    level : float, default=0.95
-        Share of the paths inside: quantiles (1 - level) / 2 and (1 + level) / 2, of those that still fly.
-    columns : sequence of str, optional
-        By default velocities, angles (heading unwrapped), rates, airspeed, alpha, beta, altitude.
-
-    Returns
-    -------
-    pandas.DataFrame
-        By ``start`` and ``time``: ``<column>`` (the median), ``<column>_low``, ``<column>_high``, and ``flying``, the
-        share of the paths that have not ended.
+    ``level`` is the share of the paths inside, of those that still fly: quantiles (1 - level) / 2 and (1 + level) / 2.
+    ``columns`` are by default velocities, angles (heading unwrapped), rates, airspeed, alpha, beta, altitude. The table
+    has ``<column>`` (the median), ``<column>_low``, ``<column>_high``, and ``flying``, the share that has not ended.
 
     Examples
     --------
@@ -171,7 +164,7 @@ def trajectory_bands(
     if not 0 < level <= 1:
         raise ValueError(f"Got level={level!r}, but expected a share between 0 and 1.")
     check_columns(trajectories, ["start", "path", "time", "ended"], what="ensemble (simulate with n_paths=...)")
-    wanted = (*EARTH, *EULER, "p", "q", "r", *AIR, "altitude", "north", "east") if columns is None else columns
+    wanted = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east") if columns is None else columns
     names = [name for name in wanted if name in trajectories]
     rows = []
     for start, part in trajectories.groupby("start", sort=False):
@@ -192,7 +185,7 @@ def trajectory_bands(
     return pd.concat(rows, ignore_index=True)
 
 
-def _quantiles(values, q) -> np.ndarray:
+def _quantiles(values: Array, q: Sequence[float]) -> Array:
     """Return the quantiles over the paths that still fly, (len(q), n_times); NaN where none does."""
     found = np.full((len(q), values.shape[1]), np.nan)
     some = np.isfinite(values).any(axis=0)

@@ -9,15 +9,14 @@ from dataclasses import MISSING, Field, dataclass, fields
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from skdgp._compute.files import parse_json, read_json, read_toml
-from skdgp.dynamics._vehicle.propeller import Propeller
-from skdgp.dynamics._vehicle.thrust_line import ThrustLine
-
-__all__ = ["Aircraft"]
+from skdgp._compute.typing import Array
+from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, as_floats
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,12 +62,12 @@ class Aircraft:
 
     name: str = "aircraft"
     mass: float
-    inertia: ArrayLike
+    inertia: Array
     wing_area: float
     span: float
     chord: float
-    thrust_line: ThrustLine | Mapping | None = None
-    propeller: Propeller | Mapping | None = None
+    thrust_line: ThrustLine | None = None
+    propeller: Propeller | None = None
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name.isprintable():
@@ -90,7 +89,7 @@ class Aircraft:
         return np.linalg.inv(self.inertia)
 
     @property
-    def moment_lengths(self) -> np.ndarray:
+    def moment_lengths(self) -> Array:
         """Lengths (b, c, b) [m] that go with Cl, Cm, Cn."""
         return np.array([self.span, self.chord, self.span])
 
@@ -110,10 +109,7 @@ class Aircraft:
     def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
         """Build the aircraft from a mapping whose keys are the parameters of this class.
 
-        Raises
-        ------
-        ValueError
-            If a key is missing or unknown (the nearest known one is named), or a value is refused.
+        Raises ValueError if a key is missing or unknown (the nearest known one is named), or a value is not valid.
         """
         return _build(cls, values, what)
 
@@ -128,37 +124,31 @@ class Aircraft:
             Path(path).write_text(text, encoding="utf-8")
         return text
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return self.to_dict() == other.to_dict() if isinstance(other, Aircraft) else NotImplemented
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self.to_json())
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return (
             f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} m, "
             f"c {self.chord:g} m)"
         )
 
 
-def _positive(value, name: str, unit: str) -> float:
-    try:
-        number = np.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"Got {name}={value!r}, but expected a number > 0 [{unit}].") from None
-    if not (np.isfinite(number) and number > 0):
-        raise ValueError(f"Got {name}={value!r}, but expected a finite number > 0 [{unit}].")
-    return number
+def _positive(value: Any, name: str, unit: str) -> float:
+    number = as_floats(value)
+    if number.shape != () or not 0 < number < np.inf:
+        raise ValueError(f"Got {name}={value!r}, but expected a number > 0, finite [{unit}].")
+    return float(number)
 
 
-def _inertia(value: ArrayLike) -> np.ndarray:
-    try:
-        inertia = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"Got inertia {value!r}, but expected 3 x 3 numbers [kg m^2].") from None
+def _inertia(value: ArrayLike) -> Array:
+    inertia = as_floats(value)
     if inertia.shape != (3, 3) or not np.isfinite(inertia).all():
         raise ValueError(
-            f"Got inertia of shape {inertia.shape} or with NaN, but expected 3 x 3 finite numbers [kg m^2]: "
+            f"Got inertia {value!r}, but expected 3 x 3 numbers, finite [kg m^2]: "
             "[[Ixx, -Ixy, -Ixz], [-Ixy, Iyy, -Iyz], [-Ixz, -Iyz, Izz]]."
         )
     if not np.allclose(inertia, inertia.T, rtol=0, atol=1e-6 * abs(inertia).max()):
@@ -185,7 +175,7 @@ def _inertia(value: ArrayLike) -> np.ndarray:
     return inertia
 
 
-def _build(kind: type, values: Mapping, what: str):
+def _build(kind: type, values: Mapping, what: str) -> Any:
     """Return ``kind(**values)``, with errors that name missing keys and the nearest to unknown ones."""
     if not isinstance(values, Mapping):
         raise ValueError(f"Got {type(values).__name__} in {what}, but expected named values (key: value).")
@@ -205,7 +195,7 @@ def _is_required(field: Field) -> bool:
     return field.default is MISSING and field.default_factory is MISSING
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     """Return dataclasses as dictionaries without their Nones, arrays and tuples as lists."""
     if hasattr(value, "__dataclass_fields__"):
         items = {field.name: getattr(value, field.name) for field in fields(value)}

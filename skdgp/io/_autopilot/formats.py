@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
+from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
+from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 
 PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
 ATTITUDE = ("phi", "theta", "psi")
@@ -17,8 +19,6 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 """Columns of a rule for attitude: a quaternion, body to north-east-down, of any length."""
 EQUIVALENT = "equivalent_airspeed"
 """Column of a rule for the airspeed that a pressure difference gives at sea level; the table gets the true one."""
-DENSITY, PRESSURE = 1.225, 101325.0
-"""Of the standard atmosphere at sea level [kg/m^3, Pa]."""
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutpu
 EXACT_LIMIT = 6000
 """Observed values up to which inference="auto" is exact: about two seconds an evaluation on two cores."""
 
+AUTO_LATENT = 2  # shared, that structure="auto" compares with the trend where n_latent="auto"
 MOST_LATENT = 3  # shared, that n_latent="auto" tries
 MOST_NOISE = 10  # standard deviation of a regressor's noise, over that of the regressor
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors: their fourth powers are numbers
@@ -326,10 +327,13 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def _choose(self, X, Z, options):
         """Return the prior, its number of shared latents from the data where that was asked; what Ctrl-C left of it."""
         self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
-        found, self.structure_ = None, self._choose_structure(X, Z, options)
+        self.structure_, found = self._choose_structure(X, Z, options)
         if self.structure_ == "trend":
             self.n_latent_ = 0
-            return self._trend(), None
+            return self._trend(), found
+        if found is not None:
+            self.n_latent_ = AUTO_LATENT if self.n_latent_ == "auto" else self.n_latent_
+            return self._prior(self.n_latent_), found
         if self.n_latent_ == "auto":
             fewest = int(not self.private_latents)
             numbers = range(fewest, (MOST_LATENT if Z.shape[1] > 1 else fewest) + 1)
@@ -339,7 +343,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return self._prior(self.n_latent_), found
 
     def _choose_structure(self, X, Z, options):
-        """Return "trend" where that was asked for, or predicts blocks better that were held out, else "joint"."""
+        """Return "trend" where that was asked for, or predicts blocks better that were held out, else "joint".
+
+        And the hyperparameters that Ctrl-C left, if it came meanwhile.
+        """
         self.structure_errors_ = {}
         no_choice = self.kernel is not None or self.trend in ("constant", None)
         if self.structure == "trend" and no_choice:
@@ -348,17 +355,17 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 "and a trend such as 'linear', of which the whole model is made."
             )
         if self.structure == "joint" or no_choice:
-            return "joint"
+            return "joint", None
         if self.structure == "auto":
-            n_latent = 2 if self.n_latent == "auto" else self.n_latent
+            n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
             for name, kernel in (("trend", self._trend()), ("joint", self._prior(n_latent))):
-                errors = held_out_errors(name, kernel, X, Z, **options)
+                errors, found = held_out_errors(name, kernel, X, Z, **options)
                 if errors is None:
-                    return "joint"
+                    return ("joint" if found is None else name), found
                 self.structure_errors_[name] = errors
             if np.nanmean(self.structure_errors_["joint"]) <= np.nanmean(self.structure_errors_["trend"]):
-                return "joint"
-        return "trend"
+                return "joint", None
+        return "trend", None
 
     def _prior(self, n_latent):
         options = {

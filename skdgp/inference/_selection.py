@@ -108,14 +108,16 @@ def held_out_errors(
 
     Returns
     -------
-    ndarray (P,) or None
+    errors : ndarray (P,) or None
         NaN for an output without values in the blocks; None where there are too few rows, or Ctrl-C stopped a fit.
+    found : Hyperparameters or None
+        Of the fit that Ctrl-C stopped.
     """
     observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
     n = max(1, int(BLOCK_VALUES * len(observed) / np.isfinite(Y).sum()))
     rows = spread(observed, n, check_random_state(random_state))
     if len(rows) < FEWEST_ROWS:
-        return None
+        return None, None
     options = {"optimizer": optimizer, "max_iter": min(max_iter, BLOCK_ITERATIONS), "random_state": random_state}
     error = np.full((len(rows), Y.shape[1]), np.nan)
     edges = np.linspace(0, len(rows), BLOCKS + 1).astype(int)
@@ -123,12 +125,12 @@ def held_out_errors(
         gap = int(GAP * (b - a))
         learned, asked = np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]
         if (np.isfinite(Y[learned]).sum(axis=0) < 2).any():
-            return None
+            return None, None
         own = {"input_noise": input_noise, "clock": None if clock is None else clock[learned], **options}
         fit = run_recorded(record, f"{name}-block-{k}", partial(fit_exact, kernel, X[learned], Y[learned]), **own)
         if fit.interrupted:
-            return None
+            return None, fit.found(interrupted=True)
         error[a:b] = (Y[asked] - fit.posterior.predict(X[asked])) ** 2
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # an output without values has no mean
-        return np.nanmean(error, axis=0) / np.nanvar(Y[rows], axis=0)
+        return np.nanmean(error, axis=0) / np.nanvar(Y[rows], axis=0), None

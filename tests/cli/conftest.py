@@ -9,7 +9,7 @@ import pytest
 
 from skdgp.datasets import load_example_flights
 
-QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1"]
+QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 

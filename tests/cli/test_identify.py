@@ -38,7 +38,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
 OUTPUTS = {"model.joblib", "metrics.json", "report.html", "config.toml"}
-QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1"]
+QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
@@ -434,7 +434,7 @@ class TestCalibrate:
         model = load_model(calibrated / "model.joblib")
         metrics = json.loads((calibrated / "metrics.json").read_text())
         table = pd.read_csv("test.csv")
-        mean, std = model.pipeline.predict(table, return_std=True)
+        mean, std = model.pipeline.predict(table, return_std=True, include_noise=True)
         Y = aerodynamic_coefficients(table, model.aircraft)
         inside = interval_coverage(Y, mean, std, multioutput="raw_values")
         of = metrics["test"]["two_altitudes"]["coefficients"]["measured"]
@@ -551,6 +551,7 @@ class TestInterrupt:
         ours, theirs = pty.openpty()
         arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
         command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "100", "--max-iter", "5000", "-o", tmp_path]
+        command += ["--structure", "joint"]
         seen, begun = bytearray(), threading.Event()
 
         def read():  # to the end: a program that nobody reads waits for its terminal

@@ -6,8 +6,8 @@ from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor
 from skdgp._compute.progress import listening
-from skdgp.inference import Data, _fit, choose_kernel, fit_exact, log_likelihood
-from skdgp.kernels import ConvolvedGaussian
+from skdgp.inference import Data, _fit, choose_kernel, fit_exact, held_out_errors, log_likelihood
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -168,6 +168,29 @@ class TestStructure:
         x, y = self.record(curve=0.0, n=30)
         model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=5, random_state=0).fit(x, y)
         assert (model.structure_, model.structure_errors_) == ("joint", {})
+
+    @pytest.mark.parametrize("begun", ["trend", "joint"])
+    @pytest.mark.filterwarnings("ignore:The fit was interrupted")
+    def test_ctrl_c_meanwhile_keeps_what_was_being_tried(self, begun):
+        x, y = self.record(curve=1.0)
+        stages, stop_at = [], np.inf
+
+        def interrupt(stage, n_evaluations, log_likelihood):
+            stages.append(stage)
+            if len(stages) >= stop_at:
+                raise KeyboardInterrupt
+
+        options = {"optimizer": "fmin_l_bfgs_b", "max_iter": 20, "random_state": 0}
+        with listening(interrupt):
+            held_out_errors("trend", LinearTrend(), x, (y / y.std())[:, None], **options)
+        stop_at = 1 if begun == "trend" else len(stages) + 5
+        stages.clear()
+        model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=20, random_state=0)
+        with listening(interrupt):
+            model.fit(x, y)
+        assert model.structure_ == begun
+        assert len(stages) == stop_at
+        assert np.isfinite(model.predict(x)).all()
 
     @pytest.mark.parametrize("options", [{"kernel": ConvolvedGaussian(1)}, {"trend": "constant"}, {"trend": None}])
     def test_a_trend_alone_needs_a_trend(self, options):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array, Indices, Matrix
@@ -51,9 +52,19 @@ class Evaluation(FlightResult):
 
 
 def evaluate_flight(
-    pipeline: Pipeline, aircraft: Aircraft, name: str, table: pd.DataFrame, horizons: Sequence[float], loads: dict
+    pipeline: Pipeline,
+    aircraft: Aircraft,
+    name: str,
+    table: pd.DataFrame,
+    horizons: Sequence[float],
+    loads: dict,
+    least_squares: dict | None = None,
 ) -> Evaluation:
-    """Predict a flight and replay it; ``loads`` are the keywords ``thrust`` and ``external_forces``."""
+    """Predict a flight and replay it.
+
+    ``loads`` are the keywords ``thrust`` and ``external_forces``, ``least_squares`` what :func:`fit_least_squares`
+    returned.
+    """
     measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
     regressors, noise_ratio = flight_regressors(pipeline, table)
     regressor, scale = regressor_and_scale(pipeline)
@@ -84,9 +95,41 @@ def evaluate_flight(
         rows=rows,
         states=states,
         regressors=regressors,
+        baseline=None if least_squares is None else _by_least_squares(pipeline, regressors, least_squares),
     )
     metrics: dict[str, Any] = {against: table.to_dict("list") for against, table in scores([evaluation]).items()}
     return replace(evaluation, metrics=metrics)
+
+
+def fit_least_squares(pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Return intercept and slopes of each coefficient by least squares, on the rows where it was observed.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Fitted; its scaler says the units of the regressors.
+    regressors : ndarray (n, d)
+        As the last step gets them.
+    Y : DataFrame (n, 6)
+        NaN where not observed.
+    """
+    names, values = list(pipeline["regressorselector"].regressors_), _unscaled(pipeline, regressors)
+    found = {}
+    for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
+        seen = np.isfinite(y)
+        linear = LinearRegression().fit(values[seen], y[seen])
+        slopes = dict(zip(map(str, names), map(float, linear.coef_), strict=True))
+        found[coefficient] = {"intercept": float(linear.intercept_), **slopes}
+    return found
+
+
+def _by_least_squares(pipeline, regressors, least_squares):
+    weights = np.array([list(least_squares[name].values()) for name in COEFFICIENTS])
+    return weights[:, 0] + _unscaled(pipeline, regressors) @ weights[:, 1:].T
+
+
+def _unscaled(pipeline, regressors):
+    return pipeline["standardscaler"].inverse_transform(regressors)
 
 
 def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
@@ -116,6 +159,9 @@ def _scores(evaluations, reference, std) -> pd.DataFrame:
     means = all_rows(reference), all_rows("mean")
     bands = rows_with_std(reference), rows_with_std("mean"), rows_with_std(std)
     columns = {of.__name__: of(*means, multioutput="raw_values") for of in (median_relative_error, normalized_rmse)}
+    if all(one.baseline is not None for one in evaluations):
+        linear = normalized_rmse(means[0], all_rows("baseline"), multioutput="raw_values")
+        columns["least_squares_normalized_rmse"] = linear
     for metric in (negative_log_predictive_density, interval_coverage):
         columns[metric.__name__] = metric(*bands, multioutput="raw_values")
     return pd.DataFrame(columns, index=list(COEFFICIENTS))

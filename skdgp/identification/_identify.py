@@ -28,7 +28,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _flights, _model_file
-from skdgp.identification._evaluation import Evaluation, evaluate_flight, group_means, scores
+from skdgp.identification._evaluation import Evaluation, evaluate_flight, fit_least_squares, group_means, scores
 from skdgp.identification._flights import Flights
 from skdgp.identification._pipeline import (
     calibrate_noise,
@@ -191,8 +191,9 @@ def identify(
             regressor=CalibratedRegressor(clone(regressor)) if calibrate else regressor,
         )
         began = time.monotonic()
-        groups = {"calibratedregressor__groups": table["flight"]} if calibrate else {}
-        pipeline.fit(table, targets, **groups)
+        groups = {"groups": table["flight"]} if calibrate else {}
+        X = pipeline[:-1].fit_transform(table, targets)
+        pipeline[-1].fit(X, targets, **groups)
         seconds = time.monotonic() - began
 
         _announce("calibration")
@@ -205,13 +206,14 @@ def identify(
             "values": int(targets.notna().sum().sum()),
             "thrust": _thrust_sources(thrust, train.values()),
             **fit_facts(pipeline),
+            "least_squares": fit_least_squares(pipeline, X, targets),
             "noise_widened": _by_coefficient(widened),
             "seconds": round(seconds, 3),
             "interrupted": any(message.startswith("The fit was interrupted") for message in messages),
             "flights": {name: len(part) for name, part in train.items()},
         }
         settings = {"samples": fit["samples"], **loads, **_settings(pipeline, reconstruction, horizons)}
-        evaluations = _evaluated(test, pipeline, aircraft, settings)
+        evaluations = _evaluated(test, pipeline, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
@@ -271,13 +273,14 @@ def validate(
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
         aircraft = read_aircraft(model.aircraft if aircraft is None else aircraft)
-        evaluations = _evaluated(flights, model.pipeline, aircraft, settings)
+        fit = fit_facts(model.pipeline) | model.get("fit", {})
+        evaluations = _evaluated(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: a model on other flights",
         aircraft=aircraft,
         pipeline=model.pipeline,
         settings=settings,
-        fit=fit_facts(model.pipeline) | model.get("fit", {}),
+        fit=fit,
         train={},
         evaluations=evaluations,
         messages=messages,
@@ -400,7 +403,7 @@ class Identification:
             lines += [f"{len(tested)} test flights together", *_score_table(tested), ""]
             for one in tested:
                 lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
-        return "\n".join(lines).rstrip()
+        return "\n".join([*lines, "", *_comparison(tested)]).rstrip()
 
     def evaluate(self, flight) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
@@ -408,7 +411,7 @@ class Identification:
             flights = usable_flights_of_model(self.pipeline, _flights.named_flights(flight))
             if len(flights) != 1:
                 raise ValueError(f"Got {len(flights)} flights, but expected one: evaluate each by itself.")
-            return _evaluated(flights, self.pipeline, self.aircraft, self.settings)[0]
+            return _evaluated(flights, self.pipeline, self.aircraft, self.settings, self.fit)[0]
 
     def report(self, path: str | os.PathLike) -> Path:
         """Write the report, one HTML file, and return its path."""
@@ -513,6 +516,9 @@ class Identification:
             remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())
         if self.settings["external_forces"]:
             remarks["Other loads"] = ", ".join(self.settings["external_forces"])
+        comparison = _comparison(self.evaluations)
+        if comparison:
+            remarks["Least squares"] = "; ".join(comparison)
         if len(self.evaluations) > 1:
             means = group_means(scores(self.evaluations)["measured"])
             remarks["All test flights"] = "; ".join(
@@ -573,12 +579,12 @@ def _mixer(table) -> str | None:
     return None if has_elevons or {"elevator", "aileron"} <= set(table.columns) else "passthrough"
 
 
-def _evaluated(flights, pipeline, aircraft, settings) -> list[Evaluation]:
-    loads = {name: settings[name] for name in ("thrust", "external_forces")}
+def _evaluated(flights, pipeline, aircraft, settings, fit) -> list[Evaluation]:
+    loads, linear = {name: settings[name] for name in ("thrust", "external_forces")}, fit.get("least_squares")
     evaluations = []
     for name, table in flights.items():
         _announce(f"evaluating {name}")
-        evaluations.append(evaluate_flight(pipeline, aircraft, name, table, settings["horizons"], loads))
+        evaluations.append(evaluate_flight(pipeline, aircraft, name, table, settings["horizons"], loads, linear))
     return evaluations
 
 
@@ -666,6 +672,19 @@ def _score_metrics(evaluations) -> dict:
         "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
         "means": {against: group_means(table).to_dict("index") for against, table in tables.items()},
     }
+
+
+def _comparison(evaluations) -> list[str]:
+    """Return what least squares on the same rows reaches, and where it is better."""
+    lines = []
+    for against, table in scores(evaluations).items():
+        if "least_squares_normalized_rmse" in table:
+            linear, model = table["least_squares_normalized_rmse"], table["normalized_rmse"]
+            line = f"least squares on the same rows: NRMSE {linear.mean():.3f} against {against}"
+            line += f", the model {model.mean():.3f}"
+            better = [name for name in table.index if linear[name] < model[name]]
+            lines.append(f"{line}; least squares is better in {', '.join(better)}" if better else line)
+    return lines
 
 
 def _score_table(evaluations) -> list[str]:

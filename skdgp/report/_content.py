@@ -59,6 +59,8 @@ class FlightResult:
         What `skdgp.dynamics.replay` returned for ``table``, of one or several horizons.
     replay_errors : DataFrame, optional
         What `skdgp.dynamics.replay_errors` returned: columns state, horizon, median, at_end, coverage.
+    baseline : (n, 6), optional
+        Coefficients that a linear model predicts, fitted by least squares to the same rows as the model.
     metrics : mapping, optional
         ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers are a
         sequence, or a mapping by coefficient. Default: computed with skdgp.metrics.
@@ -79,12 +81,13 @@ class FlightResult:
     table: pd.DataFrame | None = None
     replay: pd.DataFrame | None = None
     replay_errors: pd.DataFrame | None = None
+    baseline: Matrix | None = None
     metrics: Mapping[str, Mapping[str, object]] | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "time", check_time(self.time))
         expected = len(self.time), len(COEFFICIENTS)
-        for name in ("measured", "mean", "std", "measured_std", "truth"):
+        for name in ("measured", "mean", "std", "measured_std", "truth", "baseline"):
             if getattr(self, name) is None:
                 continue
             values = np.asarray(getattr(self, name), dtype=float)
@@ -111,9 +114,9 @@ class FlightResult:
         """Scores against "measured" and, where it is known, "truth": coefficients by metrics."""
         given = self.metrics
         if given is None:
-            given = {"measured": score(self.measured, self.mean, self.noisy_std)}
+            given = {"measured": score(self.measured, self.mean, self.noisy_std, self.baseline)}
             if self.truth is not None:
-                given["truth"] = score(self.truth, self.mean, self.std)
+                given["truth"] = score(self.truth, self.mean, self.std, self.baseline)
         tables = {
             against: pd.DataFrame(dict(of), index=list(COEFFICIENTS))
             for against, of in {"measured": {}, **given}.items()
@@ -129,12 +132,14 @@ def measured_states(result: FlightResult) -> dict[str, Vector]:
     return {name: table[name].to_numpy(dtype=float) for name in LATERAL_STATES if name in replay and name in table}
 
 
-def score(y_true: Matrix, y_pred: Matrix, y_std: Matrix) -> dict[str, Vector]:
+def score(y_true: Matrix, y_pred: Matrix, y_std: Matrix, baseline: Matrix | None = None) -> dict[str, Vector]:
     """Return the scores of the report, one number per output."""
-    return {
-        name: one.function(y_true, y_pred, *([y_std] if one.of_band else []), multioutput="raw_values")
-        for name, one in SCORES.items()
-    }
+    found = {}
+    for name, one in SCORES.items():
+        predicted = [baseline] if one.of_baseline else [y_pred, y_std] if one.of_band else [y_pred]
+        if predicted[0] is not None:
+            found[name] = one.function(y_true, *predicted, multioutput="raw_values")
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -77,20 +77,26 @@ class Score(NamedTuple):
     show: Callable[[float], str]
     of_band: bool = False
     """Whether the function needs the standard deviations."""
+    of_baseline: bool = False
+    """Whether it is of least squares instead of the model."""
 
 
 SCORES = {
     "normalized_rmse": Score(normalized_rmse, "NRMSE", lambda value: number(value, ".3f")),
+    "least_squares_normalized_rmse": Score(
+        normalized_rmse, "NRMSE of<br>least squares", lambda value: number(value, ".3f"), of_baseline=True
+    ),
     "median_relative_error": Score(median_relative_error, "median rel.<br>error [%]", percent),
     "negative_log_predictive_density": Score(negative_log_predictive_density, "NLPD", number, of_band=True),
     "interval_coverage": Score(interval_coverage, "95 %<br>coverage [%]", coverage, of_band=True),
 }
-"""By the names of skdgp.metrics; one more line is one more column of the report."""
+"""By the names in metrics.json, those of skdgp.metrics; one more line is one more column of the report."""
 
 
 def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_bands: bool = True) -> str:
     """Return errors by coefficient, grouped, with the mean of each group; those of bands only ``with_bands``."""
-    columns = {name: score for name, score in SCORES.items() if with_bands or not score.of_band}
+    known = {name for name, score in SCORES.items() if not score.of_baseline or scores[name].notna().any()}
+    columns = {name: score for name, score in SCORES.items() if name in known and (with_bands or not score.of_band)}
 
     def cells(row):
         return [score.show(row[name]) for name, score in columns.items()]

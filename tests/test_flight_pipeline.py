@@ -1,0 +1,112 @@
+"""Bands of the flight's own air, by scikit-learn's own calls; least squares beside the model."""
+
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.datasets import load_example_flights
+from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.identification import FlightPipeline, flight_regressors, identify, predict_flight
+from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
+from skdgp.model_selection import thin_targets
+
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+QUICK = {"n_latent": 1, "max_iter": 8, "input_noise": "learned", "random_state": 0}
+
+
+@pytest.fixture(scope="module")
+def flights():
+    return load_example_flights()
+
+
+@pytest.fixture(scope="module")
+def model(flights):
+    targets = thin_targets(aerodynamic_coefficients(flights.train, flights.aircraft), 100)
+    pipeline = make_identification_pipeline(flights.aircraft, regressor=DependentGPRegressor(**QUICK))
+    return pipeline.fit(flights.train, targets)
+
+
+@pytest.fixture(scope="module")
+def test_flight(flights):
+    return flights.test.iloc[:800]
+
+
+class TestPredict:
+    def test_the_band_knows_how_rough_the_air_was(self, model, test_flight):
+        X, ratio = flight_regressors(model, test_flight)
+        assert ratio.std() > 0 or ratio.mean() != 1  # another flight, other air
+        _, std = model.predict(test_flight, return_std=True)
+        _, exact = model.predict(test_flight, return_std=True, include_input_noise=False)
+        slopes = model[-1].predict_gradient(X)
+        carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
+        np.testing.assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
+
+    def test_noise_of_measurements_is_on_request(self, model, test_flight):
+        mean, std = model.predict(test_flight, return_std=True)
+        again, noisy = model.predict(test_flight, return_std=True, include_noise=True)
+        np.testing.assert_array_equal(mean, again)
+        np.testing.assert_allclose(noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape))
+        np.testing.assert_allclose(model.predict(test_flight), mean, atol=1e-10)
+
+    def test_the_function_says_the_same(self, model, test_flight):
+        for include_noise in (False, True):
+            found = predict_flight(model, test_flight, include_noise=include_noise)
+            expected = model.predict(test_flight, return_std=True, include_noise=include_noise)
+            np.testing.assert_array_equal(found, expected)
+
+    def test_clones_pickles_and_other_regressors(self, model, flights, test_flight):
+        assert isinstance(clone(model), FlightPipeline)
+        again = pickle.loads(pickle.dumps(model))
+        np.testing.assert_allclose(
+            again.predict(test_flight, return_std=True), model.predict(test_flight, return_std=True), rtol=1e-9
+        )
+        linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
+        Y = aerodynamic_coefficients(flights.train, flights.aircraft)
+        assert linear.fit(flights.train, Y).predict(test_flight).shape == (800, 6)
+        with pytest.raises(TypeError, match="return_std"):
+            linear.predict(test_flight, return_std=True)
+
+    def test_scorers_and_searches_use_that_band(self, model, flights, test_flight):
+        measured = aerodynamic_coefficients(test_flight, flights.aircraft)
+        mean, std = model.predict(test_flight, return_std=True, include_noise=True)
+        scorer = SCORERS["interval_coverage"]
+        assert scorer(model, test_flight, measured) == pytest.approx(interval_coverage(measured, mean, std))
+        Y = thin_targets(aerodynamic_coefficients(flights.train, flights.aircraft), 60)
+        nlpd = SCORERS["log_predictive_density"]
+        search = GridSearchCV(
+            clone(model),
+            {"dependentgpregressor__max_iter": [2]},
+            scoring=nlpd,
+            cv=GroupKFold(2),
+            refit=True,
+        ).fit(flights.train, Y, groups=flights.train["flight"])
+        folds = cross_validate(
+            search.best_estimator_, flights.train, Y, groups=flights.train["flight"], cv=GroupKFold(2), scoring=nlpd
+        )
+        np.testing.assert_allclose(search.best_score_, folds["test_score"].mean(), rtol=1e-6)
+
+
+class TestLeastSquares:
+    def test_is_that_of_the_same_rows(self, flights):
+        """Refitted here by scikit-learn on what the regressor got."""
+        train, test = flights.train.iloc[:3000], flights.test.iloc[:600]
+        regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
+        result = identify(train, flights.aircraft, test=test, samples=200, regressor=regressor, horizons=[2.0])
+        targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 200)
+        rows = targets.notna().all(axis=1).to_numpy()
+        X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
+        linear = LinearRegression().fit(X[rows], targets[rows])
+        measured = aerodynamic_coefficients(test, flights.aircraft)
+        expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
+        (name,) = result.metrics["test"]
+        of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T
+        np.testing.assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
+        assert "least squares on the same rows: NRMSE" in result.summary()
+        again = result.evaluate(test)
+        np.testing.assert_allclose(again.baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)

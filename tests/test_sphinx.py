@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -92,6 +91,6 @@ def test_the_gallery_gives_an_example_what_it_takes(path, monkeypatch):
 
 
 def test_citations_name_the_version():
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    version = skdgp.__version__
     assert f"\nversion: {version}\n" in (DOCS / "CITATION.cff").read_text(encoding="utf-8")
     assert f"version = {{{version}}}" in (DOCS / "citing.md").read_text(encoding="utf-8")

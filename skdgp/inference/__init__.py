@@ -1,4 +1,4 @@
-"""The posterior: exact and sparse inference, and the search for hyperparameters."""
+"""Exact and sparse posteriors, and the search for hyperparameters."""
 
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation

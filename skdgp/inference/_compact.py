@@ -1,4 +1,4 @@
-"""Compaction: a posterior of few inducing variables without samples, and what that changes."""
+"""Compaction: replace the samples of a posterior by inducing variables, and measure the change."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from skdgp.inference._likelihood import Data
 from skdgp.inference._sparse import SparsePosterior, maximize_features
 from skdgp.inference._sums import data_of, shares_of
 
-CHECKED = 1000  # training inputs, at most, and as many around them, where the change is measured
-AROUND = 0.5  # standard deviations of the regressors that these are moved by
-FIRST, GROWTH, CLOSE = 50, 1.6, 1.1  # of the search for the smallest number
+MAX_POINTS = 1000  # largest number of training inputs at which the change is measured
+PERTURBATION = 0.5  # of the same number of further points, in standard deviations of the regressors
+FIRST_SIZE, SIZE_GROWTH, SIZE_TOLERANCE = 50, 1.6, 1.1  # search for the smallest number of variables
 
 
 class Compaction(NamedTuple):
-    """What compacting changed.
+    """The change of predictions by compaction.
 
-    Measured at up to 1000 training inputs and as many points around them (moved by half a standard deviation of each
-    regressor, at random), for every output: the change of the mean, in standard deviations of the original posterior
-    there, and the new standard deviation over the original one.
+    It is measured for every output at up to 1000 training inputs and as many points around them, which are randomly
+    perturbed by half a standard deviation of each regressor. The change of the mean is in standard deviations of the
+    original posterior at the same point. The change of the standard deviation is the ratio new over original.
 
-    What holds everywhere, and for every output, follows from the divergence KL(new || original) of the two processes,
-    which for an exact original is its log marginal likelihood less the collapsed bound (Matthews et al. 2016), and
-    which no marginal exceeds (Burt et al. 2019): with Gaussians of mean change c original deviations and ratio r of
-    deviations, (r^2 - 1 - log r^2 + c^2) / 2 <= KL.
+    A bound for all inputs follows from the divergence KL(new || original) of the two processes. For an exact original
+    it is the log marginal likelihood minus the collapsed bound (Matthews et al. 2016). No marginal divergence exceeds
+    it (Burt et al. 2019): if the mean changes by c original standard deviations and the standard deviation by the ratio
+    r, then (r^2 - 1 - log r^2 + c^2) / 2 <= KL.
 
     Attributes
     ----------
     n_inducing : int
-        Variables that stand for the samples, the weights of a trend included.
+        Number of inducing variables, the weights of a trend included.
     n_checked : int
-        Points at which the change was measured.
+        Number of points at which the change was measured.
     mean_rms, mean_max : ndarray (P,)
         Root mean square and largest change of the mean, in the original's standard deviations.
     std_rms : ndarray (P,)
@@ -44,11 +44,11 @@ class Compaction(NamedTuple):
     std_min, std_max : ndarray (P,)
         Smallest and largest ratio of standard deviations, new over original.
     divergence : float
-        KL(new || original) in nats; NaN where the original was not exact.
+        KL(new || original) in nats; NaN if the original is not exact.
     mean_bound : float
-        No mean, anywhere, changed by more of the original's standard deviations. NaN where divergence is.
+        Bound on the change of the mean at any input, in the original's standard deviations; NaN if divergence is NaN.
     std_bounds : tuple (low, high)
-        No ratio of standard deviations, anywhere, is outside.
+        Bounds on the ratio of standard deviations at any input.
     """
 
     n_inducing: int
@@ -64,25 +64,26 @@ class Compaction(NamedTuple):
 
     @property
     def change(self) -> float:
-        """The largest, over the outputs, of the root mean square changes of mean and standard deviation."""
+        """Largest root mean square change of mean or standard deviation over the outputs."""
         return float(max(self.mean_rms.max(), self.std_rms.max()))
 
 
 def compact(posterior, n_inducing: int, tolerance: float | None, max_iter: int, random_state, allow):
-    """Return a posterior of at most so many inducing variables, without samples, and what that changed.
+    """Return a posterior with at most ``n_inducing`` inducing variables and no samples, and the change.
 
     Parameters
     ----------
     posterior : ExactPosterior or SparsePosterior
     n_inducing : int
-        Variables, beside the weights of a trend. A sparse posterior that has no more keeps its own.
+        Largest number of variables, besides the weights of a trend. A sparse posterior with no more variables keeps
+        them.
     tolerance : float or None
-        Take fewer variables, as long as ``Compaction.change`` stays below.
+        Use the fewest variables for which ``Compaction.change`` stays below.
     max_iter : int
-        Iterations in which their places are improved on the bound, at the end.
+        Final iterations that move the variables to raise the bound.
     random_state : int, RandomState or None
     allow : callable
-        Called with the number of variables before matrices of that size are made; raises where they are too large.
+        Called with the number of variables before matrices of that size are allocated; raises if they are too large.
 
     Returns
     -------
@@ -95,47 +96,47 @@ def compact(posterior, n_inducing: int, tolerance: float | None, max_iter: int, 
     best = posterior.kernel.feature_ranking(X, check.scale(), random_state)
     shares = shares_of(data)
 
-    def summary(n):
+    def compact_to(n):
         if isinstance(posterior, SparsePosterior) and n >= posterior.features.size:
-            return posterior, check.of(posterior)
+            return posterior, check.compare(posterior)
         features = best(n)
         allow(features.size)
         new = SparsePosterior(posterior.kernel, features, posterior.noise, shares)
-        return new, check.of(new)
+        return new, check.compare(new)
 
-    new, found = summary(n_inducing) if tolerance is None else _smallest(summary, n_inducing, tolerance)
+    new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
     if max_iter > 0 and new is not posterior and len(new.features.theta):
-        placed = new
-        if data.drift is not None:  # where variables stand best, white noise of the same size tells as well
+        start = new
+        if data.drift is not None:  # the bound with drift has no gradient: use white noise of the same variance
             white, noise = data._replace(drift=None), new.noise + data.drift.variance
-            placed = SparsePosterior(new.kernel, new.features, noise, shares_of(white))
-        features, _ = maximize_features(placed, column_scale(X), max_iter=max_iter, stage="compact")
+            start = SparsePosterior(new.kernel, new.features, noise, shares_of(white))
+        features, _ = maximize_features(start, column_scale(X), max_iter=max_iter, stage="compact")
         improved = SparsePosterior(new.kernel, features, new.noise, new.shares)
-        after = check.of(improved)
-        if tolerance is None or after.change <= max(tolerance, found.change):
-            new, found = improved, after
-    return new.without_samples(), found
+        improved_change = check.compare(improved)
+        if tolerance is None or improved_change.change <= max(tolerance, change.change):
+            new, change = improved, improved_change
+    return new.without_samples(), change
 
 
-def _smallest(summary, most, tolerance):
-    """Return the summary of fewest variables that keeps the tolerance, or that of the most."""
-    too_few, n = 0, min(FIRST, most)
-    found = summary(n)
-    while found[1].change > tolerance and n < most:
-        size, too_few, n = found[1].n_inducing, n, min(int(GROWTH * n), most)
-        found = summary(n)
-        if found[1].n_inducing == size:  # there are no more
-            return found
-    if found[1].change > tolerance:
-        return found
-    while n > CLOSE * too_few + 1 and n - too_few > 1:
+def _fewest(compact_to, most, tolerance):
+    """Return the result with the fewest variables that keeps the tolerance, or that with the most variables."""
+    too_few, n = 0, min(FIRST_SIZE, most)
+    best = compact_to(n)
+    while best[1].change > tolerance and n < most:
+        size, too_few, n = best[1].n_inducing, n, min(int(SIZE_GROWTH * n), most)
+        best = compact_to(n)
+        if best[1].n_inducing == size:  # there are no more variables
+            return best
+    if best[1].change > tolerance:
+        return best
+    while n > SIZE_TOLERANCE * too_few + 1 and n - too_few > 1:
         middle = (n + too_few) // 2
-        tried = summary(middle)
-        if tried[1].change > tolerance:
+        trial = compact_to(middle)
+        if trial[1].change > tolerance:
             too_few = middle
         else:
-            n, found = middle, tried
-    return found
+            n, best = middle, trial
+    return best
 
 
 def _values(posterior) -> Data:
@@ -148,27 +149,27 @@ def _values(posterior) -> Data:
 
 
 class _Check:
-    """Where the change is measured, and what the original says there."""
+    """The points at which the change is measured, with the predictions of the original."""
 
     def __init__(self, posterior, X, random_state):
         self.posterior = posterior
-        inputs = X[random_state.permutation(len(X))[:CHECKED]]
-        around = inputs + AROUND * X.std(axis=0) * random_state.standard_normal(inputs.shape)
+        inputs = X[random_state.permutation(len(X))[:MAX_POINTS]]
+        around = inputs + PERTURBATION * X.std(axis=0) * random_state.standard_normal(inputs.shape)
         self.inputs, self.points = inputs, np.concatenate([inputs, around])
         self.mean, variance = posterior.predict(self.points, return_variance=True)
         P = self.mean.shape[1]
         prior = np.stack([posterior.kernel.block_diag(i, self.points) for i in range(P)], axis=1)
-        self.least = 1e-6 * np.sqrt(prior)  # a deviation below is rounding
+        self.least = 1e-6 * np.sqrt(prior)  # a smaller standard deviation is rounding error
         self.std = np.maximum(np.sqrt(variance), self.least)
 
     def scale(self):
-        """Return how exactly each output is known at the training inputs, (P,)."""
+        """Return the root mean square standard deviation of each output at the training inputs, (P,)."""
         return np.sqrt((self.std[: len(self.inputs)] ** 2).mean(axis=0))
 
-    def of(self, new) -> Compaction:
-        """Return what changed."""
+    def compare(self, new) -> Compaction:
+        """Return the change of predictions from the original to the new posterior."""
         mean, variance = new.predict(self.points, return_variance=True)
-        moved = np.abs(mean - self.mean) / self.std
+        shift = np.abs(mean - self.mean) / self.std
         ratio = np.maximum(np.sqrt(variance), self.least) / self.std
         divergence = np.nan
         if isinstance(self.posterior, ExactPosterior):
@@ -176,8 +177,8 @@ class _Check:
         return Compaction(
             n_inducing=new.features.size,
             n_checked=len(self.points),
-            mean_rms=np.sqrt((moved**2).mean(axis=0)),
-            mean_max=moved.max(axis=0),
+            mean_rms=np.sqrt((shift**2).mean(axis=0)),
+            mean_max=shift.max(axis=0),
             std_rms=np.sqrt(((ratio - 1) ** 2).mean(axis=0)),
             std_min=ratio.min(axis=0),
             std_max=ratio.max(axis=0),
@@ -188,7 +189,7 @@ class _Check:
 
 
 def _ratio_bounds(divergence):
-    """Return the ratios r of deviations with (r^2 - 1 - log r^2) / 2 = divergence, below and above one."""
+    """Return the two ratios r with (r^2 - 1 - log r^2) / 2 = divergence, below and above one."""
     if not divergence > 0:
         return (1.0, 1.0) if divergence == 0 else (np.nan, np.nan)
 

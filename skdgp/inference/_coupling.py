@@ -1,4 +1,4 @@
-"""The largest correlation between outputs, and the shift at which it is."""
+"""The largest correlation between outputs and its separation."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from sklearn.utils import Bunch
 
 
 def output_correlation(kernel):
-    """Return the largest correlation between outputs over all separations, and the separation where it is.
+    """Return the largest correlation between outputs over all separations, and the separation of that maximum.
 
     For a stationary kernel the correlation of output i at s + delta with output j at s is
-    K_ij(delta) / sqrt(K_ii(0) K_jj(0)). Its extremes are sought by gradient ascent from the separations where the
-    kernel's own terms peak.
+    K_ij(delta) / sqrt(K_ii(0) K_jj(0)). Its extremes are found by gradient ascent from the separations at which the
+    terms of the kernel are largest.
 
     Parameters
     ----------
@@ -22,34 +22,34 @@ def output_correlation(kernel):
     Returns
     -------
     Bunch
-        ``correlation`` (P, P) and ``shift`` (P, P, d), which is antisymmetric in its outputs.
+        ``correlation`` (P, P) and ``shift`` (P, P, d), antisymmetric in the outputs.
     """
     P, n_features = kernel.n_outputs, kernel.n_features
     correlation, shift = np.eye(P), np.zeros((P, P, n_features))
     scale = np.sqrt([kernel.block_diag(i, np.zeros((1, n_features)))[0] for i in range(P)])
     for i in range(P):
         for j in range(i):
-            value, where = _extreme(kernel, i, j, n_features)
+            value, separation = _extreme(kernel, i, j, n_features)
             size = scale[i] * scale[j]
             correlation[i, j] = correlation[j, i] = np.clip(value / size, -1, 1) if size > 0 else 0.0
-            shift[i, j], shift[j, i] = where, -where
+            shift[i, j], shift[j, i] = separation, -separation
     return Bunch(correlation=correlation, shift=shift)
 
 
 def _extreme(kernel, i, j, d):
-    """Return K_ij where it is largest in size, and where that is."""
+    """Return the value of K_ij that is largest in magnitude, and its separation (d,)."""
     origin = np.zeros((1, d))
     starts = np.unique(np.concatenate([origin, kernel.peaks(i, j)]), axis=0)
-    found = [(kernel.block(i, j, s[None], origin)[0, 0], s) for s in starts]
-    value, where = max(found, key=lambda pair: abs(pair[0]))
+    candidates = [(kernel.block(i, j, s[None], origin)[0, 0], s) for s in starts]
+    value, start = max(candidates, key=lambda pair: abs(pair[0]))
     if value == 0.0:
         return 0.0, np.zeros(d)
 
-    def descend(separation):
+    def loss(separation):
         s = separation[None]
         ratio = kernel.block(i, j, s, origin)[0, 0] / value
         slope = kernel.block_derivative(i, j, s, origin)[:, 0, 0] / value
         return -ratio, -slope
 
-    end = minimize(descend, where, jac=True, method="BFGS", options={"gtol": 1e-8})
-    return value * -end.fun, end.x
+    optimum = minimize(loss, start, jac=True, method="BFGS", options={"gtol": 1e-8})
+    return value * -optimum.fun, optimum.x

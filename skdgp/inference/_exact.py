@@ -1,4 +1,4 @@
-"""The exact posterior: one Cholesky factor, then equations 17 and 18 for any samples."""
+"""The exact posterior: one Cholesky factorisation, then equations 17 and 18."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from skdgp.inference._likelihood import Data, covariance, log_likelihood, tiles_
 from skdgp.inference._paths import Paths, exact_paths
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
-FEW = 16  # points whose means are one product rather than many tiles
-ROWS = 256  # samples whose means are summed at a time, tile by tile
-TAIL = 8  # a factor's appended rows are copied into it when they are one part in so many
+FEW = 16  # up to this many points the mean is one matrix product instead of many tiles
+ROWS = 256  # samples in one tile of a mean
+TAIL = 8  # appended rows are merged into the factor when they exceed 1 / TAIL of it
 
 
 class ExactPosterior:
@@ -44,54 +44,54 @@ class ExactPosterior:
 
     @cached_property
     def factor(self) -> Factor:
-        """Cholesky factor of Kff + noise, its rows being the stacked values ``_rows``; made again where left behind.
+        """Cholesky factor of Kff + noise, with rows in the order ``_rows``. A loaded posterior computes it again.
 
-        To the same bits on the same number of BLAS threads, unless it had grown.
+        The result has the same bits for the same number of BLAS threads, unless rows were appended before.
         """
         with threads_for(self.data.n_values):
             return Factor(jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data)))
 
     @cached_property
     def _white(self):
-        """L^-1 y, by the factor's rows."""
+        """L^-1 y, in the order of the factor's rows."""
         with threads_for(self.data.n_values):
-            return self.factor.half(np.concatenate(self.data.y)[self._rows])
+            return self.factor.solve_lower(np.concatenate(self.data.y)[self._rows])
 
     @cached_property
     def alpha(self) -> np.ndarray:
         """K^-1 y of the stacked values, (N,)."""
         alpha = np.empty(self.data.n_values)
         with threads_for(len(alpha)):
-            alpha[self._rows] = self.factor.other_half(self._white)
+            alpha[self._rows] = self.factor.solve_upper(self._white)
         return alpha
 
     def solve(self, B) -> np.ndarray:
         """Return K^-1 B for rows of the stacked values, (N, m)."""
         solved = np.empty(B.shape)
         with threads_for(len(B)):
-            half = self.factor.half(np.array(B[self._rows], order="F"))
-            solved[self._rows] = self.factor.other_half(half)
+            half = self.factor.solve_lower(np.array(B[self._rows], order="F"))
+            solved[self._rows] = self.factor.solve_upper(half)
         return solved
 
     @property
     def L(self) -> np.ndarray:
-        """Cholesky factor of Kff + noise, (N, N): its lower triangle."""
+        """Cholesky factor of Kff + noise, (N, N). Only its lower triangle is defined."""
         return self.factor.matrix()
 
     def __getstate__(self):
-        # A saved model holds the samples, not the N x N factor: megabytes instead of hundreds of them.
-        left_behind = {"factor", "_rows", "_white", "_few"}
-        self.alpha  # noqa: B018 - means need no factor
-        return {name: value for name, value in self.__dict__.items() if name not in left_behind}
+        # A saved model holds the samples, not the N x N factor: the file is about a hundred times smaller.
+        not_saved = {"factor", "_rows", "_white", "_mean_function"}
+        self.alpha  # noqa: B018 - computed now, so that a loaded model predicts means without the factor
+        return {name: value for name, value in self.__dict__.items() if name not in not_saved}
 
     def __setstate__(self, state):
         self.__dict__.update(state)
         self._rows = slice(None)
 
     def updated(self, data: Data) -> ExactPosterior:
-        """Return the posterior that knows further values too: rows are appended to the factor.
+        """Return the posterior with further values: rows are appended to the factor.
 
-        Of order N^2 for each new value, where conditioning on everything again is N^3.
+        Each new value costs O(N^2), while a new factorisation costs O(N^3).
         """
         if data.n_values == 0:
             return self
@@ -100,7 +100,7 @@ class ExactPosterior:
         new.data = self.data.joined(data)
         new._rows = self._appended_rows([len(y) for y in data.y])
         with threads_for(self.data.n_values):
-            half = self._half(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))
+            half = self._solve_lower(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))
             new.factor, corner = self.factor.extended(half, covariance(self.kernel, self.noise, data))
             last = triangular_solve(corner, np.concatenate(data.y) - half.T @ self._white)
             new._white = np.concatenate([self._white, last])
@@ -108,7 +108,7 @@ class ExactPosterior:
         return new
 
     def _appended_rows(self, added):
-        """Return which of the stacked values, old and new, each row of the grown factor is."""
+        """Return the index among all stacked values of each row of the extended factor."""
         sizes = [len(y) for y in self.data.y]
         before = np.cumsum([0, *added[:-1]])
         old = np.arange(sum(sizes)) + np.repeat(before, sizes)
@@ -116,7 +116,7 @@ class ExactPosterior:
         return np.concatenate([old[self._rows], new])
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
-        """Return the log likelihood of the same data at other hyperparameters, and its gradient on request."""
+        """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
         return log_likelihood(kernel, noise, self.data, eval_gradient)
 
     # -- prediction ------------------------------------------------------------------------------------
@@ -126,15 +126,15 @@ class ExactPosterior:
         return self._cross([i], Xs)
 
     def _cross(self, outputs, Xs):
-        """Return cov(y_i(Xs), all observed values) of some outputs, one after another, (len(outputs) n, N)."""
+        """Return cov(y_i(Xs), all observed values) for several outputs, stacked, (len(outputs) n, N)."""
         tiles, rows = tiles_of([len(x) for x in self.data.X]), tiles_of([len(Xs)] * len(outputs))
         K = np.empty((len(outputs) * len(Xs), self.data.n_values))
 
         def fill(pair):
             a, b = pair
             i = outputs[a.output]
-            K[a.all, b.all] = (
-                self.kernel.block(i, b.output, Xs[a.own], self.data.X[b.output][b.own])
+            K[a.stacked, b.stacked] = (
+                self.kernel.block(i, b.output, Xs[a.rows], self.data.X[b.output][b.rows])
                 if self.kernel.couples(i, b.output)
                 else 0.0
             )
@@ -142,19 +142,19 @@ class ExactPosterior:
         thread_map(fill, [(a, b) for a in rows for b in tiles])
         return K
 
-    def _half(self, K):
-        """Return L^-1 K^T, (N, n); K (n, N), covariances with the stacked values, is overwritten."""
-        return self.factor.half((K if isinstance(self._rows, slice) else np.take(K, self._rows, axis=1)).T)
+    def _solve_lower(self, K):
+        """Return L^-1 K^T, (N, n), for covariances K (n, N) with the stacked values; K is overwritten."""
+        return self.factor.solve_lower((K if isinstance(self._rows, slice) else np.take(K, self._rows, axis=1)).T)
 
     def _chunks(self, n, per_row):
-        """Cut n rows so that ``per_row`` doubles for each fit the working memory."""
+        """Return slices of n rows such that ``per_row`` doubles for each row fit the working memory."""
         step = max(1, int(CHUNK_BYTES / 8 / max(per_row, 1)))
         return [slice(a, min(a + step, n)) for a in range(0, max(n, 1), step)]
 
     def predict(self, Xs, return_variance=False):
-        """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""
+        """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:
-            return self._few.each(Xs[None])[0] if len(Xs) <= FEW else self._mean(Xs)
+            return self._mean_function.each(Xs[None])[0] if len(Xs) <= FEW else self._mean(Xs)
         chunks = self._chunks(len(Xs), self.kernel.n_outputs * self.data.n_values)
         mean, variance = map(np.concatenate, zip(*(self._mean_and_variance(Xs[rows]) for rows in chunks), strict=True))
         return mean, variance
@@ -163,19 +163,19 @@ class ExactPosterior:
         P = self.kernel.n_outputs
         K = self._cross(range(P), x)
         mean = K @ self.alpha
-        half = self._half(K).T
+        half = self._solve_lower(K).T
         prior = np.concatenate([self.kernel.block_diag(i, x) for i in range(P)])
         variance = unexplained_variance(prior, np.einsum("ab,ab->a", half, half))
         return mean.reshape(P, -1).T, variance.reshape(P, -1).T
 
     @cached_property
-    def _few(self):
-        """The mean as a function made for few points at a time."""
+    def _mean_function(self):
+        """The mean as a function that is fast for few points."""
         edges = np.cumsum([0, *map(len, self.data.X)])
         return self.kernel.paths(self.data.X, [self.alpha[None, a:b] for a, b in pairwise(edges)])
 
     def _mean(self, Xs):
-        """Return the mean alone: covariances are made tile by tile, used while in the cache, and never kept."""
+        """Return the mean; covariances are computed and used tile by tile, within the cache."""
         mean = np.zeros((len(Xs), self.kernel.n_outputs))
         tiles = tiles_of([len(x) for x in self.data.X])
         side = min(ROWS, -(-len(Xs) // n_threads()))
@@ -184,19 +184,19 @@ class ExactPosterior:
             i = row.output
             for b in tiles:
                 if self.kernel.couples(i, b.output):
-                    block = self.kernel.block(i, b.output, Xs[row.own], self.data.X[b.output][b.own])
-                    mean[row.own, i] += block @ self.alpha[b.all]
+                    block = self.kernel.block(i, b.output, Xs[row.rows], self.data.X[b.output][b.rows])
+                    mean[row.rows, i] += block @ self.alpha[b.stacked]
 
         thread_map(add, tiles_of([len(Xs)] * self.kernel.n_outputs, max(1, side)))
         return mean
 
     def covariance(self, Xs) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
-        half = self._half(self._cross(range(self.kernel.n_outputs), Xs))
+        half = self._solve_lower(self._cross(range(self.kernel.n_outputs), Xs))
         return self.kernel(Xs) - half.T @ half
 
     def gradient(self, Xs, return_variance=False):
-        """Return d mean / d x at Xs, (n, P, d), and on request the variance of the slopes."""
+        """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         P, d = self.kernel.n_outputs, np.shape(Xs)[1]
         mean = np.empty((len(Xs), P, d))
         variance = np.empty((len(Xs), P, d) if return_variance else 0)
@@ -208,7 +208,7 @@ class ExactPosterior:
                 )
                 mean[rows, i] = (K @ self.alpha).T
                 if return_variance:
-                    half = self._half(K.reshape(-1, K.shape[-1]))
+                    half = self._solve_lower(K.reshape(-1, K.shape[-1]))
                     explained = np.einsum("ab,ab->b", half, half).reshape(d, -1).T
                     variance[rows, i] = unexplained_variance(self.kernel.derivative_diag(i, x), explained)
         return (mean, variance) if return_variance else mean
@@ -219,17 +219,17 @@ class ExactPosterior:
 
 
 class Factor:
-    """L of K = L L^T, (N, N): a large head, and a small tail of rows appended since.
+    """L of K = L L^T, (N, N): a large head, and a small tail of appended rows.
 
-    With the tail apart, appending copies little; at times the two are copied into one.
+    Appending copies the tail only. When the tail is large, both are merged.
 
     Parameters
     ----------
     head : ndarray (n, n), Fortran order
-        A lower Cholesky factor; what stands above its diagonal is not read.
+        A lower Cholesky factor; entries above its diagonal are not read.
     below : ndarray (m, n), Fortran order, optional
     tail : ndarray (m, m), Fortran order, optional
-        The rows of L that follow are [below, tail].
+        The next rows of L are [below, tail].
     """
 
     def __init__(self, head, below=None, tail=None):
@@ -241,15 +241,15 @@ class Factor:
         return len(self.head) + (0 if self.tail is None else len(self.tail))
 
     def matrix(self) -> np.ndarray:
-        """Return L, (N, N); what stands above its diagonal is not to be read."""
+        """Return L, (N, N); entries above its diagonal are undefined."""
         return self.head if self.tail is None else _stacked(self.head, self.below, self.tail)
 
     def log_determinant(self) -> float:
         """Return log |K|."""
         return log_determinant(self.head) + (0.0 if self.tail is None else log_determinant(self.tail))
 
-    def half(self, B):
-        """Return L^-1 B; a matrix ``B`` in Fortran order is overwritten where that saves memory."""
+    def solve_lower(self, B):
+        """Return L^-1 B; a matrix ``B`` in Fortran order may be overwritten."""
         if self.tail is None:
             return triangular_solve(self.head, B)
         n = len(self.head)
@@ -257,8 +257,8 @@ class Factor:
         last = np.asfortranarray(B[n:] - self.below @ first)
         return np.concatenate([first, triangular_solve(self.tail, last)])
 
-    def other_half(self, b):
-        """Return L^-T b of a vector."""
+    def solve_upper(self, b):
+        """Return L^-T b for a vector b."""
         if self.tail is None:
             return triangular_solve(self.head, b, transposed=True)
         n = len(self.head)
@@ -267,14 +267,14 @@ class Factor:
         return np.concatenate([first, last])
 
     def extended(self, half, K) -> tuple[Factor, np.ndarray]:
-        """Return the factor of the matrix with further rows and columns, and its last corner, (m, m).
+        """Return the factor of the matrix with further rows and columns, and its last diagonal block, (m, m).
 
         Parameters
         ----------
         half : ndarray (N, m)
-            ``half`` of the covariance of the old rows with the new ones.
+            ``solve_lower`` of the covariance of the old rows with the new rows.
         K : ndarray (m, m), Fortran order
-            Covariance of the new rows, of which the lower triangle is read; it is overwritten.
+            Covariance of the new rows. Only its lower triangle is read; it is overwritten.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Fits: starting values, hyperparameters, posterior."""
+"""Fitting: starting values, hyperparameters and the posterior."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from skdgp.inference._optimize import maximize
 from skdgp.inference._sparse import SparsePosterior, maximize_features
 from skdgp.inference._sums import shares_of
 
-SUBSET = 2400  # values that sparse inference learns hyperparameters from jointly
-FEATURE_ITERATIONS = 12  # on the bound: where the inducing inputs stand and how wide they look
-NOISE_STEPS = 10  # steps, at most, to the noise that all values show
-NOISE_BOUNDS = (1e-6, 1e2)  # of the variance of an output
-INPUT_BOUNDS = (1e-7, 0.3)  # of the variance of a regressor
-LEAST_OWN = 0.01  # of an output's noise is its own
-MEMORY_STEPS = 4  # of a drift, at the start, in steps of the samples
+SUBSET = 2400  # values from which sparse inference learns hyperparameters
+FEATURE_ITERATIONS = 12  # iterations that move and scale the inducing variables on the bound
+NOISE_STEPS = 10  # largest number of steps of expectation maximisation for the noise
+NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
+INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
+MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
+MEMORY_STEPS = 4  # starting memory of a drift, in sample intervals
 
 
 class Fit(NamedTuple):
-    """A posterior, and how its hyperparameters were found.
+    """A posterior with its hyperparameters and the history of the search.
 
-    ``noise`` (P,) is the variance of a measurement, which in a sparse posterior counts for less where neighbours repeat
-    each other; ``root`` (d, r) is R of the regressors' noise, R R^T, where they are noisy; ``drift`` holds the
-    variances and memories (P,) of noise that drifts, the former being part of ``noise``; ``value`` is the likelihood,
-    or its bound, and the kernel's prior with it: by it fits of the same data can be compared.
+    ``noise`` (P,) is the variance of one measurement, drift included. A sparse posterior uses a larger noise where the
+    errors of neighbouring samples are correlated. ``root`` (d, r) is R of the regressors' noise covariance R R^T, None
+    for exact regressors. ``drift`` holds the variances and memories (P,) of the drift, or None. ``value`` is the log
+    likelihood, or its bound, plus the log prior of the kernel: it compares fits of the same data.
     """
 
     posterior: ExactPosterior | SparsePosterior
@@ -50,14 +50,14 @@ class Fit(NamedTuple):
     converged: bool = True
 
     def found(self, interrupted: bool) -> Hyperparameters:
-        """Return the hyperparameters of an exact fit, to be taken for other values."""
+        """Return the hyperparameters of an exact fit, for use with other samples."""
         history = self.n_iter, self.n_evaluations, interrupted, self.rising, self.converged
-        own = self.noise if self.drift is None else self.noise - self.drift[0]
-        return Hyperparameters(self.posterior.kernel, own, self.root, self.drift, *history)
+        white_noise = self.noise if self.drift is None else self.noise - self.drift[0]
+        return Hyperparameters(self.posterior.kernel, white_noise, self.root, self.drift, *history)
 
 
 class Hyperparameters(NamedTuple):
-    """Hyperparameters, and how they were found; ``noise`` is without ``drift``."""
+    """Hyperparameters and the history of the search; ``noise`` excludes ``drift``."""
 
     kernel: object
     noise: np.ndarray
@@ -70,7 +70,7 @@ class Hyperparameters(NamedTuple):
     converged: bool = True
 
     def fit(self, posterior, value=None, more=None) -> Fit:
-        """Return the posterior with the history of how it was found; ``more`` is an Optimum that followed."""
+        """Return the posterior with the history of the search; ``more`` is a later Optimum, or None."""
         value = posterior.log_marginal_likelihood if value is None else value
         n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
         interrupted = self.interrupted or bool(more and more.interrupted)
@@ -79,11 +79,14 @@ class Hyperparameters(NamedTuple):
         noise = self.noise if self.drift is None else self.noise + self.drift[0]
         return Fit(posterior, noise, self.root, self.drift, value, *history)
 
-    def data(self, X, Y, clock) -> Data:
-        """Return the values with the noise that is known of them: what regressors carry, and how it drifts."""
+    def data(self, X, Y, clock, passes=2) -> Data:
+        """Return the observed values with their noise model: noisy regressors and drift.
+
+        The first pass takes slopes of a fit to exact regressors, the second of one to noisy regressors.
+        """
         drift = self.drift or (None, None)
         data = Data.from_table(X, Y, None, clock, drift)
-        for _ in range(0 if self.root is None else 2):  # the slopes without that noise, then those with it
+        for _ in range(0 if self.root is None else passes):
             loading = input_noise_loading(ExactPosterior(self.kernel, self.noise, data), X, self.root)
             data = Data.from_table(X, Y, loading, clock, drift)
         return data
@@ -92,12 +95,12 @@ class Hyperparameters(NamedTuple):
 def fit_exact(
     kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, spread=0.0, found=None, clock=None
 ) -> Fit:
-    """Return the exact posterior at the best hyperparameters found from one starting point.
+    """Return the exact posterior at the best hyperparameters from one starting point.
 
     Parameters
     ----------
     kernel : MultiOutputKernel
-        What it leaves open is taken from the data.
+        Missing values are estimated from the data.
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
@@ -107,18 +110,18 @@ def fit_exact(
         Iterations on the joint likelihood.
     random_state : int, RandomState or None
     input_noise : ndarray (d, r), "learned" or None
-        R of the covariance R R^T of the regressors' noise; or a variance for each regressor is learned.
+        R of the covariance R R^T of the regressors' noise. "learned": one variance for each regressor is learned.
     spread : float
-        Standard deviation of what is added to the starting theta: for restarts.
+        Standard deviation of the random perturbation of the starting theta, for restarts.
     found : Hyperparameters or None
-        Hyperparameters to take as they are.
+        Hyperparameters to use without a search.
     clock : ndarray (n, 2) or None
-        Time and flight of each sample: the noise of neighbours in time may be correlated, see ``Drift``.
+        Time and flight number of each sample. None: white noise. Otherwise the noise has a drift, see ``Drift``.
 
     Returns
     -------
     Fit
-        The posterior, its hyperparameters, and how the search went.
+        The posterior, its hyperparameters and the history of the search.
     """
     if found is None:
         options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
@@ -129,26 +132,26 @@ def fit_exact(
 def fit_sparse(
     kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, input_noise=None, spread=0.0, found=None, clock=None
 ) -> Fit:
-    """Return the sparse posterior on all samples, at hyperparameters learned from some of them.
+    """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
 
     Parameters
     ----------
     kernel, X, Y
         As for ``fit_exact``.
     n_inducing : int
-        Inducing inputs of each latent process; they start at the centres of k-means and are learned.
+        Inducing inputs of each latent process. They start at the centres of k-means and are then optimised.
     optimizer, max_iter, random_state, input_noise, spread, found, clock
         As for ``fit_exact``.
 
     Returns
     -------
     Fit
-        The posterior, its hyperparameters, and how the search went.
+        The posterior, its hyperparameters and the history of the search.
 
     Raises
     ------
     ValueError
-        When matrices of all inducing variables would not fit the machine's memory.
+        When matrices of the size of all inducing variables do not fit into memory.
     """
     random_state, kernel = check_random_state(random_state), kernel.prepared(X)
     Z = _centres(X, n_inducing, random_state)
@@ -163,63 +166,64 @@ def fit_sparse(
         total = found.noise if found.drift is None else found.noise + found.drift[0]
         posterior = SparsePosterior(kernel, features, total, shares)
         if optimizer is None:
-            return _reached(found, posterior, X, Y, clock, 1.0)
+            return _final_fit(found, posterior, X, Y, clock, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
-        posterior = _with_converged_noise(posterior, 1.0, least)
-        value, repeats = posterior.log_marginal_likelihood, _repeats(posterior, X, Y)
-        # From here on so many neighbours in the log count as one: what each says is known with that much more noise.
-        posterior = _with_converged_noise(posterior, repeats, least)
+        posterior = _converge_noise(posterior, 1.0, least)
+        value, inflation = posterior.log_marginal_likelihood, _variance_inflation(posterior, X, Y)
+        # Errors of neighbours are correlated: a sample carries less information, so its noise variance is inflated.
+        posterior = _converge_noise(posterior, inflation, least)
         noise = posterior.noise
-        found = found._replace(noise=noise / repeats)
+        found = found._replace(noise=noise / inflation)
         if clock is not None:
-            found = _drift_at_full_rate(found, posterior, X, Y, clock, least)
+            found = _learn_drift(found, posterior, X, Y, clock, least)
     if found.interrupted:
-        return _reached(found, posterior, X, Y, clock, repeats, value)
-    features, best = _learn_features(features, kernel, noise, X, Y, int(repeats.min()))
+        return _final_fit(found, posterior, X, Y, clock, inflation, value)
+    features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features, noise, shares)
-    return _reached(found, posterior, X, Y, clock, repeats, value, best)
+    return _final_fit(found, posterior, X, Y, clock, inflation, value, best)
 
 
-def _reached(found, posterior, X, Y, clock, repeats, value=None, more=None) -> Fit:
-    """Return the fit, where regressors are noisy with the noise that they carry, of what had seemed each output's own.
+def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, more=None) -> Fit:
+    """Return the fit; with noisy regressors, part of each output's noise becomes noise of the regressors.
 
-    ``repeats`` (P,) neighbours count as one, in this as in the rest of the noise, unless noise drifts.
+    ``inflation`` (P,) multiplies noise variances, unless the noise has a drift.
     """
-    if found.root is None and found.drift is None:
-        return found.fit(posterior, value, more)
-    noise, drift, loading = found.noise, found.drift, None
-    if found.root is not None:
-        loading = input_noise_loading(posterior, X, found.root)
-        carried = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
-        loading = loading * np.sqrt(repeats * np.ones(len(noise)))[:, None]
-        noise = np.maximum(noise - carried, LEAST_OWN * noise)
+    if hyperparameters.root is None and hyperparameters.drift is None:
+        return hyperparameters.fit(posterior, value, more)
+    noise, drift, loading = hyperparameters.noise, hyperparameters.drift, None
+    if hyperparameters.root is not None:
+        loading = input_noise_loading(posterior, X, hyperparameters.root)
+        propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
+        loading = loading * np.sqrt(inflation * np.ones(len(noise)))[:, None]
+        noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
         if drift is not None:
-            drift = np.maximum(drift[0] - (carried - (found.noise - noise)), LEAST_OWN * drift[0]), drift[1]
+            rest = propagated - (hyperparameters.noise - noise)
+            drift = np.maximum(drift[0] - rest, MIN_WHITE_FRACTION * drift[0]), drift[1]
     shares = shares_of(Data.from_table(X, Y, loading, None if drift is None else clock, drift or (None, None)))
     with sharing(shares):
-        counted = noise * repeats if drift is None else noise
-        posterior = SparsePosterior(posterior.kernel, posterior.features, counted, shares)
-    return found._replace(noise=noise, drift=drift).fit(posterior, value, more)
+        effective_noise = noise * inflation if drift is None else noise
+        posterior = SparsePosterior(posterior.kernel, posterior.features, effective_noise, shares)
+    return hyperparameters._replace(noise=noise, drift=drift).fit(posterior, value, more)
 
 
-def _drift_at_full_rate(found, posterior, X, Y, clock, least):
-    """Return the hyperparameters with the noise that the residuals of all samples show, white and drifting."""
-    residual, total = Y - posterior.predict(X), found.noise
+def _learn_drift(hyperparameters, posterior, X, Y, clock, least):
+    """Return the hyperparameters with white noise and drift estimated from the residuals of all samples."""
+    residual, total = Y - posterior.predict(X), hyperparameters.noise
     noise, drift = np.array(total), np.ones((2, len(total)))
     for i, e in enumerate(residual.T):
-        seen = np.isfinite(e)
-        if seen.sum() > 2:
-            white, variance, drift[1, i] = fit_drift(e[seen], clock[seen], least[i])
-            scale = total[i] / (white + variance)  # the function, too, is uncertain
+        observed = np.isfinite(e)
+        if observed.sum() > 2:
+            white, variance, drift[1, i] = fit_drift(e[observed], clock[observed], least[i])
+            scale = total[i] / (white + variance)  # the residual variance neglects the uncertainty of the function
             noise[i], drift[0, i] = white * scale, variance * scale
         else:
             drift[0, i] = least[i]
-    return found._replace(noise=noise, drift=tuple(drift))
+    return hyperparameters._replace(noise=noise, drift=tuple(drift))
 
 
 def _learn_features(features, kernel, noise, X, Y, step):
-    """Return the best features and the Optimum they are of: of neighbours that repeat each other one is enough."""
+    """Return the best features and their Optimum, from every ``step``-th sample: neighbours are redundant."""
     if len(features.theta) == 0:
         return features, None
     shares = shares_of(Data.from_table(X[::step], Y[::step]))
@@ -228,25 +232,25 @@ def _learn_features(features, kernel, noise, X, Y, step):
         return maximize_features(start, column_scale(X), max_iter=FEATURE_ITERATIONS, stage="bound")
 
 
-def _with_converged_noise(posterior, repeats, least):
-    """Return the posterior at the noise that all values together show, each counted as one in so many."""
+def _converge_noise(posterior, inflation, least):
+    """Return the posterior at the noise that maximises the bound, times ``inflation``."""
     for _ in range(NOISE_STEPS):
         noise = np.maximum(posterior.noise_seen(), least)
-        change = np.abs(np.log(noise * repeats / posterior.noise)).max()
-        posterior = posterior.with_noise(noise * repeats)
+        change = np.abs(np.log(noise * inflation / posterior.noise)).max()
+        posterior = posterior.with_noise(noise * inflation)
         if change < 0.01:
             break
     return posterior
 
 
-def _repeats(posterior, X, Y):
-    """Return, for each output, how many neighbouring samples count as one."""
+def _variance_inflation(posterior, X, Y):
+    """Return the autocorrelation time of the residuals of each output, in samples, (P,)."""
     residual = Y - posterior.predict(X)
     return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
 
 
-def _start_of_noise(residual, scale, clock):
-    """Return the noise to start from and its bounds: variances (P,), and where it drifts variances and memories too."""
+def _initial_noise(residual, scale, clock):
+    """Return the starting noise and its bounds: variances (P,), with a drift also its variances and memories."""
     bounds = np.multiply.outer(scale**2, NOISE_BOUNDS)
     noise = np.clip(0.2 * np.nanvar(residual, axis=0), *bounds.T)
     if clock is None:
@@ -254,22 +258,23 @@ def _start_of_noise(residual, scale, clock):
     time, flight = clock.T
     steps = np.abs(np.diff(time))[np.diff(flight) == 0]
     step = float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 1.0
-    longest = max(float(np.ptp(time[flight == one])) for one in np.unique(flight))
+    longest = max(float(np.ptp(time[flight == number])) for number in np.unique(flight))
     memory = np.full(len(noise), MEMORY_STEPS * step)
     span = np.tile([step, max(longest, 2 * MEMORY_STEPS * step)], (len(noise), 1))
     return np.concatenate([0.5 * noise, 0.5 * noise, memory]), np.concatenate([bounds, bounds, span])
 
 
 def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread) -> Hyperparameters:
-    """Return hyperparameters: of each output alone, then of all jointly from the rows."""
+    """Return hyperparameters, learned from each output separately and then from the rows of all outputs jointly."""
     P = Y.shape[1]
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
-    noise, noise_bounds = _start_of_noise(kernel.residual(X, Y), output_scale(Y), clock)
+    noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y), clock)
     stop = Event()
     singles, n_evaluations, n_iter = None, 0, 0
     if optimizer is not None and P > 1 and not open_kernel.has_values():
-        alone = fit_singles(open_kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop)
-        singles, noise, n_evaluations = alone
+        singles, noise, n_evaluations = fit_singles(
+            open_kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop
+        )
     scale, X, Y, clock = column_scale(X), X[rows], Y[rows], None if clock is None else clock[rows]
     data = Data.from_table(X, Y, None, clock)
 
@@ -280,7 +285,7 @@ def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_n
     if optimizer is None:
         return hyperparameters(kernel, noise, None if isinstance(input_noise, str) else input_noise)
 
-    def climb(name, kernel, noise, bounds, max_iter, data, spread=0.0):
+    def optimize(name, kernel, noise, bounds, max_iter, data, spread=0.0):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
         best = maximize(
@@ -295,25 +300,25 @@ def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_n
         theta, noise = np.split(best.theta, [-len(noise)])
         return kernel.clone_with_theta(theta), np.exp(noise), best
 
-    # From few hyperparameters to many: filters alike over the outputs first. From there the way up is short, and it
-    # ends at optima that predict better than those found from arbitrary widths. Where regressors are noisy, the slopes
-    # found on the way say what their noise carries.
+    # First few hyperparameters (widths shared by all outputs), then all of them. This start needs few iterations and
+    # ends at optima that predict better than those reached from arbitrary widths. With noisy regressors, the slopes of
+    # the coarse model propagate their noise to the outputs.
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or input_noise is not None:
-        coarse, noise, best = climb("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
+        coarse, noise, best = optimize("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
         n_evaluations, n_iter, spread = n_evaluations + best.n_evaluations, best.n_iter, 0.0
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     root, bounds = input_noise, noise_bounds
     if input_noise is not None:
         root = np.diag(scale) if isinstance(input_noise, str) else input_noise
-        # Learned with the rest, the drift is no part of the data.
-        data = hyperparameters(coarse, noise, root).data(X, Y, clock)
+        # The drift is learned with the other hyperparameters, so the data must not fix it.
+        data = hyperparameters(coarse, noise, root).data(X, Y, clock, passes=1)
         data = data._replace(drift=data.drift and data.drift._replace(variance=None, memory=None))
     if isinstance(input_noise, str):
-        noise, more = _start_of_inputs(noise, P, data, len(scale))
-        bounds = np.concatenate([noise_bounds, more])
-    kernel, noise, best = climb("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
+        noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
+        bounds = np.concatenate([noise_bounds, input_bounds])
+    kernel, noise, best = optimize("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
     if isinstance(input_noise, str):
         root = root * np.sqrt(noise[len(noise_bounds) :])
     return hyperparameters(kernel, noise, root)._replace(
@@ -326,32 +331,32 @@ def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_n
 
 
 def input_noise_loading(posterior, X, root) -> np.ndarray:
-    """Return where noisy regressors carry the outputs, G = J R, (n, P, r): slopes of the mean times R."""
+    """Return G = J R, (n, P, r): the slopes J of the mean times the root R of the regressors' noise covariance."""
     return posterior.gradient(X) @ root
 
 
-def _start_of_inputs(noise, P, data, d):
-    """Return the noise with variances s (d,) of the regressors, over their own, to start from, and bounds of s.
+def _initial_input_noise(noise, P, data, d):
+    """Return the noise vector with starting factors s (d,) of the regressors' noise variances, and bounds of s.
 
-    At the start half of the outputs' own noise comes from the regressors, each off by the same part of its spread.
+    At the start, half of each output's noise comes from the regressors, with equal factors s.
     """
-    carried = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading]
-    part = 0.5 * float(np.nanmedian(noise[:P] / np.maximum(carried, 1e-12)))
+    propagated = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading]
+    part = 0.5 * float(np.nanmedian(noise[:P] / np.maximum(propagated, 1e-12)))
     least, most = INPUT_BOUNDS
     start = np.full(d, np.clip(part, 10 * least, most / 10))
     return np.concatenate([0.5 * noise[:P], noise[P:], start]), np.tile(INPUT_BOUNDS, (d, 1))
 
 
 def some_rows(Y, random_state):
-    """Return rows with about SUBSET observed values, every output among them as often as its share allows."""
-    seen = np.isfinite(Y)
+    """Return rows with about SUBSET observed values, an equal number for each output where it has them."""
+    observed = np.isfinite(Y)
     quota = SUBSET // Y.shape[1]
-    chosen = spread(np.arange(len(Y)), max(2, SUBSET * len(Y) // seen.sum()), random_state)
-    for output in seen.T:
-        lacking = min(quota, output.sum()) - output[chosen].sum()
-        rest = np.setdiff1d(np.flatnonzero(output), chosen, assume_unique=True)
-        chosen = np.concatenate([chosen, spread(rest, max(lacking, 0), random_state)])
-    return np.sort(chosen)
+    rows = stratified(np.arange(len(Y)), max(2, SUBSET * len(Y) // observed.sum()), random_state)
+    for output in observed.T:
+        n_missing = min(quota, output.sum()) - output[rows].sum()
+        rest = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)
+        rows = np.concatenate([rows, stratified(rest, max(n_missing, 0), random_state)])
+    return np.sort(rows)
 
 
 def _centres(X, n_inducing, random_state):
@@ -359,41 +364,38 @@ def _centres(X, n_inducing, random_state):
     distinct = np.unique(X, axis=0)
     if len(distinct) <= n_inducing:
         return distinct
-    some = X[random_state.permutation(len(X))[: 50 * n_inducing]]
-    return cluster_centres(some, column_scale(X), n_inducing, random_state)
+    subset = X[random_state.permutation(len(X))[: 50 * n_inducing]]
+    return cluster_centres(subset, column_scale(X), n_inducing, random_state)
 
 
-# -- each output alone: where the joint search starts ------------------------------------------------------
+# -- fits of single outputs: the starting point of the joint search -----------------------------------------
 
 
-SINGLE_VALUES, SINGLE_ITERATIONS = 800, 100  # of each output
-WIDTH_FACTORS, TRIAL_VALUES, TRIAL_ITERATIONS = (
-    (1.0, 0.3, 0.1),
-    250,
-    40,
-)  # widths tried before, on how many values, how long
+SINGLE_VALUES, SINGLE_ITERATIONS = 800, 100  # largest numbers for each output
+WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
+TRIAL_VALUES, TRIAL_ITERATIONS = 250, 40  # largest numbers for each trial
 
 
 class Singles(NamedTuple):
-    """Kernel and noise of each output alone, and the evaluations that they took."""
+    """Kernel and noise of a separate fit of each output, and the number of evaluations."""
 
     kernels: list
     noise: np.ndarray
     n_evaluations: int
 
 
-class _Output:
-    """The values of one output, and the ways up its likelihood."""
+class _SingleFit:
+    """The values of one output and the maximisation of its likelihood."""
 
     def __init__(self, i, X, Y, clock, noise, noise_bounds, seed, search):
-        rows = spread(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
+        rows = stratified(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
         self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
         self.clock = None if clock is None else clock[rows]
         self.noise, self.noise_bounds = noise[i :: Y.shape[1]], noise_bounds[i :: Y.shape[1]]
         self.search = partial(search, stage=f"output {i + 1}")
 
-    def climb(self, kernel, theta, step, max_iter, name=None):
-        """Return the kernel without values and the Optimum from theta on, of every step-th value."""
+    def optimize(self, kernel, theta, step, max_iter, name=None):
+        """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
         clock = None if self.clock is None else self.clock[::step]
         likelihood = likelihood_of(
             kernel, Data.from_table(self.x[::step], self.y[::step], None, clock), len(self.noise)
@@ -401,51 +403,51 @@ class _Output:
         bounds = bounds_of(kernel, self.noise_bounds)
         return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
 
-    def attempt(self, kernel, width_factor, max_iter):
-        """Return where a few of the values lead from one width."""
+    def try_width(self, kernel, width_factor, max_iter):
+        """Return the kernel and the Optimum of a short search from one starting width, with few values."""
         start = kernel.single_output().initialize(
             self.x, self.y, np.random.RandomState(self.seed), width_factor=width_factor
         )
         theta = np.concatenate([start.theta, np.log(self.noise)])
         name = f"{self.search.keywords['stage']} from {width_factor}"
-        return self.climb(start, theta, max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter), name)
+        return self.optimize(start, theta, max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter), name)
 
 
 def fit_singles(kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop: Event) -> Singles:
-    """Return a fit of each output alone, in at most twice ``max_iter`` iterations each.
+    """Return a separate fit of each output, with at most twice ``max_iter`` iterations each.
 
-    A single output has a P-th of the values: its fit costs a P^3-th of the joint one. From widths that are far too
-    long, "all noise" is the nearest hill: which hill it is, some of the values tell, from several widths.
+    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
+    long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
     """
     search = partial(maximize, optimizer=optimizer, stop=stop)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
-    outputs = [_Output(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
+    outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
     tasks = [(output, width_factor) for output in outputs for width_factor in WIDTH_FACTORS]
-    tries = thread_map(lambda task: task[0].attempt(kernel, task[1], max_iter), tasks, stop)
+    trials = thread_map(lambda task: task[0].try_width(kernel, task[1], max_iter), tasks, stop)
     n = len(WIDTH_FACTORS)
-    best = [max(tries[k : k + n], key=lambda end: end[1].value) for k in range(0, len(tries), n)]
+    best = [max(trials[k : k + n], key=lambda trial: trial[1].value) for k in range(0, len(trials), n)]
 
     def refine(task):
         output, (single, optimum) = task
-        return output.climb(single, optimum.theta, 1, min(SINGLE_ITERATIONS, 2 * max_iter))
+        return output.optimize(single, optimum.theta, 1, min(SINGLE_ITERATIONS, 2 * max_iter))
 
-    ends = thread_map(refine, zip(outputs, best, strict=True), stop)
-    k = len(noise) // Y.shape[1]  # of each output
+    refined = thread_map(refine, zip(outputs, best, strict=True), stop)
+    k = len(noise) // Y.shape[1]  # noise parameters of each output
     return Singles(
-        [single.clone_with_theta(end.theta[:-k]) for single, end in ends],
-        np.array([np.exp(end.theta[-k:]) for _, end in ends]).T.ravel(),
-        sum(end.n_evaluations for _, end in (*tries, *ends)),
+        [single.clone_with_theta(optimum.theta[:-k]) for single, optimum in refined],
+        np.array([np.exp(optimum.theta[-k:]) for _, optimum in refined]).T.ravel(),
+        sum(optimum.n_evaluations for _, optimum in (*trials, *refined)),
     )
 
 
 def likelihood_of(kernel, data, n_noise):
-    """Return the log likelihood, and what the kernel's prior adds to it, as a function of [theta, log noise]."""
+    """Return the function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient."""
     workspace = np.empty((data.n_values, data.n_values))
 
     def evaluate(theta):
-        kernel_there, noise = kernel.clone_with_theta(theta[:-n_noise]), np.exp(theta[-n_noise:])
-        value, gradient = log_likelihood(kernel_there, noise, data, eval_gradient=True, workspace=workspace)
-        prior, slope = kernel_there.log_prior(eval_gradient=True)
+        candidate, noise = kernel.clone_with_theta(theta[:-n_noise]), np.exp(theta[-n_noise:])
+        value, gradient = log_likelihood(candidate, noise, data, eval_gradient=True, workspace=workspace)
+        prior, slope = candidate.log_prior(eval_gradient=True)
         gradient[: len(slope)] += slope
         return value + prior, gradient
 
@@ -457,34 +459,33 @@ def bounds_of(kernel, noise_bounds):
     return np.concatenate([kernel.bounds, np.log(noise_bounds)])
 
 
-def spread(rows, n, random_state):
-    """Return n of the rows, spread over them: in a log neighbours say the same. One by chance of each n-th part."""
+def stratified(rows, n, random_state):
+    """Return a stratified sample of n rows: one random row of each of n equal parts, since neighbours are redundant."""
     if n >= len(rows):
         return rows
     edges = np.linspace(0, len(rows), n + 1)
     return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
 
 
-# -- how far neighbouring samples repeat each other ---------------------------------------------------------
+# -- correlation of neighbouring residuals ------------------------------------------------------------------
 
 
-WINDOW = 5.0  # autocorrelation times over which the correlations are summed
+WINDOW = 5.0  # autocorrelation times over which correlations are summed
 
 
 def autocorrelation_time(residuals) -> float:
-    r"""Return how many neighbouring values count as one, at least 1.
+    r"""Return the integrated autocorrelation time, in samples, at least 1.
 
-    The variance of a mean of n values with autocorrelation rho is that of n / tau independent ones, with the
-    integrated autocorrelation time
+    The mean of n values with autocorrelation rho has the variance of the mean of n / tau independent values, with
 
     .. math:: \tau = 1 + 2 \sum_{k=1}^{K} \rho_k,
 
-    summed up to the first K of at least 5 tau (Sokal 1997, section 3): beyond it the sum gathers noise.
+    summed up to the first K of at least 5 tau, since later terms add only noise (Sokal 1997, section 3).
 
     Parameters
     ----------
     residuals : ndarray (n,)
-        In the order in which they were recorded. Shuffled ones repeat nothing: 1, but for chance.
+        In the order of recording. Shuffled residuals are uncorrelated: tau is about 1.
 
     Returns
     -------

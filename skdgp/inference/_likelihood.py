@@ -1,6 +1,6 @@
-"""The exact likelihood and its gradient by one Cholesky factorisation, block by block.
+"""The exact likelihood and its gradient by one Cholesky factorisation.
 
-Only this file knows how the N x N matrix is laid out; kernels only ever see one tile of one pair of outputs.
+Only this file knows the layout of the N x N matrix. A kernel computes one tile of one pair of outputs at a time.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from skdgp._compute.linalg import (
 from skdgp._compute.threads import thread_map, threads_for
 from skdgp.inference._noise import Drift, SampleNoise, add_noise, noise_gradient
 
-TILE = 768  # values of an output a side: the kernel cuts further, for the cache
-HALF = 384  # a side on the diagonal, where every tile computes its mirror image too
+TILE = 768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
+HALF = 384  # largest side of a tile on the diagonal, where both triangles are computed
 
 
 class Data(NamedTuple):
-    """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and what is known of their noise."""
+    """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model."""
 
     X: list[np.ndarray]
     y: list[np.ndarray]
@@ -34,21 +34,21 @@ class Data(NamedTuple):
 
     @classmethod
     def from_table(cls, X, Y, loading=None, clock=None, drift=(None, None)):
-        """Return the observed values of X (n, d), Y (n, P) with NaN where an output was not observed.
+        """Return the observed values of X (n, d) and Y (n, P), with NaN where an output was not observed.
 
-        ``loading`` (n, P, r), where regressors are noisy: see ``SampleNoise``. ``clock`` (n, 2), time and flight, where
-        noise drifts, and ``drift``, its variances and memories (P,), unless they are to be learned: see ``Drift``.
+        ``loading`` (n, P, r) describes noisy regressors, see ``SampleNoise``. ``clock`` (n, 2), time and flight, adds a
+        drift to the noise, with ``drift`` its variances and memories (P,), or None to learn them, see ``Drift``.
         """
-        seen = np.isfinite(Y)
+        observed = np.isfinite(Y)
         return cls(
-            [X[s] for s in seen.T],
-            [y[s] for y, s in zip(Y.T, seen.T, strict=True)],
-            None if loading is None else SampleNoise.from_table(seen, loading),
-            None if clock is None else Drift([clock[s] for s in seen.T], *drift),
+            [X[rows] for rows in observed.T],
+            [y[rows] for y, rows in zip(Y.T, observed.T, strict=True)],
+            None if loading is None else SampleNoise.from_table(observed, loading),
+            None if clock is None else Drift([clock[rows] for rows in observed.T], *drift),
         )
 
     def joined(self, other: Data) -> Data:
-        """Return these values, then the other's, output by output."""
+        """Return these values followed by the other values, output by output."""
         X = [np.concatenate(pair) for pair in zip(self.X, other.X, strict=True)]
         y = [np.concatenate(pair) for pair in zip(self.y, other.y, strict=True)]
         sample_noise, drift = self.sample_noise, self.drift
@@ -65,15 +65,15 @@ class Data(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """A run of the values of one output."""
+    """A slice of the values of one output."""
 
     output: int
-    own: slice  # within the output
-    all: slice  # within the stacked values
+    rows: slice  # among the values of the output
+    stacked: slice  # among the stacked values of all outputs
 
 
 def tiles_of(sizes, side=None):
-    """Cut outputs of the given sizes into tiles."""
+    """Return the tiles of outputs of the given sizes."""
     tiles, start = [], 0
     for i, size in enumerate(sizes):
         tiles += _cut(Tile(i, slice(0, size), slice(start, start + size)), side or TILE)
@@ -82,15 +82,14 @@ def tiles_of(sizes, side=None):
 
 
 def _cut(tile, side):
-    size, own, everywhere = tile.own.stop - tile.own.start, tile.own.start, tile.all.start
+    row, place = tile.rows.start, tile.stacked.start
+    size = tile.rows.stop - row
     edges = np.linspace(0, size, -(-size // side) + 1).astype(int)
-    return [
-        Tile(tile.output, slice(own + a, own + b), slice(everywhere + a, everywhere + b)) for a, b in pairwise(edges)
-    ]
+    return [Tile(tile.output, slice(row + a, row + b), slice(place + a, place + b)) for a, b in pairwise(edges)]
 
 
 def _pairs(kernel, sizes):
-    """Return the pairs of tiles, on and above the diagonal, that the kernel couples."""
+    """Return the pairs of tiles on and above the diagonal that the kernel couples."""
     tiles = tiles_of(sizes)
     pairs = list(combinations(tiles, 2))
     for tile in tiles:
@@ -101,7 +100,7 @@ def _pairs(kernel, sizes):
 def covariance(kernel, noise, data: Data, workspace=None) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is that of ``add_noise``; ``workspace`` (N, N) in C order is written to, where given.
+    ``noise`` is as for ``add_noise``. The result is written to ``workspace`` (N, N), in C order, if it is given.
     """
     X = data.X
     sizes = [len(x) for x in X]
@@ -113,7 +112,7 @@ def covariance(kernel, noise, data: Data, workspace=None) -> np.ndarray:
 
     def fill(pair):
         a, b = pair
-        upper[a.all, b.all] = kernel.block(a.output, b.output, X[a.output][a.own], X[b.output][b.own])
+        upper[a.stacked, b.stacked] = kernel.block(a.output, b.output, X[a.output][a.rows], X[b.output][b.rows])
 
     thread_map(fill, pairs)
     add_noise(upper, noise, data)
@@ -126,23 +125,22 @@ def all_coupled(kernel) -> bool:
 
 
 def log_likelihood(kernel, noise, data: Data, eval_gradient=False, workspace=None):
-    """Return the log marginal likelihood (equation 20) and its gradient with respect to [theta, log noise].
+    """Return the log marginal likelihood (equation 20) and its gradient by [theta, log noise].
 
-    With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), contracted tile by tile.
+    With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), computed tile by tile.
 
     Parameters
     ----------
     kernel : MultiOutputKernel
         With values.
     noise : ndarray (P,)
-        Variance of each output's noise.
+        Noise variance of each output.
     data : Data
         Observed values of each output.
     eval_gradient : bool
-        Whether to return the gradient, too.
+        Whether to return the gradient too.
     workspace : ndarray (N, N), C order, or None
-        All the memory that is needed: covariance, factor and inverse in turn. Who evaluates often saves the time to ask
-        for it.
+        Memory for the covariance, its factor and its inverse in turn. Repeated evaluations save its allocation.
 
     Returns
     -------
@@ -162,17 +160,17 @@ def log_likelihood(kernel, noise, data: Data, eval_gradient=False, workspace=Non
 def _gradient(kernel, noise, data, y, L):
     inverse = cholesky_inverse(L)
     alpha = dsymv(1.0, inverse, y, lower=1)
-    # -W, of which only one triangle is computed, and read; in C order its upper one.
+    # -W: only one triangle is computed and read, the upper one in C order.
     minus_W = dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
 
     def contract(pair):
         a, b = pair
-        W = minus_W[a.all, b.all]
+        W = minus_W[a.stacked, b.stacked]
         if a is b:
             W = np.triu(W)
             np.einsum("ii->i", W)[:] *= 0.5
-        # The tile stands for its mirror image too: twice one half.
-        return kernel.block_gradient(a.output, b.output, data.X[a.output][a.own], data.X[b.output][b.own], W)
+        # The tile and its mirror image: twice one half.
+        return kernel.block_gradient(a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows], W)
 
     sizes = [len(x) for x in data.X]
     d_theta = -np.sum(thread_map(contract, _pairs(kernel, sizes)), axis=0)

@@ -1,12 +1,12 @@
-"""Noise covariance: each output's own, correlated in time where asked, and what regressors carry into all outputs.
+"""Noise covariance: white noise and drift of each output, and noise propagated from the regressors to all outputs.
 
-To first order a regressor that is off by e, e ~ N(0, S), moves the outputs of sample a by J_a e, with the slopes J_a of
-the posterior mean: their noise has the covariance diag(sigma^2) + J_a S J_a^T (McHutchon & Rasmussen 2011), the same e
-in every output. With G = J R, S = R diag(s) R^T, this is diag(sigma^2) + G_a diag(s) G_a^T.
+To first order an error e ~ N(0, S) of the regressors changes all outputs of sample a by J_a e, with the slopes J_a of
+the posterior mean. The noise of the sample then has the covariance diag(sigma^2) + J_a S J_a^T (McHutchon & Rasmussen
+2011). With G = J R and S = R diag(s) R^T this is diag(sigma^2) + G_a diag(s) G_a^T.
 
-Neighbouring samples of a flight err alike: gusts, lags and unmodelled motion last longer than a sample. Each output has
-a drift, an Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T) within a flight, and none between
-flights (Rasmussen & Williams 2006, equation 4.20 with nu = 1/2).
+Errors of neighbouring samples of a flight are correlated: gusts, lags and unmodelled motion last longer than a sample
+interval. The drift of an output is an Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T) within a
+flight, and zero between flights (Rasmussen & Williams 2006, equation 4.20 with nu = 1/2).
 """
 
 from __future__ import annotations
@@ -20,30 +20,33 @@ from scipy.optimize import minimize
 
 from skdgp._compute.linalg import eigen_root
 
-SMALLEST_STEP = 1e-6  # of a drift's memory: two samples of one time
+SMALLEST_STEP = 1e-6  # smallest sample interval, over the memory of the drift: for two samples of the same time
 
 
 class SampleNoise(NamedTuple):
-    """Of each output: which sample each value is of, (n_i,), and where noisy regressors carry it, G (n_i, r)."""
+    """For each output: the sample index of each value, (n_i,), and its loading G (n_i, r) on the regressors' noise."""
 
     sample: list[np.ndarray]
     loading: list[np.ndarray]
 
     @classmethod
-    def from_table(cls, seen, loading) -> SampleNoise:
-        """Return what belongs to the observed values, ``seen`` (n, P), of ``loading`` (n, P, r)."""
-        return cls([np.flatnonzero(s) for s in seen.T], [loading[s, i] for i, s in enumerate(seen.T)])
+    def from_table(cls, observed, loading) -> SampleNoise:
+        """Return the entries of ``loading`` (n, P, r) for the observed values, a mask (n, P)."""
+        return cls(
+            [np.flatnonzero(rows) for rows in observed.T], [loading[rows, i] for i, rows in enumerate(observed.T)]
+        )
 
     def joined(self, other: SampleNoise) -> SampleNoise:
-        """Return these values, then the other's, which are of other samples."""
+        """Return these values followed by the other values, which belong to other samples."""
         first = 1 + max((s.max() for s in self.sample if len(s)), default=-1)
         sample = [np.concatenate([a, b + first]) for a, b in zip(self.sample, other.sample, strict=True)]
         return SampleNoise(sample, [np.concatenate(pair) for pair in zip(self.loading, other.loading, strict=True)])
 
     def pairs(self):
-        """Yield the places, rows and columns among the stacked values, of two values of one sample, and their loading.
+        """Yield (i, j, rows, columns, G_i, G_j) for each pair of outputs i <= j.
 
-        Rows are not below columns, and every pair of outputs comes once: (i, j, rows, columns, G_i, G_j).
+        ``rows`` and ``columns`` are the indices among the stacked values of two values of the same sample, on or above
+        the diagonal.
         """
         start = np.cumsum([0, *map(len, self.sample)])
         for i, j in combinations_with_replacement(range(len(self.sample)), 2):
@@ -51,13 +54,13 @@ class SampleNoise(NamedTuple):
             yield i, j, start[i] + a, start[j] + b, self.loading[i][a], self.loading[j][b]
 
 
-Scatter = SampleNoise  # its name in model files of version 0.1
+Scatter = SampleNoise  # name in model files of version 0.1
 
 
 class Drift(NamedTuple):
-    """Of each output: when each value was measured, time and flight (n_i, 2), and tau^2 and T, (P,) each.
+    """The clock of each output's values, time and flight number (n_i, 2), and the drifts' tau^2 and T, (P,) each.
 
-    While the last two are learned they stand in the vector of noise, and are None here.
+    While tau^2 and T are learned they are None here and part of the noise vector.
     """
 
     clock: list[np.ndarray]
@@ -65,16 +68,16 @@ class Drift(NamedTuple):
     memory: np.ndarray | None = None
 
     def covariance(self, i, variance, memory):
-        """Return the covariance of the drift of output i and |t - t'|, (n_i, n_i) each."""
+        """Return the covariance of the drift of output i and the time lags |t - t'|, (n_i, n_i) each."""
         time, flight = self.clock[i].T
-        apart = np.abs(np.subtract.outer(time, time))
-        return variance * np.exp(-apart / memory) * np.equal.outer(flight, flight), apart
+        lag = np.abs(np.subtract.outer(time, time))
+        return variance * np.exp(-lag / memory) * np.equal.outer(flight, flight), lag
 
 
 class NoiseParts(NamedTuple):
-    """The vector of noise, by what its entries are; what is given has ``free`` False."""
+    """The parts of the noise vector; ``free_drift`` and ``free_scale`` tell which optional parts it contains."""
 
-    own: np.ndarray
+    white: np.ndarray
     variance: Any  # ndarray (P,), None where noise does not drift
     memory: Any
     scale: Any  # ndarray (r,), or 1 where it is not learned
@@ -83,29 +86,29 @@ class NoiseParts(NamedTuple):
 
     @classmethod
     def of(cls, noise, data) -> NoiseParts:
-        """Return the parts of [sigma^2 (P), tau^2 (P), T (P), s (r)], of which only the first are always there."""
+        """Return the parts of [sigma^2 (P), tau^2 (P), T (P), s (r)], of which only sigma^2 is always present."""
         P, drift = len(data.y), data.drift
-        own, rest = noise[:P], noise[P:]
+        white, rest = noise[:P], noise[P:]
         variance, memory = (None, None) if drift is None else (drift.variance, drift.memory)
         free_drift = drift is not None and variance is None
         if free_drift:
             variance, memory, rest = rest[:P], rest[P : 2 * P], rest[2 * P :]
-        return cls(own, variance, memory, rest if len(rest) else 1.0, free_drift, len(rest) > 0)
+        return cls(white, variance, memory, rest if len(rest) else 1.0, free_drift, len(rest) > 0)
 
 
 def add_noise(K, noise, data) -> None:
-    """Add the noise to the upper triangle of a covariance matrix of the values, (N, N) in C order.
+    """Add the noise covariance to the upper triangle of a covariance matrix of the values, (N, N) in C order.
 
     Parameters
     ----------
     K : ndarray (N, N)
     noise : ndarray
-        Variance of each output, and what else is learned, see ``NoiseParts``.
+        White noise variance of each output and the other learned parts, see ``NoiseParts``.
     data : Data
     """
     parts = NoiseParts.of(noise, data)
-    np.einsum("ii->i", K)[:] += np.repeat(parts.own, [len(y) for y in data.y])
-    for i, rows in _drifting(parts, data):
+    np.einsum("ii->i", K)[:] += np.repeat(parts.white, [len(y) for y in data.y])
+    for i, rows in _drift_slices(parts, data):
         K[rows, rows] += np.triu(data.drift.covariance(i, parts.variance[i], parts.memory[i])[0])
     if data.sample_noise is not None:
         for _, _, rows, columns, first, second in data.sample_noise.pairs():
@@ -113,55 +116,55 @@ def add_noise(K, noise, data) -> None:
 
 
 def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
-    """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) is the outputs' own."""
+    """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) holds the white noise variances."""
     parts = NoiseParts.of(noise, data)
-    own = np.repeat(np.sqrt(parts.own), [len(y) for y in data.y])
-    drawn = own * random_state.standard_normal((n_draws, len(own)))
-    for i, rows in _drifting(parts, data):
+    std = np.repeat(np.sqrt(parts.white), [len(y) for y in data.y])
+    draws = std * random_state.standard_normal((n_draws, len(std)))
+    for i, rows in _drift_slices(parts, data):
         covariance = data.drift.covariance(i, parts.variance[i], parts.memory[i])[0]
-        drawn[:, rows] += random_state.standard_normal((n_draws, len(covariance))) @ eigen_root(covariance).T
+        draws[:, rows] += random_state.standard_normal((n_draws, len(covariance))) @ eigen_root(covariance).T
     if data.sample_noise is not None:
         n_samples = 1 + max(s.max() for s in data.sample_noise.sample if len(s))
-        off = random_state.standard_normal((n_draws, n_samples, data.sample_noise.loading[0].shape[1]))
-        carried = [np.einsum("snr,nr->sn", off[:, s], G) for s, G in zip(*data.sample_noise, strict=True)]
-        drawn += np.hstack(carried)
-    return drawn
+        error = random_state.standard_normal((n_draws, n_samples, data.sample_noise.loading[0].shape[1]))
+        propagated = [np.einsum("snr,nr->sn", error[:, s], G) for s, G in zip(*data.sample_noise, strict=True)]
+        draws += np.hstack(propagated)
+    return draws
 
 
 def noise_gradient(W, noise, data) -> np.ndarray:
-    """Return 1/2 sum(W * dK / d log noise), of the shape of ``noise``, of a W whose upper triangle is read."""
+    """Return 1/2 sum(W * dK / d log noise), in the shape of ``noise``; only the upper triangle of W is read."""
     P, parts = len(data.y), NoiseParts.of(noise, data)
-    outputs = np.repeat(np.arange(P), [len(y) for y in data.y])  # an output without values has no share
-    gradient = [0.5 * parts.own * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)]
+    outputs = np.repeat(np.arange(P), [len(y) for y in data.y])  # an output without values contributes zero
+    gradient = [0.5 * parts.white * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)]
     if parts.free_drift:
         by_variance, by_memory = np.zeros(P), np.zeros(P)
-        for i, rows in _drifting(parts, data):
-            covariance, apart = data.drift.covariance(i, parts.variance[i], parts.memory[i])
+        for i, rows in _drift_slices(parts, data):
+            covariance, lag = data.drift.covariance(i, parts.variance[i], parts.memory[i])
             weighted = np.triu(W[rows, rows]) * covariance
             by_variance[i] = weighted.sum() - 0.5 * np.trace(weighted)
-            by_memory[i] = np.sum(weighted * apart) / parts.memory[i]
+            by_memory[i] = np.sum(weighted * lag) / parts.memory[i]
         gradient += [by_variance, by_memory]
     if parts.free_scale:
-        carried = np.zeros(len(parts.scale))
+        by_scale = np.zeros(len(parts.scale))
         for i, j, rows, columns, first, second in data.sample_noise.pairs():
-            carried += (0.5 if i == j else 1.0) * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
-        gradient.append(parts.scale * carried)
+            by_scale += (0.5 if i == j else 1.0) * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
+        gradient.append(parts.scale * by_scale)
     return np.concatenate(gradient)
 
 
-def _drifting(parts, data):
-    """Yield the outputs whose noise drifts, and their rows among the stacked values."""
+def _drift_slices(parts, data):
+    """Yield the outputs whose noise has a drift, and their slices of the stacked values."""
     if parts.variance is not None:
         for i, (a, b) in enumerate(pairwise(np.cumsum([0, *map(len, data.y)]))):
             if b > a:
                 yield i, slice(a, b)
 
 
-# -- drift at full rate: its inverse covariance has three diagonals ---------------------------------------------
+# -- drift of all samples of a log: its inverse covariance is tridiagonal ----------------------------------------
 
 
 def drift_precision(clock, variance, memory):
-    """Return the inverse covariance of drifts: its diagonal, its upper diagonal, and log |covariance|, by output.
+    """Return the tridiagonal inverse covariance of the drifts: diagonal, upper diagonal, and log |covariance|.
 
     Parameters
     ----------
@@ -172,22 +175,23 @@ def drift_precision(clock, variance, memory):
     Returns
     -------
     diagonal : ndarray (n, p)
-    beside : ndarray (n - 1, p)
-        Between a sample and the next; zero where another flight begins.
+    off_diagonal : ndarray (n - 1, p)
+        Between a sample and the next; zero between flights.
     log_determinant : ndarray (p,)
     """
     time, flight = clock.T
     step = np.maximum(np.abs(np.diff(time))[:, None] / memory, SMALLEST_STEP)
     rho = np.exp(-step) * (flight[1:] == flight[:-1])[:, None]
-    left = -np.expm1(-2 * step) * (rho > 0) + (rho == 0)  # 1 - rho^2: what is new in a sample
+    innovation = -np.expm1(-2 * step) * (rho > 0) + (rho == 0)  # variance 1 - rho^2 of the innovation of each sample
     diagonal = np.ones((len(time), len(variance)))
-    diagonal[1:] = 1.0 / left
-    diagonal[:-1] += rho**2 / left
-    return diagonal / variance, -rho / left / variance, np.log(left).sum(axis=0) + len(time) * np.log(variance)
+    diagonal[1:] = 1.0 / innovation
+    diagonal[:-1] += rho**2 / innovation
+    log_determinant = np.log(innovation).sum(axis=0) + len(time) * np.log(variance)
+    return diagonal / variance, -rho / innovation / variance, log_determinant
 
 
 def fit_drift(residual, clock, least):
-    """Return sigma^2, tau^2 and T of a residual that is white noise and a drift, by maximum likelihood.
+    """Return the maximum likelihood estimates of sigma^2, tau^2 and T of white noise plus drift.
 
     Parameters
     ----------
@@ -205,14 +209,14 @@ def fit_drift(residual, clock, least):
 
     def loss(theta):
         white, variance, memory = np.exp(theta)
-        diagonal, beside, log_determinant = drift_precision(clock, np.array([variance]), np.array([memory]))
+        diagonal, off_diagonal, log_determinant = drift_precision(clock, np.array([variance]), np.array([memory]))
         band = np.zeros((2, len(residual)))
-        band[0], band[1, :-1] = diagonal[:, 0] + 1.0 / white, beside[:, 0]
+        band[0], band[1, :-1] = diagonal[:, 0] + 1.0 / white, off_diagonal[:, 0]
         factor = cholesky_banded(band, lower=True)
         solved = solveh_banded(band, residual / white, lower=True)
         determinant = 2 * np.log(factor[0]).sum() + log_determinant[0] + len(residual) * np.log(white)
         return 0.5 * (determinant + (residual @ residual - residual @ solved) / white)
 
     starts = [np.log([0.5 * power, 0.5 * power, memory]) for memory in (4 * step, 40 * step)]
-    ends = [minimize(loss, np.clip(s, *bounds.T), method="L-BFGS-B", bounds=[*bounds]) for s in starts]
-    return np.exp(min(ends, key=lambda end: end.fun).x)
+    optima = [minimize(loss, np.clip(s, *bounds.T), method="L-BFGS-B", bounds=[*bounds]) for s in starts]
+    return np.exp(min(optima, key=lambda optimum: optimum.fun).x)

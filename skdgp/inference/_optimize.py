@@ -1,4 +1,4 @@
-"""Maximisation of the log marginal likelihood by bounded L-BFGS; the best point is kept."""
+"""Maximisation of the log marginal likelihood by bounded L-BFGS."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from skdgp._compute.progress import notify
 
 
 class Optimum(NamedTuple):
-    """Where a maximisation ended."""
+    """The result of a maximisation."""
 
     theta: np.ndarray
     value: float
     n_iter: int
     n_evaluations: int
     interrupted: bool
-    rising: bool  # stopped at max_iter while the likelihood still rose by a twentieth of itself in a few evaluations
-    converged: bool  # ended because the likelihood hardly rose any more
+    rising: bool  # stopped at max_iter, and the likelihood rose by more than 5 % in the last few evaluations
+    converged: bool  # stopped because the likelihood no longer rose
 
 
 class _Objective:
-    """Negative log likelihood for a minimiser, that remembers its best point and reports on its way."""
+    """Negative log likelihood for a minimiser; it keeps the best point and reports progress."""
 
     def __init__(self, log_likelihood, theta, stage, stop, record):
         self.log_likelihood, self.stage, self.stop, self.record = log_likelihood, stage, stop, record
@@ -38,7 +38,7 @@ class _Objective:
         value, gradient = self._evaluate(theta) if known is None else known
         self.n_evaluations += 1
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
-            # A wall, finite so that the line search can turn round.
+            # A large finite value, so that the line search turns back.
             value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
@@ -68,31 +68,31 @@ def maximize(
     name=None,
     stop=None,
 ):
-    """Return the best point found from ``theta`` on.
+    """Return the best point of a search that starts at ``theta``.
 
     Parameters
     ----------
     log_likelihood : callable
         theta (n,) -> value and gradient (n,).
     theta : ndarray (n,)
-        Where to start.
+        Starting point.
     bounds : ndarray (n, 2)
     optimizer : "fmin_l_bfgs_b" or callable
         A callable has scikit-learn's signature: (obj_func, initial_theta, bounds) -> theta, minimum.
     max_iter : int
     tolerance : float
-        Stop when the likelihood rises by less than this fraction of itself in one iteration.
+        Stop when one iteration raises the likelihood by less than this fraction.
     stage : str
-        What the progress listeners are told.
+        Name of the stage for progress listeners.
     name : str or None
-        What this maximisation is called in a checkpoint, once in each part of a fit; None: as the stage.
+        Name of this maximisation in a checkpoint, unique within one part of a fit. None: ``stage``.
     stop : threading.Event or None
-        Set by Ctrl-C, and as good as it: looked at before every evaluation.
+        Stops the search before the next evaluation when it is set. Ctrl-C sets it.
 
     Returns
     -------
     Optimum
-        Ctrl-C ends the search and is kept in ``interrupted``; the caller says so.
+        After Ctrl-C the best point so far, with ``interrupted``; the caller warns.
     """
     record = stage_record(name or stage)
     theta = record.start(np.clip(theta, bounds[:, 0], bounds[:, 1]))
@@ -103,7 +103,7 @@ def maximize(
     try:
         if callable(optimizer):
             optimizer(objective, theta, bounds)
-            converged = True  # it came to an end of its own
+            converged = True  # an optimiser of the user has its own stopping rule
         else:
             options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "ftol": tolerance, "gtol": 1e-4, "maxcor": 20}
             end = minimize(

@@ -1,7 +1,7 @@
-"""Samples of the posterior that are functions: Matheron's rule.
+"""Sample paths of the posterior by Matheron's rule.
 
-Samples of the prior become the posterior's by what they lack where something is known: with f and u drawn together,
-f + Kfu Kuu^-1 (u_post - u) has mean and covariance of the posterior everywhere (Wilson et al. 2020, "Efficiently
+A path is a sample of the prior plus a correction by the data. With f and u drawn jointly from the prior,
+f + Kfu Kuu^-1 (u_post - u) has the mean and covariance of the posterior at all inputs (Wilson et al. 2020, "Efficiently
 sampling functions from Gaussian process posteriors").
 """
 
@@ -18,11 +18,11 @@ from skdgp._compute.linalg import triangular_solve
 from skdgp._compute.threads import threads_for
 from skdgp.inference._noise import draw_noise
 
-FREQUENCIES = 64  # waves of each latent process, of every path
+FREQUENCIES = 64  # waves of each latent process in each path
 
 
 class Path:
-    """One sample of the posterior: a function of the regressors, X (n, d) -> (n, P), or (n,) where y was."""
+    """One sample of the posterior: a function X (n, d) -> (n, P), or (n,) for one-dimensional targets."""
 
     def __init__(self, alone: Paths):
         self._alone = alone
@@ -31,27 +31,27 @@ class Path:
         return self._alone(X)[0]
 
     def gradient(self, X) -> np.ndarray:
-        """Return d value / d regressor at X (n, d), (n, P, d), or (n, d) where y was (n,)."""
+        """Return d value / d regressor at X (n, d), (n, P, d), or (n, d) for one-dimensional targets."""
         return self._alone.gradient(X)[0]
 
 
 class Paths(Sequence):
-    """Samples of the posterior that are functions: a sequence of ``Path``, evaluated together.
+    """Sample paths of the posterior: a sequence of ``Path`` that are evaluated together.
 
-    ``paths[k]`` is one of them, ``paths[a:b]`` are some, ``paths(X)`` has the values of all at the same points,
-    ``paths.each(X)`` of each at its own, ``paths.gradient(X)`` the slopes. They can be pickled; at the same point a
-    path has the same values to rounding, in whatever order and company it is asked for them.
+    ``paths[k]`` is one path and ``paths[a:b]`` several. ``paths(X)`` evaluates all paths at the same points,
+    ``paths.each(X)`` each path at its own points, and ``paths.gradient(X)`` their slopes. Paths can be pickled. A path
+    is a function: its value at a point does not depend on the other points or paths of a call, up to rounding.
 
     Parameters
     ----------
     bundle : PathBundle
     n_paths, n_features : int
     center, scale : ndarray (P,)
-        Values are ``center`` + ``scale`` times those of the bundle.
+        Values are ``center`` + ``scale`` times the values of the bundle.
     single : bool
-        Whether the axis of outputs is left out.
+        Whether the axis of outputs is dropped.
     feature_names : sequence of str or None
-        What columns of a DataFrame must be called.
+        Expected column names of a DataFrame.
     """
 
     def __init__(self, bundle, n_paths, n_features, center=0.0, scale=1.0, single=False, feature_names=None):
@@ -59,7 +59,7 @@ class Paths(Sequence):
         self.center, self.scale, self.single, self.feature_names = center, scale, single, feature_names
 
     def in_units(self, center, scale, single, feature_names) -> Paths:
-        """Return the same paths of outputs that are ``center`` + ``scale`` times these."""
+        """Return the paths of the outputs ``center`` + ``scale`` times these outputs."""
         return Paths(self.bundle, self.n_paths, self.n_features, center, scale, single, feature_names)
 
     def __len__(self):
@@ -69,22 +69,22 @@ class Paths(Sequence):
         if not isinstance(index, slice):
             k = range(self.n_paths)[index]
             return Path(self[k : k + 1])
-        some = copy(self)
-        some.bundle, some.n_paths = self.bundle.take(index), len(range(self.n_paths)[index])
-        return some
+        subset = copy(self)
+        subset.bundle, subset.n_paths = self.bundle.take(index), len(range(self.n_paths)[index])
+        return subset
 
     def __call__(self, X) -> np.ndarray:
-        """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) where y was (n,)."""
+        """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) for one-dimensional targets."""
         return self._values(self._checked(X, 2)[None])
 
     def each(self, X) -> np.ndarray:
-        """Return the values of each path at its own points, X (n_paths, n, d), shaped as by a call."""
+        """Return the values of each path at its own points X (n_paths, n, d), in the shape of a call."""
         return self._values(self._checked(X, 3))
 
     def gradient(self, X) -> np.ndarray:
-        """Return the slopes of all paths at X (n, d), or of each at its own, (n_paths, n, d).
+        """Return the slopes of all paths at X (n, d), or of each path at its own points X (n_paths, n, d).
 
-        (n_paths, n, P, d), or (n_paths, n, d) where y was (n,).
+        The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets.
         """
         X = self._checked(X, 3) if np.ndim(X) == 3 else self._checked(X, 2)[None]
         return self._shaped(self.bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
@@ -115,7 +115,7 @@ class Paths(Sequence):
 
 
 def sparse_paths(posterior, n_paths, random_state) -> Paths:
-    """Return paths of a SparsePosterior: u becomes u_post = Lu w, w ~ N(white, B^-1)."""
+    """Return paths of a SparsePosterior, with u_post = Lu w, w ~ N(white, B^-1)."""
     random_state = check_random_state(random_state)
     features, Lu = posterior.features, posterior.Lu
     prior, u = features.prior_paths(n_paths, FREQUENCIES, random_state)
@@ -128,7 +128,7 @@ def sparse_paths(posterior, n_paths, random_state) -> Paths:
 
 
 def exact_paths(posterior, n_paths, random_state) -> Paths:
-    """Return paths of an ExactPosterior: f + Kfy Kyy^-1 (y - f(X) - noise), with the noise drawn too."""
+    """Return paths of an ExactPosterior, f + Kfy Kyy^-1 (y - f(X) - noise), with a draw of the noise."""
     random_state = check_random_state(random_state)
     kernel, data = posterior.kernel, posterior.data
     edges = np.cumsum([0, *map(len, data.X)])
@@ -136,7 +136,7 @@ def exact_paths(posterior, n_paths, random_state) -> Paths:
     points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
     f = prior.values(points[None])
     f = np.hstack([f[:, row.ravel()[a:b], i] for i, (a, b) in enumerate(pairwise(edges))])
-    gap = np.concatenate(data.y) - f - draw_noise(posterior.noise, data, n_paths, random_state)
-    coefficients = posterior.solve(gap.T).T
-    each = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
-    return Paths(prior + kernel.paths(data.X, each), n_paths, kernel.n_features)
+    residual = np.concatenate(data.y) - f - draw_noise(posterior.noise, data, n_paths, random_state)
+    coefficients = posterior.solve(residual.T).T
+    by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
+    return Paths(prior + kernel.paths(data.X, by_output), n_paths, kernel.n_features)

@@ -1,4 +1,4 @@
-"""Selection of kernels: by evidence (BIC), and by what blocks of the log that were held out show."""
+"""Model selection: kernels by the Bayesian information criterion, structures by the error of held-out blocks."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
-from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows, spread
+from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows, stratified
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which kernel was chosen, and the criterion in nats of those that were tried, the first ones.
+    """The index of the chosen kernel, and the criterion in nats of each kernel that was tried.
 
-    ``found`` are its hyperparameters where Ctrl-C ended the search: the best that there are.
+    ``found`` holds the best hyperparameters so far if Ctrl-C ended the search, else None.
     """
 
     index: int
@@ -29,34 +29,34 @@ class Choice:
 def choose_kernel(
     kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: FitRecord | None = None, clock=None
 ) -> Choice:
-    r"""Choose among kernels, from few hyperparameters to many, by the Bayesian information criterion.
+    r"""Choose among kernels by the Bayesian information criterion, starting with the fewest hyperparameters.
 
-    With L the marginal likelihood at its maximum over the q hyperparameters, noise variances among them, and N observed
-    values, the first kernel is taken whose
+    L is the marginal likelihood at its maximum over the q hyperparameters, noise variances included, and N is the
+    number of observed values. The criterion (Schwarz 1978, times -1/2) is
 
-    .. math:: \log L - \frac{1}{2}\, q \log N
+    .. math:: \log L - \frac{1}{2}\, q \log N.
 
-    the next one does not exceed (Schwarz 1978, halved and turned over): more hyperparameters than the data can tell
-    raise L by chance, and predict worse.
+    Kernels are fitted in turn until the criterion does not increase; the last one before that is chosen. The second
+    term penalises hyperparameters that raise L by chance and make predictions worse.
 
     Parameters
     ----------
     kernels : sequence of MultiOutputKernel
-        Without values; fewest hyperparameters first.
+        Without values, ordered by increasing number of hyperparameters.
     X : ndarray (n, d)
     Y : ndarray (n, P)
-        NaN where an output was not observed. Where more than 2400 values were, rows spread over them are used.
+        NaN where an output was not observed. Above 2400 observed values, a subset spread over the rows is used.
     optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
     record : FitRecord or None
-        Where the fits are kept, if they are.
+        Checkpoint in which the fits are saved.
     clock : ndarray (n, 2) or None
         As for ``fit_exact``.
 
     Returns
     -------
     Choice
-        At Ctrl-C the best of the kernels that were done; of the first, if none was.
+        After Ctrl-C, the best kernel of those whose fit was complete, or the first kernel if none was.
     """
     rows = some_rows(Y, check_random_state(random_state))
     X, Y, clock = X[rows], Y[rows], None if clock is None else clock[rows]
@@ -81,26 +81,26 @@ def choose_kernel(
     return Choice(k, scores)
 
 
-BLOCKS = 4  # of the log, held out in turn
-BLOCK_VALUES = 1200  # observed values, at most, that a comparison by blocks uses
-BLOCK_ITERATIONS = 20  # of each fit
-GAP = 0.1  # of a block on either side of it that is not learned from: neighbours repeat each other
-FEWEST_ROWS = 40  # for blocks that mean something
+BLOCKS = 4  # blocks of the log, held out in turn
+BLOCK_VALUES = 1200  # largest number of observed values for a comparison by blocks
+BLOCK_ITERATIONS = 20  # largest number of iterations of each fit
+GAP = 0.1  # rows left out on either side of a held-out block, over its length: neighbours are correlated
+FEWEST_ROWS = 40  # rows below which blocks are too short for a comparison
 
 
 def held_out_errors(
     name, kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record=None, clock=None
 ):
-    """Return the mean squared error of each output in blocks of rows that were not learned from, over its variance.
+    """Return the mean squared error of each output in held-out blocks of rows, over its variance.
 
-    Rows in the order of the log: a block is a stretch of flight, and what is learned from the others is asked there, as
-    of another flight. The evidence cannot say this: where residuals repeat each other for seconds, it takes them for
-    structure.
+    Rows are in the order of the log, so a block is a continuous part of a flight, and predicting it resembles
+    predicting another flight. The marginal likelihood cannot replace this comparison: it explains residuals that are
+    correlated over seconds as structure.
 
     Parameters
     ----------
     name : str
-        Of the comparison's fits in a checkpoint.
+        Name of these fits in a checkpoint.
     kernel : MultiOutputKernel
         Without values.
     X, Y, optimizer, max_iter, random_state, input_noise, record, clock
@@ -109,13 +109,13 @@ def held_out_errors(
     Returns
     -------
     errors : ndarray (P,) or None
-        NaN for an output without values in the blocks; None where there are too few rows, or Ctrl-C stopped a fit.
-    found : Hyperparameters or None
-        Of the fit that Ctrl-C stopped.
+        NaN for an output without values in the blocks. None if there are too few rows or Ctrl-C stopped a fit.
+    hyperparameters : Hyperparameters or None
+        Those of the fit that Ctrl-C stopped.
     """
     observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
     n = max(1, int(BLOCK_VALUES * len(observed) / np.isfinite(Y).sum()))
-    rows = spread(observed, n, check_random_state(random_state))
+    rows = stratified(observed, n, check_random_state(random_state))
     if len(rows) < FEWEST_ROWS:
         return None, None
     options = {"optimizer": optimizer, "max_iter": min(max_iter, BLOCK_ITERATIONS), "random_state": random_state}
@@ -123,14 +123,14 @@ def held_out_errors(
     edges = np.linspace(0, len(rows), BLOCKS + 1).astype(int)
     for k, (a, b) in enumerate(pairwise(edges)):
         gap = int(GAP * (b - a))
-        learned, asked = np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]
-        if (np.isfinite(Y[learned]).sum(axis=0) < 2).any():
+        train, test = np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]
+        if (np.isfinite(Y[train]).sum(axis=0) < 2).any():
             return None, None
-        own = {"input_noise": input_noise, "clock": None if clock is None else clock[learned], **options}
-        fit = run_recorded(record, f"{name}-block-{k}", partial(fit_exact, kernel, X[learned], Y[learned]), **own)
+        block = {"input_noise": input_noise, "clock": None if clock is None else clock[train], **options}
+        fit = run_recorded(record, f"{name}-block-{k}", partial(fit_exact, kernel, X[train], Y[train]), **block)
         if fit.interrupted:
             return None, fit.found(interrupted=True)
-        error[a:b] = (Y[asked] - fit.posterior.predict(X[asked])) ** 2
+        error[a:b] = (Y[test] - fit.posterior.predict(X[test])) ** 2
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # an output without values has no mean
         return np.nanmean(error, axis=0) / np.nanvar(Y[rows], axis=0), None

@@ -1,9 +1,12 @@
-"""Sparse inference: the collapsed bound over inducing features, a sum over samples.
+"""Sparse inference by the collapsed variational bound.
 
-Titsias (2009) for features between domains (Alvarez et al. 2010). With the features' covariance Kuu, the
-covariance Kfu of values and features, and the noise S, log N(y | 0, Kfu Kuu^-1 Kuf + S) less half the trace of
-S^-1 (Kff - Kfu Kuu^-1 Kuf) is below the log marginal likelihood, and rises to it as features are added. Samples
-enter through sums alone, so time is linear in them and memory does not grow.
+The bound of Titsias (2009) with inter-domain features (Alvarez et al. 2010). With the covariance Kuu of the features,
+the covariance Kfu of values and features, and the noise S, the bound is
+
+    log N(y | 0, Kfu Kuu^-1 Kuf + S) - 1/2 tr S^-1 (Kff - Kfu Kuu^-1 Kuf).
+
+It does not exceed the log marginal likelihood, and approaches it as features are added. It needs only sums over the
+samples, so time is linear in their number and memory is constant.
 """
 
 from __future__ import annotations
@@ -33,17 +36,17 @@ from skdgp.inference._sums import (
     Sums,
     bound_gradient,
     data_of,
-    own_factor,
     row_slices,
     shares_of,
-    shares_read,
-    summed,
+    sub_factor,
     sums_of,
+    total_statistics,
+    upgraded_shares,
 )
 
 
 class SparsePosterior:
-    """The posterior given the features, at fixed hyperparameters.
+    """The sparse posterior at fixed hyperparameters and features.
 
     Parameters
     ----------
@@ -51,20 +54,20 @@ class SparsePosterior:
     features : Features
     noise : ndarray (P,)
         Noise variance of each output.
-    shares : list of Share
-        The observed values, see ``shares_of``; or of SampleShare, where the outputs are noisy together.
+    shares : list of SampleShare
+        The observed values, see ``shares_of``.
 
     Attributes
     ----------
     shares : list of SampleShare or None
-        None where they were forgotten: ``sums`` is what is left of them.
+        None after ``without_samples``: only ``sums`` remain.
     log_marginal_likelihood : float
-        Its lower bound.
+        Lower bound on the log marginal likelihood.
     """
 
     shares: Any
     sums: Sums
-    statistics: Any  # list of Statistics, None where the noise is correlated
+    statistics: Any  # list of Statistics, None if the noise is correlated
 
     def __init__(self, kernel, features, noise, shares: list):
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
@@ -73,13 +76,13 @@ class SparsePosterior:
 
     def __getstate__(self):
         state = {name: self.__dict__[name] for name in ("kernel", "features", "noise", "shares")}
-        if self.shares is None:  # else the samples are smaller than their sums
+        if self.shares is None:  # otherwise the sums are computed again from the samples, which take less space
             state["sums"] = self.sums.packed(self.features, self.kernel.n_outputs)
         return state
 
     def __setstate__(self, state):
         self.__dict__.update(state)
-        self.shares = shares_read(self.shares)
+        self.shares = upgraded_shares(self.shares)
         if self.shares is None:
             self.sums = self.sums.unpacked(self.features, self.kernel.n_outputs)
         self._begin()
@@ -95,7 +98,7 @@ class SparsePosterior:
         return sums_of(self.kernel, self.features, self.noise, self.Lu, shares)
 
     def _condition(self):
-        """Whitened, u = Lu w: B = I + sum_i V_i V_i^T / noise_i, the mean of w is B^-1 b, and the bound follows."""
+        """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b."""
         b = self.sums.inner
         with threads_for(self.features.size):
             self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
@@ -117,7 +120,7 @@ class SparsePosterior:
             return symmetric(cholesky_inverse(self.LB.copy(order="F")))
 
     def _with(self, shares, statistics, sums, noise=None) -> SparsePosterior:
-        """Return the posterior of other samples or another noise, at the same features."""
+        """Return the posterior of other samples or with another noise, with the same features."""
         new = object.__new__(SparsePosterior)
         new.kernel, new.features, new.Lu = self.kernel, self.features, self.Lu
         new.noise = self.noise if noise is None else noise
@@ -126,42 +129,41 @@ class SparsePosterior:
         return new
 
     def with_noise(self, noise) -> SparsePosterior:
-        """Return the posterior at another noise variance of each output, noisy apart; no sample is looked at again."""
+        """Return the posterior with other variances of independent noise, from the same sums over samples."""
         noise = np.asarray(noise, dtype=float)
         return self._with(self.shares, self.statistics, Sums.of(self.features, noise, self.statistics), noise)
 
     def noise_seen(self) -> np.ndarray:
-        """Return the mean squared distance of the values from the function, uncertain as that is, (P,).
+        """Return the expected mean squared residual of each output, (P,), for independent noise.
 
-        Where it is the noise, the bound is stationary in the noise: the step of expectation maximisation. Of outputs
-        that are noisy apart.
+        This is the noise update of expectation maximisation: at its fixed point the bound is stationary in the noise.
         """
-        seen = np.empty(len(self.noise))
+        residual = np.empty(len(self.noise))
         for i, s in enumerate(self.statistics):
             c = self.features.columns(i)
             w = self.white[c]
-            spread = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + s.missing
-            seen[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / max(s.n, 1)
-        return seen
+            spread = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + s.unexplained
+            residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / max(s.n, 1)
+        return residual
 
     def without_samples(self) -> SparsePosterior:
-        """Return the same posterior, of the same predictions, that holds no samples: their sums alone."""
+        """Return the same posterior without samples: it keeps only their sums and predicts the same."""
         return self._with(None, None, self.sums)
 
     def updated(self, data: Data) -> SparsePosterior:
-        """Return the posterior that knows further values too: their sums are added."""
+        """Return the posterior with further values: their sums are added."""
         sums, added = self._sums_of(shares_of(data))
         sums = self.sums.plus(sums)
         if self.shares is None:
             return self._with(None, None, sums)
-        total = added and [summed(pair) for pair in zip(self.statistics, added, strict=True)]
+        total = added and [total_statistics(pair) for pair in zip(self.statistics, added, strict=True)]
         return self._with(shares_of(data_of(self.shares, len(data.X)).joined(data)), total, sums)
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
-        """Return the bound for the same data and features at other hyperparameters, and its gradient on request."""
+        """Return the bound of the same data at other hyperparameters, with ``eval_gradient`` also its gradient."""
         if self.shares is None:
             raise ValueError(
-                "A compact model holds no samples, so its likelihood is known at the fitted hyperparameters alone. Ask "
+                "A compact model holds no samples, so its likelihood is known at the fitted hyperparameters alone. Use "
                 "the model it was made from."
             )
         other = SparsePosterior(kernel, self.features.rebuild(kernel, self.features.theta), noise, self.shares)
@@ -175,22 +177,22 @@ class SparsePosterior:
 
     @cached_property
     def readout(self) -> Readout:
-        """What means need, made when they are first asked for."""
+        """The weights of means, computed at the first prediction."""
         return Readout(self.kernel, self.features, self.weights)
 
     @cached_property
     def roots(self) -> list[np.ndarray]:
-        """What variances need besides."""
+        """The matrices of variances, computed at the first prediction of a standard deviation."""
         with threads_for(self.features.size):
             return self.readout.roots(self.Lu, self.B_inverse)
 
     def predict(self, Xs, return_variance=False):
-        """Return mean and, on request, variance of the latent functions at Xs (n, d): (n, P) each."""
+        """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         readout = self.readout
-        answer = partial(readout.mean_and_variance, roots=self.roots) if return_variance else readout.mean
+        evaluate = partial(readout.mean_and_variance, roots=self.roots) if return_variance else readout.mean
         if len(Xs) <= ROWS:
-            return answer(Xs)
-        parts = thread_map(lambda rows: answer(Xs[rows]), row_slices(len(Xs)))
+            return evaluate(Xs)
+        parts = thread_map(lambda rows: evaluate(Xs[rows]), row_slices(len(Xs)))
         return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
 
     def covariance(self, Xs) -> np.ndarray:
@@ -207,72 +209,72 @@ class SparsePosterior:
         return sparse_paths(self, n_paths, random_state)
 
     def gradient(self, Xs, return_variance=False):
-        """Return d mean / d x at Xs, (n, P, d), and on request the variance of the slopes."""
+        """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         parts = thread_map(partial(self._gradient, Xs, self.roots if return_variance else None), row_slices(len(Xs)))
         mean, variance = zip(*parts, strict=True)
         return (np.concatenate(mean), np.concatenate(variance)) if return_variance else np.concatenate(mean)
 
     def _gradient(self, Xs, roots, rows):
-        """Return mean and, where roots are given, variance of the slopes at some rows, (n, P, d) each."""
+        """Return the mean and, unless ``roots`` is None, the variance of the slopes at some rows, (n, P, d) each."""
         x, outputs = Xs[rows], range(self.kernel.n_outputs)
         D = [self.features.Kfu_derivative(i, x) for i in outputs]
         mean = np.stack([(D[i] @ self.weights[self.features.columns(i)]).T for i in outputs], axis=1)
         if roots is None:
             return mean, None
-        learned = [
+        explained = [
             explained_variance(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T for i in outputs
         ]
         prior = np.stack([self.kernel.derivative_diag(i, x) for i in outputs], axis=1)
-        return mean, unexplained_variance(prior, np.stack(learned, axis=1))
+        return mean, unexplained_variance(prior, np.stack(explained, axis=1))
 
 
 def maximize_features(start: SparsePosterior, scale, *, max_iter, stage) -> tuple:
-    """Return the features that raise the bound most, found from those of ``start``, and how they were found.
+    """Return the features that maximise the bound, from those of ``start``, and the Optimum.
 
-    Steps are in units of ``scale`` (d,), the standard deviations of the regressors, to the nearest power of two: the
-    search does not depend on the units of the regressors, and standardised ones keep their bits.
+    Steps are in units of ``scale`` (d,), the standard deviations of the regressors, rounded to powers of two. The
+    search then does not depend on the units of the regressors, and the scaling causes no rounding.
     """
     kernel, features = start.kernel, start.features
     unit = features.theta_scale(np.exp2(np.round(np.log2(scale))))
 
     def bound(theta):
-        moved = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
-        return moved.log_marginal_likelihood, unit * moved.bound_gradient()[-len(theta) :]
+        posterior = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
+        return posterior.log_marginal_likelihood, unit * posterior.bound_gradient()[-len(theta) :]
 
     best = maximize(bound, features.theta / unit, features.bounds / unit[:, None], max_iter=max_iter, stage=stage)
     return features.rebuild(kernel, unit * best.theta), best
 
 
 class Readout:
-    """Mean and variance of every output, from the features it feels.
+    """Mean and variance of every output from the features it covaries with.
 
-    With whitened features V = Lu^-1 Kuf, the data took V^T (I - B^-1) V from the prior variance. With I - B^-1 = R R^T
-    for the features of output i that is |Kfu Lu^-T R|^2, a product and a sum of squares.
+    With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V. With I - B^-1 = R R^T for the features of
+    output i this is |Kfu Lu^-T R|^2, one matrix product and a sum of squares.
 
     Parameters
     ----------
     kernel : MultiOutputKernel
     features : Features
     weights : ndarray (K,)
-        Posterior mean of the features, coloured.
+        Kuu^-1 times the posterior mean of the features.
     """
 
     def __init__(self, kernel, features, weights):
         self.kernel, self.rows = kernel, features.rows()
         self.columns = [features.columns(i) for i in range(kernel.n_outputs)]
         edges = np.cumsum([0, *map(len, self.columns)])
-        self.own = [slice(a, b) for a, b in pairwise(edges)]
+        self.slices = [slice(a, b) for a, b in pairwise(edges)]
         self.weights = np.zeros((edges[-1], kernel.n_outputs))
-        for i, (own, columns) in enumerate(zip(self.own, self.columns, strict=True)):
-            self.weights[own, i] = weights[columns]
+        for i, (rows, columns) in enumerate(zip(self.slices, self.columns, strict=True)):
+            self.weights[rows, i] = weights[columns]
 
     def roots(self, Lu, B_inverse) -> list[np.ndarray]:
         """Return Lu^-T R of the features of each output, (c, c)."""
         roots = []
         for columns in self.columns:
-            learned = -B_inverse[np.ix_(columns, columns)]
-            np.einsum("ii->i", learned)[:] += 1.0
-            roots.append(triangular_solve(own_factor(Lu, columns), semidefinite_root(learned), transposed=True))
+            reduction = -B_inverse[np.ix_(columns, columns)]
+            np.einsum("ii->i", reduction)[:] += 1.0
+            roots.append(triangular_solve(sub_factor(Lu, columns), semidefinite_root(reduction), transposed=True))
         return roots
 
     def mean(self, X) -> np.ndarray:
@@ -282,13 +284,14 @@ class Readout:
     def mean_and_variance(self, X, roots) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and variance at X (n, d), (n, P) each."""
         A = self.rows(X)
-        variance = np.empty((len(X), len(self.own)))
-        for i, (own, root) in enumerate(zip(self.own, roots, strict=True)):
-            variance[:, i] = unexplained_variance(self.kernel.block_diag(i, X), explained_variance(A[:, own], root))
+        variance = np.empty((len(X), len(self.slices)))
+        for i, (columns, root) in enumerate(zip(self.slices, roots, strict=True)):
+            explained = explained_variance(A[:, columns], root)
+            variance[:, i] = unexplained_variance(self.kernel.block_diag(i, X), explained)
         return A @ self.weights, variance
 
 
 def explained_variance(A, root):
-    """Return what the data took from the variance of functions whose covariance with the features is A (n, c)."""
+    """Return the variance explained by the data for functions with covariances A (n, c) with the features."""
     half = A @ root
     return np.einsum("nc,nc->n", half, half)

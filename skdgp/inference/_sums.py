@@ -1,9 +1,9 @@
-"""Sums over samples for sparse inference: what conditioning and the gradient of the bound need.
+"""Sums over samples for sparse inference: for conditioning and for the gradient of the bound.
 
-A share is a run of samples of some outputs: of one output, where each has noise of its own; of all, where noisy
-regressors correlate their noise. Noise that drifts correlates the samples of a share, which is then part of one flight.
-The functions that sum a share stand at module level and get what they need as arguments, so that a thread, a process or
-another machine can run them.
+A share is a sequence of samples. It holds one output if the outputs have independent noise, and all outputs if noisy
+regressors correlate their noise. With a drift a share is part of one flight, and the noise of its samples is
+correlated. Functions that sum over a share are module-level functions with explicit arguments, so that a thread, a
+process or another machine can run them.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from skdgp._compute.parallel import share_map
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import drift_precision
 
-ROWS = 512  # samples at a time: their covariances stay in the cache
-SHARES = 8  # of each output that has noise of its own
-SAMPLE_SHARES = 16  # of samples whose outputs' noise is correlated
-DRIFT_ROWS = 1024  # samples whose drift is told apart from that of the next ones as if it began anew
-DIAGONAL_ROWS = 32  # of a covariance of which the diagonal alone is needed
+ROWS = 512  # samples in one step: their covariances fit the cache
+SHARES = 8  # largest number of shares of each output with independent noise
+SAMPLE_SHARES = 16  # largest number of shares of samples with noise correlated between outputs
+DRIFT_ROWS = 1024  # largest number of samples in a share with drift; drifts of different shares are independent
+DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
 
 
 class SampleShare(NamedTuple):
-    """A run of samples of some outputs.
+    """A sequence of samples of some outputs.
 
-    ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, ``loading`` G (n, p, r) of the noise diag(sigma^2) + G G^T.
-    Where noise drifts, ``clock`` (n, 2), time and flight, and ``drift``, its variances and memories (2, p).
+    ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, and ``loading`` G (n, p, r) of the noise covariance
+    diag(sigma^2) + G G^T. With a drift also ``clock`` (n, 2), time and flight, and ``drift``, its variances and
+    memories (2, p).
     """
 
     outputs: tuple[int, ...]
@@ -41,7 +42,7 @@ class SampleShare(NamedTuple):
 
 
 class Share(NamedTuple):
-    """Values of one output, in model files of version 0.1."""
+    """Values of one output; class name in model files of version 0.1."""
 
     output: int
     X: np.ndarray
@@ -49,15 +50,15 @@ class Share(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Samples of all outputs, in model files of version 0.1."""
+    """Samples of all outputs; class name in model files of version 0.1."""
 
     X: np.ndarray
     Y: np.ndarray
     loading: np.ndarray
 
 
-def shares_read(shares) -> list[SampleShare] | None:
-    """Return the shares of a model file of any version."""
+def upgraded_shares(shares) -> list[SampleShare] | None:
+    """Return the shares of a model file of any version as SampleShare."""
     if shares is None or not shares or isinstance(shares[0], SampleShare):
         return shares
     if isinstance(shares[0], Stretch):
@@ -70,15 +71,15 @@ def _one_output(i, X, y):
 
 
 def shares_of(data: Data) -> list[SampleShare]:
-    """Cut the observed values alike whatever the number of threads: sums keep their bits."""
+    """Return the observed values in shares that do not depend on the number of threads: sums have the same bits."""
     if data.drift is not None:
         return _drifting_shares(data)
     if data.sample_noise is None:
         return [
             _one_output(i, *part)
-            for i, both in enumerate(zip(data.X, data.y, strict=True))
-            if len(both[1])
-            for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in both), strict=True)
+            for i, values in enumerate(zip(data.X, data.y, strict=True))
+            if len(values[1])
+            for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in values), strict=True)
         ]
     table = _table_of(data)[0]
     parts = zip(*(np.array_split(a, min(SAMPLE_SHARES, -(-len(a) // ROWS))) for a in table), strict=True)
@@ -86,7 +87,7 @@ def shares_of(data: Data) -> list[SampleShare]:
 
 
 def _table_of(data):
-    """Return X, Y and loading of the samples, and where each stands among the stacked values."""
+    """Return X, Y and loading of the samples, and the index of each sample among the stacked values."""
     samples, first = np.unique(np.concatenate(data.sample_noise.sample), return_index=True)
     n, P = len(samples), len(data.y)
     Y, loading = np.full((n, P), np.nan), np.zeros((n, P, data.sample_noise.loading[0].shape[1]))
@@ -97,7 +98,7 @@ def _table_of(data):
 
 
 def _drifting_shares(data):
-    """Return shares that are parts of a flight, in the order of time."""
+    """Return shares that are each part of one flight, in the order of time."""
     drift = np.stack([data.drift.variance, data.drift.memory])
     if data.sample_noise is None:
         tables = [
@@ -120,19 +121,19 @@ def _drifting_shares(data):
 
 
 def data_of(shares, n_outputs) -> Data:
-    """Return the observed values that were cut."""
+    """Return the observed values of all shares."""
     if shares[0].drift is not None:
         return _drifting_data(shares, n_outputs)
     if _independent(shares):
-        nothing = _one_output(-1, shares[0].X[:0], np.empty(0))
-        own = [[nothing, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)]
-        X = [np.concatenate([share.X for share in parts]) for parts in own]
-        return Data(X, [np.concatenate([share.Y[:, 0] for share in parts]) for parts in own])
+        empty = _one_output(-1, shares[0].X[:0], np.empty(0))
+        by_output = [[empty, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)]
+        X = [np.concatenate([share.X for share in parts]) for parts in by_output]
+        return Data(X, [np.concatenate([share.Y[:, 0] for share in parts]) for parts in by_output])
     return Data.from_table(*(np.concatenate(part) for part in list(zip(*shares, strict=True))[1:4]))
 
 
 def _drifting_data(shares, n_outputs):
-    """Return the observed values of shares whose noise drifts: a row for each sample of a share."""
+    """Return the observed values of shares with drift; each sample of a share becomes one row."""
     X, clock = np.concatenate([s.X for s in shares]), np.concatenate([s.clock for s in shares])
     Y, drift = np.full((len(X), n_outputs), np.nan), np.ones((2, n_outputs))
     loading = np.zeros((len(X), n_outputs, shares[0].loading.shape[2]))
@@ -144,7 +145,7 @@ def _drifting_data(shares, n_outputs):
 
 
 def _independent(shares) -> bool:
-    """Return whether every value has noise of its own."""
+    """Return whether the noise of all values is independent."""
     return all(share.loading.shape[2] == 0 and share.drift is None for share in shares)
 
 
@@ -152,9 +153,9 @@ def _independent(shares) -> bool:
 
 
 class Sums(NamedTuple):
-    """Over all values, with V = Lu^-1 Kuf and the inverse noise Pi: V Pi V^T (K, K), V Pi y (K,), and the rest.
+    """The sums V Pi V^T (K, K), V Pi y (K,) and ``rest`` over all values, with V = Lu^-1 Kuf and inverse noise Pi.
 
-    ``rest`` is the sum of log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)): what else the bound needs.
+    ``rest`` is log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound.
     """
 
     outer: np.ndarray
@@ -163,41 +164,41 @@ class Sums(NamedTuple):
 
     @classmethod
     def of(cls, features, noise, statistics) -> Sums:
-        """Return the sums over outputs that have noise of their own."""
+        """Return the sums over outputs with independent noise."""
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
         for i, s in enumerate(statistics):
             columns = features.columns(i)
             outer[np.ix_(columns, columns)] += s.outer / noise[i]
             inner[columns] += s.inner / noise[i]
-            rest += s.n * np.log(2 * np.pi * noise[i]) + (s.square + s.missing) / noise[i]
+            rest += s.n * np.log(2 * np.pi * noise[i]) + (s.square + s.unexplained) / noise[i]
         return cls(outer, inner, rest)
 
     def plus(self, other: Sums) -> Sums:
-        """Return the sums over the values of both."""
+        """Return the sums over these and the other values."""
         return Sums(self.outer + other.outer, self.inner + other.inner, self.rest + other.rest)
 
     def packed(self, features, n_outputs) -> Sums:
-        """Return the sums with those entries of ``outer`` alone that can differ from zero, of its lower triangle."""
+        """Return the sums with only the lower-triangular entries of ``outer`` that can differ from zero."""
         return self._replace(outer=self.outer[_nonzero(features, n_outputs)])
 
     def unpacked(self, features, n_outputs) -> Sums:
-        """Return the sums that were packed."""
+        """Return the sums with the full matrix ``outer``; the inverse of ``packed``."""
         lower = np.zeros((features.size, features.size))
         lower[_nonzero(features, n_outputs)] = self.outer
         return self._replace(outer=lower + np.tril(lower, -1).T)
 
 
 def _nonzero(features, n_outputs):
-    """Return which pairs of features covary with a common output, in the lower triangle."""
-    together = np.zeros((features.size, features.size), dtype=bool)
+    """Return the mask of pairs of features that covary with a common output, in the lower triangle."""
+    pairs = np.zeros((features.size, features.size), dtype=bool)
     for i in range(n_outputs):
         columns = features.columns(i)
-        together[np.ix_(columns, columns)] = True
-    return np.tril(together)
+        pairs[np.ix_(columns, columns)] = True
+    return np.tril(pairs)
 
 
 class Statistics(NamedTuple):
-    """Sums over the samples of one output at unit noise: V V^T (c, c), V y (c,), y y, var(y_i), and how many."""
+    """Sums over the n samples of one output at unit noise: V V^T (c, c), V y (c,), y y and var(y_i)."""
 
     outer: np.ndarray
     inner: np.ndarray
@@ -206,18 +207,18 @@ class Statistics(NamedTuple):
     n: int
 
     @property
-    def missing(self) -> float:
+    def unexplained(self) -> float:
         """Prior variance that the features do not explain."""
         return self.variance - float(np.trace(self.outer))
 
 
-def summed(parts) -> Statistics:
+def total_statistics(parts) -> Statistics:
     """Return the sums over the samples of all parts."""
     return Statistics(*(sum(part) for part in zip(*parts, strict=True)))
 
 
 def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics] | None]:
-    """Return the sums over all values, and their parts by output where each has noise of its own, else None."""
+    """Return the sums over all values, and their parts by output if the noise is independent, else None."""
     if shares and not _independent(shares):
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
         for share, part in zip(shares, share_map(_share_sums, (kernel, features, noise, Lu), shares), strict=True):
@@ -230,24 +231,24 @@ def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics]
     statistics = []
     for i in range(kernel.n_outputs):
         c = len(features.columns(i))
-        found = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0)]
+        by_share = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0)]
         for share, part in zip(shares, parts, strict=True):
             if share.outputs == (i,):
-                found.append(Statistics(part[0], part[1], part[2], part[3], len(share.X)))
-        statistics.append(summed(found))
+                by_share.append(Statistics(part[0], part[1], part[2], part[3], len(share.X)))
+        statistics.append(total_statistics(by_share))
     return Sums.of(features, noise, statistics), statistics
 
 
 def _share_sums(kernel, features, noise, Lu, share):
-    """Return V Pi V^T, V Pi y, y Pi y, tr(Pi var(y)) and log |2 pi noise|; of one output over its own features."""
+    """Return V Pi V^T, V Pi y, y Pi y, tr(Pi var(y)) and log |2 pi noise|; one output uses only its own features."""
     if share.drift is not None:
         return _drifting_sums(kernel, features, noise, Lu, share)
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
-    factors = [own_factor(Lu, c) for c in columns]
+    factors = [sub_factor(Lu, c) for c in columns]
     places: dict = {(i, j): np.ix_(columns[i], columns[j]) for i in outputs for j in outputs}
     size = features.size
-    if len(outputs) == 1:  # over its own features: slices, which nothing is copied for
+    if len(outputs) == 1:  # slices instead of index arrays: nothing is copied
         size, columns, places = len(columns[0]), [slice(None)], {(0, 0): slice(None)}
     outer, inner, square, variance, log_determinant = np.zeros((size, size)), np.zeros(size), 0.0, 0.0, 0.0
     for X, Y, precision, log_determinants in _blocks(share, noise):
@@ -273,39 +274,39 @@ def _share_sums(kernel, features, noise, Lu, share):
 
 
 def _drifting_sums(kernel, features, noise, Lu, share):
-    """Return what ``_share_sums`` does, where noise drifts.
+    """Return the sums of ``_share_sums`` for noise with drift.
 
-    With R the noise without drift and D the covariance of the drift, the inverse noise is R^-1 - R^-1 B^-1 R^-1 with
-    B = R^-1 + D^-1, which is block tridiagonal: with its factor B = L L^T, V Pi V^T is V R^-1 V^T - W^T W, where
-    W = L^-1 R^-1 V^T is made sample by sample. The trace takes R^-1 for Pi, which keeps the bound one.
+    Let R be the noise without drift and D the covariance of the drift. The inverse noise is R^-1 - R^-1 B^-1 R^-1 with
+    the block tridiagonal B = R^-1 + D^-1 = L L^T. Then V Pi V^T = V R^-1 V^T - W^T W, where W = L^-1 R^-1 V^T is
+    computed sample by sample. The trace uses R^-1 instead of Pi, which is larger, so the result remains a bound.
     """
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
     V = [
-        triangular_solve(own_factor(Lu, c), features.Kfu(i, share.X).T).T
+        triangular_solve(sub_factor(Lu, c), features.Kfu(i, share.X).T).T
         for i, c in zip(share.outputs, columns, strict=True)
     ]
     if len(outputs) == 1:
         columns = [np.arange(len(columns[0]))]
     size = len(columns[0]) if len(outputs) == 1 else features.size
-    own = noise[list(share.outputs)]
-    precision, log_determinants = precisions(share.Y, share.loading, own)
-    Y, seen = np.nan_to_num(share.Y), np.isfinite(share.Y)
-    A = np.zeros((*share.Y.shape, size + 1))  # V^T of each output on its own features, and at last y
+    white = noise[list(share.outputs)]
+    precision, log_determinants = precisions(share.Y, share.loading, white)
+    Y, observed = np.nan_to_num(share.Y), np.isfinite(share.Y)
+    A = np.zeros((*share.Y.shape, size + 1))  # V^T of each output on its own features; the last column is y
     A[:, :, -1] = Y
     for i in outputs:
         A[:, i, columns[i]] = V[i]
     weighted = precision @ A
-    inverse, before, log_determinant = _drift_factor(share, precision)
+    inverse, transition, log_determinant = _drift_factor(share, precision)
     W = inverse @ weighted
     for t in range(1, len(W)):
-        W[t] -= before[t] @ W[t - 1]
+        W[t] -= transition[t] @ W[t - 1]
     W, A, weighted = (a.reshape(-1, size + 1) for a in (W, A, weighted))
     product = A.T @ weighted - W.T @ W
     trace, variance = np.trace(product[:-1, :-1]), 0.0
     for i, output in enumerate(share.outputs):
-        left = kernel.block_diag(output, share.X) - np.einsum("nc,nc->n", V[i], V[i])
-        variance += np.sum(left[seen[:, i]]) / own[i]
+        unexplained = kernel.block_diag(output, share.X) - np.einsum("nc,nc->n", V[i], V[i])
+        variance += np.sum(unexplained[observed[:, i]]) / white[i]
     return (
         product[:-1, :-1],
         product[:-1, -1],
@@ -318,13 +319,13 @@ def _drifting_sums(kernel, features, noise, Lu, share):
 def _drift_factor(share, precision):
     """Return L_tt^-1 and L_tt^-1 L_t,t-1 of R^-1 + D^-1 = L L^T, (n, p, p) each, and log |R^-1 + D^-1| + log |D|."""
     n, p, _ = precision.shape
-    diagonal, beside, log_covariance = drift_precision(share.clock, *share.drift)
+    diagonal, off_diagonal, log_covariance = drift_precision(share.clock, *share.drift)
     band = np.zeros((p + 1, n, p))
     for k in range(p):
         for i in range(p - k):
             band[k, :, i] = precision[:, i + k, i]
     band[0] += diagonal
-    band[p, :-1] = beside
+    band[p, :-1] = off_diagonal
     factor = cholesky_banded(band.reshape(p + 1, n * p), lower=True).reshape(p + 1, n, p)
     L, below = np.zeros((n, p, p)), np.zeros((n, p, p))
     for i in range(p):
@@ -343,75 +344,77 @@ def _drift_factor(share, precision):
 def bound_gradient(posterior) -> np.ndarray:
     """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
     if any(share.drift is not None for share in posterior.shares):
-        raise NotImplementedError("The bound with noise that drifts has no gradient here: ask for its value alone.")
+        raise NotImplementedError(
+            "The gradient of the bound is not implemented for noise with drift: use eval_gradient=False."
+        )
     a, kernel, features = posterior.weights, posterior.kernel, posterior.features
-    Lu, one = posterior.Lu, np.eye(features.size)
-    gap = _coloured(Lu, one - posterior.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1
-    Wuu = 0.5 * (_coloured(Lu, 2 * one - posterior.B_inverse - posterior.B) - np.outer(a, a))
-    parts = share_map(_share_slope, (kernel, features, posterior.noise, a, gap), posterior.shares)
+    Lu, identity = posterior.Lu, np.eye(features.size)
+    reduction = _unwhitened(Lu, identity - posterior.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1
+    Wuu = 0.5 * (_unwhitened(Lu, 2 * identity - posterior.B_inverse - posterior.B) - np.outer(a, a))
+    parts = share_map(_share_slope, (kernel, features, posterior.noise, a, reduction), posterior.shares)
     total, diagonal, d_noise = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     total += features.gradient_uu(Wuu)
     n = kernel.n_dims
     return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
 
 
-def _coloured(Lu, M):
-    """Return Lu^-T M Lu^-1 of a symmetric M, (K, K)."""
+def _unwhitened(Lu, M):
+    """Return Lu^-T M Lu^-1 for a symmetric M (K, K)."""
     half = triangular_solve(Lu, np.asfortranarray(M), transposed=True)
     return triangular_solve(Lu, np.asfortranarray(half.T), transposed=True)
 
 
-def _share_slope(kernel, features, noise, weights, gap, share):
-    """Return the gradient's sums over samples: by [kernel, features], by kernel through variances, by log noise.
+def _share_slope(kernel, features, noise, weights, reduction, share):
+    """Return the sums of the gradient: by [kernel, features], by the kernel through prior variances, by log noise.
 
-    ``weights`` (K,) is the posterior mean of the features, coloured; ``gap`` (K, K) as in ``bound_gradient``.
+    ``weights`` (K,) are Kuu^-1 times the posterior mean of the features; ``reduction`` (K, K) as in ``bound_gradient``.
     """
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
-    gaps = {(i, j): gap[np.ix_(columns[j], columns[i])] for i in outputs for j in outputs}
+    reductions = {(i, j): reduction[np.ix_(columns[j], columns[i])] for i in outputs for j in outputs}
     total, diagonal, d_noise = 0.0, np.zeros(kernel.n_dims), np.zeros(len(noise))
     for X, Y, precision, _ in _blocks(share, noise):
         A = [features.Kfu(i, X) for i in share.outputs]
         residual = np.nan_to_num(Y) - np.column_stack([A[i] @ weights[columns[i]] for i in outputs])
         weighted = np.einsum("nij,nj->ni", precision, residual)
-        projected = {(i, j): A[j] @ gaps[i, j] for i in outputs for j in outputs}
-        uncertain = np.empty_like(precision)  # covariance of the outputs that the features leave
+        projected = {(i, j): A[j] @ reductions[i, j] for i in outputs for j in outputs}
+        covariance = np.empty_like(precision)  # posterior covariance of the outputs at each sample
         for i, j in _pairs(share):
             first, second = share.outputs[i], share.outputs[j]
-            left = _variance(kernel, first, second, X) - np.einsum("nc,nc->n", A[i], projected[i, j])
-            uncertain[:, i, j] = uncertain[:, j, i] = left
+            value = _variance(kernel, first, second, X) - np.einsum("nc,nc->n", A[i], projected[i, j])
+            covariance[:, i, j] = covariance[:, j, i] = value
             w = -0.5 * precision[:, i, j]
             if i == j:
                 diagonal += kernel.diag_gradient(first, X, w)
             elif kernel.couples(first, second):
-                for some in _few(len(X)):
-                    diagonal += kernel.block_gradient(first, second, X[some], X[some], np.diag(2 * w[some]))
+                for rows in _diagonal_slices(len(X)):
+                    diagonal += kernel.block_gradient(first, second, X[rows], X[rows], np.diag(2 * w[rows]))
         for i in outputs:
             W = np.multiply.outer(weighted[:, i], weights[columns[i]])
             for j in outputs:
                 W += precision[:, i, j, None] * projected[i, j]
             total = total + features.gradient_fu(share.outputs[i], X, W)
-        spread = np.einsum("nij,njk,nki->ni", precision, uncertain, precision)
+        spread = np.einsum("nij,njk,nki->ni", precision, covariance, precision)
         by_noise = np.sum(weighted**2 + spread - np.einsum("nii->ni", precision), axis=0)
         d_noise[list(share.outputs)] += 0.5 * noise[list(share.outputs)] * by_noise
     return total, diagonal, d_noise
 
 
-# -- pieces of both -------------------------------------------------------------------------------------------
+# -- common to both -------------------------------------------------------------------------------------------
 
 
 def row_slices(n):
-    """Cut n rows into slices of at most ROWS."""
+    """Return slices of at most ROWS of n rows."""
     return [slice(a, min(a + ROWS, n)) for a in range(0, n, ROWS)]
 
 
-def own_factor(Lu, columns):
-    """Return the factor of some features alone: Kuu is block diagonal, and columns are whole blocks of it."""
+def sub_factor(Lu, columns):
+    """Return the Cholesky factor of some features: Kuu is block diagonal, and ``columns`` are whole blocks."""
     return np.asfortranarray(Lu[np.ix_(columns, columns)])
 
 
 def _blocks(share, noise):
-    """Yield some rows of a share at a time: X, Y, inverse noise covariances (n, p, p) and log |2 pi noise| (n,)."""
+    """Yield X, Y, inverse noise covariances (n, p, p) and log |2 pi noise| (n,) for successive rows of a share."""
     noise = noise[list(share.outputs)]
     for rows in row_slices(len(share.X)):
         X, Y, loading = share.X[rows], share.Y[rows], share.loading[rows]
@@ -420,17 +423,17 @@ def _blocks(share, noise):
 
 def precisions(Y, loading, noise):
     """Return the inverse noise covariances of the observed outputs, (n, p, p), zero elsewhere, and log |2 pi noise|."""
-    seen = np.isfinite(Y)
+    observed = np.isfinite(Y)
     if loading.shape[2] == 0:
-        precision = np.where(seen, 1.0 / noise, 0.0)[:, :, None] * np.eye(len(noise))
-        return precision, seen @ np.log(2 * np.pi * noise)
-    loading = np.where(seen[..., None], loading, 0.0)
+        precision = np.where(observed, 1.0 / noise, 0.0)[:, :, None] * np.eye(len(noise))
+        return precision, observed @ np.log(2 * np.pi * noise)
+    loading = np.where(observed[..., None], loading, 0.0)
     covariance = loading @ loading.swapaxes(1, 2)
-    np.einsum("nii->ni", covariance)[:] += np.where(seen, noise, 1.0)
+    np.einsum("nii->ni", covariance)[:] += np.where(observed, noise, 1.0)
     _, log_determinants = np.linalg.slogdet(covariance)
     precision = np.linalg.inv(covariance)
-    np.einsum("nii->ni", precision)[:] *= seen
-    return precision, log_determinants + seen.sum(axis=1) * np.log(2 * np.pi)
+    np.einsum("nii->ni", precision)[:] *= observed
+    return precision, log_determinants + observed.sum(axis=1) * np.log(2 * np.pi)
 
 
 def _pairs(share):
@@ -439,13 +442,13 @@ def _pairs(share):
 
 
 def _variance(kernel, i, j, X):
-    """Return cov(y_i(x), y_j(x)) at each of X, (n,)."""
+    """Return cov(y_i(x), y_j(x)) at each row x of X, (n,)."""
     if i == j:
         return kernel.block_diag(i, X)
     if not kernel.couples(i, j):
         return np.zeros(len(X))
-    return np.concatenate([np.diag(kernel.block(i, j, X[some], X[some])) for some in _few(len(X))])
+    return np.concatenate([np.diag(kernel.block(i, j, X[rows], X[rows])) for rows in _diagonal_slices(len(X))])
 
 
-def _few(n):
+def _diagonal_slices(n):
     return [slice(a, a + DIAGONAL_ROWS) for a in range(0, n, DIAGONAL_ROWS)]

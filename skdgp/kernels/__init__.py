@@ -1,4 +1,4 @@
-"""The prior: multi-output covariance functions as scikit-learn kernels."""
+"""Multi-output covariance functions as scikit-learn kernels."""
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian

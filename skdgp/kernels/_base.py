@@ -1,4 +1,4 @@
-"""The contract of a kernel (MultiOutputKernel), and sums of kernels."""
+"""The base class of kernels, MultiOutputKernel, and sums of kernels."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels._features import Features, PointFeatures, SumFeatures
 from skdgp.kernels._paths import KernelPaths, PathBundle
 
-DIAGONAL_ROWS = 32  # of a tile of which the diagonal alone is needed
-STEP = 1e-3  # of regressors of about unit size, for derivatives by differences
+DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
+STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
 
 
 @dataclass(frozen=True)
 class FreeParameter:
     """The free entries of one parameter array.
 
-    ``index`` has the array's shape: entries with the same number are one hyperparameter, -1 is not free.
-    ``log`` tells the transform: theta holds the logarithm, or the signed value itself.
+    ``index`` has the shape of the array: entries with the same number share one hyperparameter, and -1 marks a fixed
+    entry. ``log`` is True if theta holds the logarithm, False if it holds the signed value.
     """
 
     name: str
@@ -45,20 +45,20 @@ class FreeParameter:
 
     @property
     def n_elements(self) -> int:
-        """How many entries of theta the parameter has."""
+        """Number of entries of theta for this parameter."""
         return 0 if self.fixed else int(self.index.max(initial=-1)) + 1
 
 
 class MultiOutputKernel(Kernel):
     """Covariance between the outputs of a vector-valued process, as a scikit-learn ``Kernel``.
 
-    Inputs are one (n_i, d) array per output, so outputs observed at different samples need no padding; a
-    single (n, d) array means the same samples for every output. Matrices are output-major: all samples of
-    the first output, then all of the second.
+    Inputs are one (n_i, d) array for each output, so outputs observed at different samples need no padding. A single
+    (n, d) array means the same samples for every output. Matrices are output-major: all samples of the first output,
+    then all samples of the second.
 
-    A new kernel has a constructor in scikit-learn's manner, the properties ``n_outputs`` and ``n_features``, and four
-    methods: ``block``, ``block_gradient``, ``block_diag`` and ``free_parameters``. With them it is fitted, exactly and
-    sparsely, and predicts. The other methods are capabilities: each has a default, or says what is missing.
+    A new kernel needs a constructor as scikit-learn requires it, the properties ``n_outputs`` and ``n_features``, and
+    four methods: ``block``, ``block_gradient``, ``block_diag`` and ``free_parameters``. These are enough for exact and
+    sparse inference. The other methods are optional: each has a default or raises an error that names the method.
     """
 
     @property
@@ -71,7 +71,7 @@ class MultiOutputKernel(Kernel):
     def n_features(self) -> int:
         """Number of regressors d."""
 
-    # -- what a kernel states --------------------------------------------------------------------------
+    # -- required methods ------------------------------------------------------------------------------
 
     @abstractmethod
     def block(self, i: int, j: int, Xi, Xj) -> Matrix:
@@ -79,7 +79,7 @@ class MultiOutputKernel(Kernel):
 
     @abstractmethod
     def block_gradient(self, i: int, j: int, Xi, Xj, W) -> Vector:
-        """Return sum(W * dK_ij / dtheta), (n_theta,): the contraction, never the (n_i, n_j, n_theta) array."""
+        """Return sum(W * dK_ij / dtheta), (n_theta,), without the (n_i, n_j, n_theta) array of derivatives."""
 
     @abstractmethod
     def block_diag(self, i: int, Xi) -> Vector:
@@ -87,32 +87,32 @@ class MultiOutputKernel(Kernel):
 
     @abstractmethod
     def free_parameters(self) -> list[FreeParameter]:
-        """Return the parameters that theta is made of, in theta's order."""
+        """Return the parameters that form theta, in the order of theta."""
 
-    # -- capabilities that have a default --------------------------------------------------------------
+    # -- optional methods ------------------------------------------------------------------------------
 
     def couples(self, i: int, j: int) -> bool:
-        """Return whether cov(y_i, y_j) can differ from zero: where it cannot, no block is asked for."""
+        """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
 
     def diag_gradient(self, i: int, Xi, w) -> Vector:
         """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
         rows = [slice(a, a + DIAGONAL_ROWS) for a in range(0, len(Xi), DIAGONAL_ROWS)]
-        parts = [self.block_gradient(i, i, Xi[some], Xi[some], np.diag(w[some])) for some in rows]
+        parts = [self.block_gradient(i, i, Xi[a], Xi[a], np.diag(w[a])) for a in rows]
         return np.sum(parts, axis=0) if parts else np.zeros(self.n_dims)
 
     def block_derivative(self, i: int, j: int, Xi, Xj) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
 
-        Unless a kernel knows better, by central differences of fourth order, for regressors of about unit size.
+        The default uses central differences of fourth order, for regressors of about unit size.
         """
         Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
-        if self.is_stationary() and len(Xj):  # steps from points far from zero would be rounded
+        if self.is_stationary() and len(Xj):  # avoid rounding of small steps at points far from zero
             Xi, Xj = Xi - Xj[0], Xj - Xj[0]
         return np.stack([_difference(lambda x: self.block(i, j, Xi + x, Xj), unit) for unit in np.eye(Xi.shape[1])])
 
     def derivative_diag(self, i: int, Xi) -> Matrix:
-        """Return the prior variance of dy_i/dx at Xi, (n_i, d); by default by differences, as ``block_derivative``."""
+        """Return the prior variance of dy_i/dx at Xi, (n_i, d); the default uses central differences."""
         Xi = np.asarray(Xi, dtype=float)
 
         def slope(unit, z):  # d/dx of k(x, z) at x = Xi, z = Xi + z, row by row
@@ -121,74 +121,76 @@ class MultiOutputKernel(Kernel):
         return np.stack([_difference(lambda z, u=unit: slope(u, z), unit) for unit in np.eye(Xi.shape[1])], axis=1)
 
     def has_values(self) -> bool:
-        """Return whether every value was given, so that none is taken from data."""
+        """Return whether all parameter values are given."""
         return all(getattr(self, parameter.name) is not None for parameter in self.free_parameters())
 
     def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0) -> MultiOutputKernel:
-        """Return the kernel with the values and bounds that were not given taken from data.
+        """Return the kernel with missing values and bounds estimated from data.
 
-        X is (n, d), Y is (n, P) with NaN where an output was not observed. Better starting values come from
-        ``singles``, fits of each output alone, made from ``single_output``, and from a fit of ``coarse``.
-        ``width_factor`` multiplies the widths that are tried first. What was given stays as it is.
+        X is (n, d), Y is (n, P) with NaN where an output was not observed. ``singles`` (fits of each output with
+        ``single_output``) and a fit of ``coarse`` give better starting values. ``width_factor`` multiplies the default
+        starting widths. Given values do not change.
         """
         if not self.has_values():
-            raise ValueError(f"{type(self).__name__} takes no values from data: give all of its parameters.")
+            raise ValueError(f"{type(self).__name__} cannot estimate values from data: give all of its parameters.")
         return self
 
     def prepared(self, X) -> MultiOutputKernel:
-        """Return the kernel, still without values, with what it takes from the inputs (n, d) of all samples alone."""
+        """Return the kernel with those parts that depend only on the inputs (n, d) of all samples; values stay open."""
         return self
 
     def coarse(self) -> MultiOutputKernel:
-        """Return a kernel without values, with fewer hyperparameters, to fit first; itself if there is none."""
+        """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
         return self
 
     def single_output(self) -> MultiOutputKernel:
-        """Return the kernel, without values, that one output alone would have: for kernels without values."""
-        raise NotImplementedError(f"{type(self).__name__} does not say what kernel one output alone would have.")
+        """Return a kernel without values for a separate fit of one output."""
+        raise NotImplementedError(
+            f"{type(self).__name__} does not define single_output, the kernel of a separate fit of one output."
+        )
 
     def log_prior(self, eval_gradient=False):
-        """Return the log density of the prior on theta, zero where there is none; on request its gradient too."""
+        """Return the log density of the prior on theta, by default zero; with ``eval_gradient`` also its gradient."""
         return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
 
     def residual(self, X, Y) -> Matrix:
-        """Return what of Y, (n, P), this kernel leaves to the others of a sum when they choose starting values."""
+        """Return the part of Y (n, P) from which the other terms of a sum estimate their starting values."""
         return Y
 
     def stationary_part(self) -> MultiOutputKernel | None:
-        """Return what of the covariance depends on the separation alone, None if nothing does."""
+        """Return the terms of the covariance that depend only on the separation, or None."""
         return self if self.is_stationary() else None
 
     def peaks(self, i: int, j: int) -> Matrix:
-        """Return separations where a stationary cov(y_i, y_j) may be largest, beside zero, (k, d)."""
+        """Return separations besides zero where a stationary cov(y_i, y_j) may be largest, (k, d)."""
         return np.zeros((0, self.n_features))
 
     def features(self, Z) -> Features:
-        """Return inducing features for sparse inference, placed at Z (k, d); by default the outputs' values there."""
+        """Return inducing features for sparse inference at Z (k, d), by default the values of the outputs at Z."""
         return PointFeatures(self, Z)
 
     def feature_ranking(self, X, scale, random_state) -> Callable[[int], Features]:
-        """Return a function n -> the features that n variables are best spent on, to know the outputs at X (n, d).
+        """Return a function n -> the best n inducing features for the outputs at X (n, d).
 
-        ``scale`` (P,) says how exactly each output is to be kept. Every term of a sum spends n.
+        ``scale`` (P,) is the accuracy required of each output. Every term of a sum gets n features.
         """
         return lambda n: self.features(cluster_centres(X, column_scale(X), max(1, n // self.n_outputs), random_state))
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> PathBundle:
-        """Return samples of the outputs that are functions, of ``n_frequencies`` waves for each latent process."""
+        """Return sample paths of the prior, with ``n_frequencies`` waves for each latent process."""
         raise NotImplementedError(
-            f"{type(self).__name__} has no samples that are functions (prior_paths): sample_y draws values at given "
-            "points from any kernel."
+            f"{type(self).__name__} does not define prior_paths, which sample paths need. Use sample_y, which draws "
+            "values at given points from any kernel."
         )
 
     def paths(self, X, coefficients) -> PathBundle:
-        """Return the functions sum_j cov(y, y_j(X_j)) c_j, with X_j (n_j, d) and c_j (S, n_j) of each output."""
+        """Return the functions sum_j cov(y, y_j(X_j)) c_j, with X_j (n_j, d) and c_j (S, n_j) for each output."""
         return KernelPaths(self, X, coefficients)
 
-    # -- what follows from the blocks ------------------------------------------------------------------
+    # -- matrices --------------------------------------------------------------------------------------
 
     def split(self, X) -> list[np.ndarray]:
-        """Return X as one array per output."""
+        """Return X as one array for each output."""
         per_output = isinstance(X, (list, tuple)) and len(X) > 0 and np.ndim(X[0]) == 2
         arrays = [np.asarray(x, dtype=float) for x in (X if per_output else [X])]
         if per_output and len(arrays) != self.n_outputs:
@@ -199,22 +201,22 @@ class MultiOutputKernel(Kernel):
             if x.ndim != 2 or x.shape[1] != self.n_features:
                 raise ValueError(
                     f"Got inputs of shape {x.shape}, but expected (n, {self.n_features}): one column for each "
-                    "regressor that the kernel has length scales or slopes for."
+                    "regressor of the kernel."
                 )
         return arrays if per_output else arrays * self.n_outputs
 
     def __call__(self, X, Y=None, eval_gradient=False):
-        """Return the covariance matrix, (sum n_i, sum n_j), output-major, and on request its gradient.
+        """Return the covariance matrix, (sum n_i, sum n_j), output-major, and with ``eval_gradient`` its gradient.
 
         Parameters
         ----------
         X, Y : array (n, d), or a list of one (n_i, d) array per output
             ``Y=None`` means ``Y=X``.
         eval_gradient : bool
-            Also return dK/dtheta, (N, N, n_theta): for small matrices. Inference uses ``block_gradient``.
+            Also return dK/dtheta, (N, N, n_theta), for small matrices. Inference uses ``block_gradient``.
         """
         if eval_gradient and Y is not None:
-            raise ValueError("The gradient can only be had for Y=None.")
+            raise ValueError("Got eval_gradient=True with Y, but expected Y=None.")
         rows = self.split(X)
         columns = rows if Y is None else self.split(Y)
         K = np.block([[self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)] for i, Xi in enumerate(rows)])
@@ -224,10 +226,10 @@ class MultiOutputKernel(Kernel):
         """Return dK/dtheta, (N, N, n_theta), one entry of K at a time."""
         points = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi]
         one = np.ones((1, 1))
-        upper = np.array(
+        entries = np.array(
             [[self.block_gradient(i, j, x, z, one) for j, z in points] if len(self.theta) else [] for i, x in points]
         )
-        return upper.reshape(len(points), len(points), len(self.theta))
+        return entries.reshape(len(points), len(points), len(self.theta))
 
     def diag(self, X):
         """Return the diagonal of ``kernel(X)``, (sum n_i,)."""
@@ -236,8 +238,8 @@ class MultiOutputKernel(Kernel):
     def __add__(self, other):
         if not isinstance(other, MultiOutputKernel):
             raise TypeError(
-                f"Got {other!r} to add to a multi-output kernel, but expected another multi-output kernel. Measurement "
-                "noise needs no term: DependentGPRegressor learns it for each output (noise_variance_)."
+                f"Got {other!r} to add to a multi-output kernel, but expected another multi-output kernel. Leave out "
+                "measurement noise: DependentGPRegressor learns it for each output (noise_variance_)."
             )
         return Sum(self, other)
 
@@ -246,7 +248,7 @@ class MultiOutputKernel(Kernel):
 
     def _no_product(self, other):
         raise TypeError(
-            "Multi-output kernels can be added, not multiplied or raised to a power: their amplitudes scale them."
+            "Multi-output kernels can be added, not multiplied or raised to a power. Scale them by their amplitudes."
         )
 
     __mul__ = __rmul__ = __pow__ = _no_product
@@ -264,13 +266,13 @@ class MultiOutputKernel(Kernel):
 
     @property
     def theta(self):
-        """Free hyperparameters, (n_theta,): logarithms of the positive ones, signed ones as they are."""
+        """Free hyperparameters, (n_theta,): the logarithms of positive parameters, and signed parameters themselves."""
         parts = []
         for f in self.free_parameters():
             if f.n_elements:
                 part = np.empty(f.n_elements)
-                chosen = f.index >= 0
-                part[f.index[chosen]] = self._value(f.name)[chosen]
+                free = f.index >= 0
+                part[f.index[free]] = self._value(f.name)[free]
                 parts.append(np.log(part) if f.log else part)
         return np.concatenate(parts) if parts else np.empty(0)
 
@@ -286,13 +288,13 @@ class MultiOutputKernel(Kernel):
                 part = theta[start : start + f.n_elements]
                 start += f.n_elements
                 value = self._value(f.name).copy()
-                chosen = f.index >= 0
-                value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
+                free = f.index >= 0
+                value[free] = (np.exp(part) if f.log else part)[f.index[free]]
                 setattr(self, f.name, value)
 
     @property
     def bounds(self):
-        """Bounds on theta, (n_theta, 2), in theta's own coordinates."""
+        """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
         parts = [np.log(_pairs(f)) if f.log else _pairs(f) for f in self.free_parameters() if f.n_elements]
         return np.concatenate(parts) if parts else np.empty((0, 2))
 
@@ -302,11 +304,11 @@ class MultiOutputKernel(Kernel):
         return sum(f.n_elements for f in self.free_parameters())
 
     def _value(self, name) -> np.ndarray:
-        """Return a parameter as the array that theta and the equations index."""
+        """Return a parameter as an array of its full shape."""
         return np.asarray(getattr(self, name), dtype=float)
 
     def __setattr__(self, name, value):
-        self.__dict__.pop("_cache", None)  # what was derived from the parameters
+        self.__dict__.pop("_cache", None)  # values derived from the parameters
         super().__setattr__(name, value)
 
     def __getstate__(self):
@@ -325,33 +327,33 @@ class MultiOutputKernel(Kernel):
         return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in shown.items())})"
 
     def is_stationary(self):
-        """Return whether the covariance depends on x - x' alone."""
+        """Return whether the covariance depends only on x - x'."""
         return False
 
     def theta_gradient(self, gradients: dict[str, np.ndarray]) -> np.ndarray:
-        """Return d/dtheta from derivatives with respect to the entries (of their logarithm where log)."""
+        """Return d/dtheta from derivatives by the parameter entries (by their logarithms where ``log``)."""
         parts = []
         for f in self.free_parameters():
             if f.n_elements:
-                chosen = f.index >= 0
-                parts.append(np.bincount(f.index[chosen], weights=gradients[f.name][chosen], minlength=f.n_elements))
+                free = f.index >= 0
+                parts.append(np.bincount(f.index[free], weights=gradients[f.name][free], minlength=f.n_elements))
         return np.concatenate(parts) if parts else np.empty(0)
 
 
 class Sum(_SklearnSum, MultiOutputKernel):
-    """The sum of two multi-output kernels: covariance of a sum of independent processes."""
+    """The sum of two multi-output kernels: the covariance of a sum of independent processes."""
 
     @property
     def n_outputs(self):
         """Number of outputs P."""
-        return self._agreed("n_outputs")
+        return self._common("n_outputs")
 
     @property
     def n_features(self):
         """Number of regressors d."""
-        return self._agreed("n_features")
+        return self._common("n_features")
 
-    def _agreed(self, name):
+    def _common(self, name):
         first, second = getattr(self.k1, name), getattr(self.k2, name)
         if first != second:
             raise ValueError(f"Got a sum of kernels with {name} {first} and {second}, but expected the same number.")
@@ -380,12 +382,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
 
     def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0):
-        def of(name):
+        def options(name):
             hints = singles and [getattr(s, name) for s in singles], coarse and getattr(coarse, name)
             return dict(zip(("singles", "coarse"), hints, strict=True), width_factor=width_factor)
 
-        first = self.k1.initialize(X, Y, random_state, **of("k1"))
-        return Sum(first, self.k2.initialize(X, first.residual(X, Y), random_state, **of("k2")))
+        first = self.k1.initialize(X, Y, random_state, **options("k1"))
+        return Sum(first, self.k2.initialize(X, first.residual(X, Y), random_state, **options("k2")))
 
     def prepared(self, X):
         return Sum(self.k1.prepared(X), self.k2.prepared(X))
@@ -414,8 +416,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return SumFeatures(self.k1.features(Z), self.k2.features(Z))
 
     def feature_ranking(self, X, scale, random_state):
-        best = [k.feature_ranking(X, scale, random_state) for k in (self.k1, self.k2)]
-        return lambda n: SumFeatures(*(best_of(n) for best_of in best))
+        rankings = [k.feature_ranking(X, scale, random_state) for k in (self.k1, self.k2)]
+        return lambda n: SumFeatures(*(ranking(n) for ranking in rankings))
 
     def prior_paths(self, *args):
         return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
@@ -446,12 +448,12 @@ def _difference(function, unit):
 
 
 def _equal(a, b) -> bool:
-    """Return whether parameters are the same; estimators by what they hold."""
+    """Return whether two parameters are equal; estimators are compared by their content."""
     return joblib.hash(a) == joblib.hash(b) if isinstance(a, BaseEstimator) else np.array_equal(a, b)
 
 
 def _pairs(f: FreeParameter) -> np.ndarray:
-    """Return the bounds of a free parameter, (n_elements, 2), from one pair, or one pair for each entry."""
+    """Return the bounds of a free parameter, (n_elements, 2), from one pair or one pair for each entry."""
     bounds = np.asarray(f.bounds, dtype=float)
     if bounds.shape[-1:] != (2,) or not (bounds[..., 0] < bounds[..., 1]).all() or (f.log and not (bounds > 0).all()):
         raise ValueError(
@@ -460,31 +462,31 @@ def _pairs(f: FreeParameter) -> np.ndarray:
         )
     if bounds.shape == (2,):
         return np.tile(bounds, (f.n_elements, 1))
-    chosen = f.index >= 0
+    free = f.index >= 0
     pairs = np.empty((f.n_elements, 2))
-    pairs[f.index[chosen]] = np.broadcast_to(bounds, (*f.index.shape, 2))[chosen]
+    pairs[f.index[free]] = np.broadcast_to(bounds, (*f.index.shape, 2))[free]
     return pairs
 
 
 def as_shape(name: str, value, shape) -> np.ndarray:
-    """Return a parameter broadcast to its shape, or say which shape was expected."""
+    """Return a parameter broadcast to its shape, or raise a ValueError with the expected shape."""
     value = np.asarray(value, dtype=float)
     try:
         return np.array(np.broadcast_to(value, shape))
     except ValueError:
         raise ValueError(
-            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or what broadcasts to it."
+            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that broadcasts to it."
         ) from None
 
 
 def or_default(given, default):
-    """Return what was given, or the default."""
+    """Return the default if the given value is None."""
     return default if given is None else given
 
 
-def number(index, chosen):
-    """Renumber the chosen entries 0, 1, 2, ... in order of their number; the others become -1."""
+def renumber(index, free):
+    """Return the index with the free entries renumbered 0, 1, 2, ... and -1 for the other entries."""
     numbers = np.full(index.shape, -1)
-    chosen = np.broadcast_to(chosen, index.shape)
-    numbers[chosen] = np.unique(index[chosen], return_inverse=True)[1]
+    free = np.broadcast_to(free, index.shape)
+    numbers[free] = np.unique(index[free], return_inverse=True)[1]
     return numbers

@@ -1,4 +1,4 @@
-"""The convolved Gaussian kernel: outputs as smoothed copies of shared white noise."""
+"""The convolved Gaussian kernel: outputs as filtered white noise."""
 
 from __future__ import annotations
 
@@ -8,66 +8,67 @@ import numpy as np
 from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale, constant_columns
-from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, number, or_default
+from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._paths import ValuePaths, convolved_paths
 from skdgp.kernels._start import log_normal, prior_of, starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
-TIED_AXIS = {"tied": 1, "spherical": 2}  # of length_scale (M, P, d)
-MOST_UNLIKE = 1e5  # standard deviations of regressors that share a length scale, largest over smallest
+TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
+MAX_SCALE_RATIO = 1e5  # largest over smallest standard deviation of regressors with a common length scale
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
-LOST = 0.1  # an amplitude below this fraction of the starting one means that the output was taken for noise
+NOISE_AMPLITUDE = 0.1  # below this fraction of its starting amplitude an output was explained as noise
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
 
 
 class ConvolvedGaussian(MultiOutputKernel):
-    r"""Dependent outputs: every output is a sum of white-noise processes, each through a Gaussian filter.
+    r"""Covariance of dependent outputs: each output is a sum of latent white-noise processes with Gaussian filters.
 
-    Latent process m reaches output i through
-    :math:`h_{mi}(s) = v_{mi} \exp(-\frac{1}{2} (s-\mu_{mi})^T A_{mi} (s-\mu_{mi}))`, so for a separation
-    :math:`\delta = s_a - s_b` (Hemakumara & Sukkarieh 2011, equations 14 to 16)
+    The filter from latent process m to output i is
+    :math:`h_{mi}(s) = v_{mi} \exp(-\frac{1}{2} (s-\mu_{mi})^T A_{mi} (s-\mu_{mi}))`. For a separation
+    :math:`\delta = s_a - s_b` the covariance is (Hemakumara & Sukkarieh 2011, equations 14 to 16)
 
     .. math:: K_{ij}(\delta) = \sum_m \frac{(2\pi)^{d/2} v_{mi} v_{mj}}{\sqrt{|A_{mi} + A_{mj}|}}
               \exp\left(-\frac{1}{2} (\delta - \mu_{mi} + \mu_{mj})^T \Sigma_{mij}
               (\delta - \mu_{mi} + \mu_{mj})\right), \quad \Sigma_{mij} = A_{mi} (A_{mi} + A_{mj})^{-1} A_{mj}.
 
-    It is parametrised by what can be read: the amplitude :math:`w = v \pi^{d/4} |A|^{-1/4}`, so that
-    :math:`K_{ii}(0) = \sum_m w_{mi}^2`, and the length scale :math:`\ell` of the output's own covariance,
-    :math:`A = 2\,\mathrm{diag}(\ell^{-2})`, which is scikit-learn's ``RBF`` length scale.
+    The parameters are the amplitude :math:`w = v \pi^{d/4} |A|^{-1/4}`, so that
+    :math:`K_{ii}(0) = \sum_m w_{mi}^2`, and the length scale :math:`\ell` with
+    :math:`A = 2\,\mathrm{diag}(\ell^{-2})`, which is the length scale of scikit-learn's ``RBF``.
 
     Parameters
     ----------
     n_latent : int
-        Latent processes that feed every output.
+        Number of latent processes that all outputs share.
     private_latents : bool
-        Whether each output also has a latent of its own.
+        Whether each output also has a private latent process.
     covariance_type : {"spherical", "diag", "full", "tied"}
-        The filters' widths: one number, one per regressor, a full matrix, or one per regressor that all outputs
-        of a latent have in common (with zero shifts: the linear model of coregionalisation).
+        Widths of the filters: "spherical" one number, "diag" one width for each regressor, "full" a full matrix,
+        "tied" one width for each regressor, equal for all outputs of a latent (with zero shifts this is the linear
+        model of coregionalisation).
     feeds : array (M, P) of bool or None
-        Which latent feeds which output, where neither all nor one is right (a latent for the lateral outputs, say);
-        it replaces ``n_latent`` and ``private_latents``.
+        Whether latent m contributes to output i, for example one latent for the lateral outputs only. It replaces
+        ``n_latent`` and ``private_latents``.
     amplitude : array (M, P) or None
-        Signed w, the last axis tells P, shared latents first, then the private ones. None: from the data.
+        Signed w, shared latents first, then private ones. The last axis defines P. None: from the data.
     length_scale : array (M, P, d) or None
-        Positive, the last axis tells d, in the units of the regressors. None: from the data.
+        Positive, in the units of the regressors. The last axis defines d. None: from the data.
     shear : array (M, P, d (d - 1) / 2) or float
         For "full": the strictly lower part of the unit-triangular C in A = 2 D^-1 C C^T D^-1, D = diag(length_scale).
     shift : array (M, P, d) or float
-        mu, in the units of the regressors. Only differences between outputs matter: the first output's is zero.
+        mu, in the units of the regressors. Only differences between outputs matter, so the first output has zero.
     amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array (..., 2), "fixed" or None
         Bounds on the values. None: from the data.
     length_scale_prior : pair, array (d, 2), "auto" or None
-        Median of the length scales, in the units of the regressors, and standard deviation of their logarithms: a
-        log-normal prior that joins the likelihood in what ``fit`` maximises. "auto": e^sqrt(2) sqrt(12 d) standard
-        deviations of the regressor, and sqrt(3) (Hvarfner, Hellsten & Nardi 2024). None: no prior.
+        Log-normal prior, added to the log likelihood during ``fit``: median of the length scales, in the units of the
+        regressors, and standard deviation of their logarithms. "auto": e^sqrt(2) sqrt(12 d) standard deviations of the
+        regressor, and sqrt(3) (Hvarfner, Hellsten & Nardi 2024). None: no prior.
 
     Attributes
     ----------
     v : ndarray (M, P)
-        Filter gains; zero where a latent does not feed an output.
+        Filter gains; zero where a latent does not contribute to an output.
     A : ndarray (M, P, d) or, for "full", (M, P, d, d)
         Filter precisions.
     mu : ndarray (M, P, d)
@@ -116,7 +117,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     # -- shapes ----------------------------------------------------------------------------------------
 
     def _arrays(self):
-        """Return the parameters broadcast to (M, P, ...), by name, and who feeds whom, (M, P)."""
+        """Return a dict of the parameters broadcast to (M, P, ...) and of ``feeds`` (M, P)."""
         cache = self.__dict__.setdefault("_cache", {})
         if "arrays" not in cache:
             cache["arrays"] = self._broadcast()
@@ -128,7 +129,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         if self.amplitude is None or self.length_scale is None:
             raise ValueError(
                 "ConvolvedGaussian has no values yet: give amplitude and length_scale, or let "
-                "DependentGPRegressor.fit take them from the data."
+                "DependentGPRegressor.fit estimate them from the data."
             )
         w, lengths = np.asarray(self.amplitude, dtype=float), np.asarray(self.length_scale, dtype=float)
         P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
@@ -187,22 +188,22 @@ class ConvolvedGaussian(MultiOutputKernel):
         return ConvolvedGaussian(**params)
 
     def _from_singles(self, w, lengths, singles):
-        """Return values from fits of each output alone, (M, P, ...), over the starting ones.
+        """Return starting values (M, P, ...) from separate fits of each output.
 
-        Private latents take over the widths found; a shared one their weighted geometric mean, since equal widths
-        couple most: from widths that differ tenfold in a dozen regressors, no coupling could be learned. An output
-        that its own fit called noise keeps its starting values: at amplitude zero the likelihood has no slope, and
-        what the others know of it would never be found.
+        Private latents take the fitted widths. A shared latent takes their weighted geometric mean for all outputs,
+        because equal widths allow the strongest coupling; with very different widths no coupling can be learned. An
+        output that its separate fit explains as noise keeps its default values: at zero amplitude the gradient is zero
+        and a dependence on other outputs cannot be found.
         """
         total = np.sqrt((w**2).sum(axis=0))
         amplitude = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
-        found = amplitude > LOST * total
-        own = np.where(found[:, None], np.stack([s._value("length_scale")[0, 0] for s in singles]), lengths[-1])
+        explained = amplitude > NOISE_AMPLITUDE * total
+        widths = np.where(explained[:, None], np.stack([s._value("length_scale")[0, 0] for s in singles]), lengths[-1])
         weight = w**2 / (w**2).sum(axis=1, keepdims=True)
         private = (weight == 1.0)[..., None]
         return {
-            "amplitude": w * np.where(found, amplitude / total, 1.0),
-            "length_scale": np.where(private, own, np.exp(weight @ np.log(own))[:, None, :]),
+            "amplitude": w * np.where(explained, amplitude / total, 1.0),
+            "length_scale": np.where(private, widths, np.exp(weight @ np.log(widths))[:, None, :]),
         }
 
     def prepared(self, X):
@@ -260,7 +261,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return convolved_paths(self, n_paths, n_frequencies, random_state)
 
     def peaks(self, i, j):
-        # Terms of either sign may cancel at their centres and peak beside them: a width or two along each axis.
+        # Terms of opposite sign may cancel at their centres: add points one to three widths away along each axis.
         _, _, _, F, shift = self._pair(i, j)
         widths = 1.0 / (F if F.ndim == 2 else np.einsum("mkk->mk", F))
         steps = np.concatenate([t * np.eye(self.n_features) for t in (-3, -2, -1, 1, 2, 3)])
@@ -271,32 +272,33 @@ class ConvolvedGaussian(MultiOutputKernel):
         M, P, d = self._value("shift").shape
         pairs = self._value("shear").shape[-1]
         latent, output = np.indices((M, P))
-        # One filter for each latent and output, or, tied, one for each latent.
-        own = latent * P + output
-        width = latent if self.covariance_type == "tied" else own
+        # One filter for each latent and output, or for each latent if "tied".
+        filters = latent * P + output
+        width = latent if self.covariance_type == "tied" else filters
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
-        moves = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
+        shifted = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
+        amplitude_bounds = or_default(self.amplitude_bounds, (-1e3, 1e3))
         free = [
-            FreeParameter("amplitude", number(own, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
+            FreeParameter("amplitude", renumber(filters, feeds), False, amplitude_bounds),
             FreeParameter(
                 "length_scale",
-                number(width[..., None] * d + per_feature, feeds[..., None]),
+                renumber(width[..., None] * d + per_feature, feeds[..., None]),
                 True,
                 or_default(self.length_scale_bounds, (1e-3, 1e3)),
             ),
             FreeParameter(
                 "shift",
-                number(own[..., None] * d + np.arange(d), moves[..., None]),
+                renumber(filters[..., None] * d + np.arange(d), shifted[..., None]),
                 False,
                 or_default(self.shift_bounds, (-1e2, 1e2)),
             ),
         ]
         if self.covariance_type == "full":
-            index = number(own[..., None] * pairs + np.arange(pairs), feeds[..., None])
+            index = renumber(filters[..., None] * pairs + np.arange(pairs), feeds[..., None])
             free.append(FreeParameter("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0))))
         return free
 
-    # -- published parameters --------------------------------------------------------------------------
+    # -- parameters of the paper -----------------------------------------------------------------------
 
     @property
     def A(self):
@@ -328,43 +330,43 @@ class ConvolvedGaussian(MultiOutputKernel):
     # -- the equations ---------------------------------------------------------------------------------
 
     def _pair(self, i, j):
-        """Return latents that feed both outputs, gains, c, F with Sigma = F F^T (its diagonal), and mu_i - mu_j."""
+        """Return the latents of both outputs, gains, c, F of Sigma = F F^T (or its diagonal), and mu_i - mu_j."""
         cache = self.__dict__.setdefault("_cache", {})
         if (i, j) not in cache:
-            both = np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
-            w, mu = self._value("amplitude")[both], self._value("shift")[both]
+            latents = np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
+            w, mu = self._value("amplitude")[latents], self._value("shift")[latents]
             if self.covariance_type == "full":
-                c, F = full_pair(*self._roots()[both][:, [i, j]].swapaxes(0, 1))
+                c, F = full_pair(*self._roots()[latents][:, [i, j]].swapaxes(0, 1))
             else:
-                c, F = diagonal_pair(*self._value("length_scale")[both][:, [i, j]].swapaxes(0, 1))
-            cache[i, j] = both, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
+                c, F = diagonal_pair(*self._value("length_scale")[latents][:, [i, j]].swapaxes(0, 1))
+            cache[i, j] = latents, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
         return cache[i, j]
 
     def couples(self, i, j):
         return len(self._pair(i, j)[0]) > 0
 
     def _exponents(self, i, j, Xi, Xj, shifts=None):
-        """Return, for each latent, the exponent -1/2 (delta - mu)^T Sigma (delta - mu), plus shifts."""
+        """Return the exponent -1/2 (delta - mu)^T Sigma (delta - mu), plus ``shifts``, for each latent."""
         _, _, _, F, mu = self._pair(i, j)
         middle = _middle(Xj)
         b = Xj - middle
-        found = []
+        exponents = []
         for k, root in enumerate(F):
             a = Xi - (mu[k] + middle)
             pair = (a * root, b * root) if root.ndim == 1 else (a @ root, b @ root)
-            found.append(Exponent.between(*pair, 0.0 if shifts is None else shifts[k]))
-        return found
+            exponents.append(Exponent.between(*pair, 0.0 if shifts is None else shifts[k]))
+        return exponents
 
     def block(self, i, j, Xi, Xj):
         gains = self._pair(i, j)[1]
-        felt = gains != 0.0
+        nonzero = gains != 0.0
         with np.errstate(divide="ignore"):
             exponents = self._exponents(i, j, Xi, Xj, np.log(np.abs(gains)))
-        exponents = [exponent for exponent, one in zip(exponents, felt, strict=True) if one]
-        return signed_sum(exponents, np.sign(gains[felt]), (len(Xi), len(Xj)))
+        exponents = [exponent for exponent, keep in zip(exponents, nonzero, strict=True) if keep]
+        return signed_sum(exponents, np.sign(gains[nonzero]), (len(Xi), len(Xj)))
 
     def terms(self, i, j, Xi, Xj):
-        """Return what each latent adds to the covariance, side by side, (n_i, n_j times the latents that feed both)."""
+        """Return the term of each common latent in the covariance, side by side, (n_i, n_j times their number)."""
         gains, shape = self._pair(i, j)[1], (len(Xi), len(Xj))
         exponents = self._exponents(i, j, Xi, Xj)
         terms = [gain * e.exponential(slice(None), np.empty(shape)) for gain, e in zip(gains, exponents, strict=True)]
@@ -391,8 +393,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         return D
 
     def derivative_diag(self, i, Xi):
-        both, gains, *_ = self._pair(i, i)
-        variance = sum(gains[k] * np.diag(self._precision(i, i, k)) for k in range(len(both)))
+        gains = self._pair(i, i)[1]
+        variance = sum(gains[k] * np.diag(self._precision(i, i, k)) for k in range(len(gains)))
         return np.broadcast_to(variance, np.shape(Xi))
 
     def block_gradient(self, i, j, Xi, Xj, W):
@@ -401,9 +403,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.theta_gradient(self.entry_gradients(i, j, Xi, Xj, W))
 
     def entry_gradients(self, i, j, Xi, Xj, W, inputs=False):
-        """Return sum(W * dK_ij) by each entry of the parameter arrays (of the logarithm of length scales).
+        """Return sum(W * dK_ij) by each entry of the parameter arrays (by the logarithms of length scales).
 
-        With ``inputs`` also by the rows of Xj, (n_j, d).
+        With ``inputs`` also return the derivatives by the rows of Xj, (n_j, d).
         """
         gains, shift = self._pair(i, j)[1], self._pair(i, j)[-1]
         middle = _middle(Xj)
@@ -412,57 +414,57 @@ class ConvolvedGaussian(MultiOutputKernel):
         sums = weighted_sums(self._exponents(i, j, Xi, Xj), W, a, b, transposed=inputs)
         full = self.covariance_type == "full"
         mass, first, second = (np.array(m) for m in zip(*map(partial(moments, b=b, full=full), sums, a), strict=True))
-        entries = self._chain(i, j, mass, first, second)
+        entries = self._gradients_from_moments(i, j, mass, first, second)
         if not inputs:
             return entries
-        pulls = [gains[k] * (G.left - G.columns[:, None] * b) @ self._precision(i, j, k) for k, G in enumerate(sums)]
-        return entries, sum(pulls)
+        by_input = [gains[k] * (G.left - G.columns[:, None] * b) @ self._precision(i, j, k) for k, G in enumerate(sums)]
+        return entries, sum(by_input)
 
-    def _chain(self, i, j, mass, first, second):
-        """Return the gradients from the moments of W * E over delta - mu: of order 0, 1 and 2."""
-        both, gains, c, F, _ = self._pair(i, j)
+    def _gradients_from_moments(self, i, j, mass, first, second):
+        """Return the gradients from the moments of order 0, 1 and 2 of W * E over delta - mu."""
+        latents, gains, c, F, _ = self._pair(i, j)
         gradients = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
-        w = self._value("amplitude")[both]
-        np.add.at(gradients["amplitude"], (both, i), c * w[:, j] * mass)
-        np.add.at(gradients["amplitude"], (both, j), c * w[:, i] * mass)
+        w = self._value("amplitude")[latents]
+        np.add.at(gradients["amplitude"], (latents, i), c * w[:, j] * mass)
+        np.add.at(gradients["amplitude"], (latents, j), c * w[:, i] * mass)
         mass, first = gains * mass, gains[:, None] * first
-        lengths = self._value("length_scale")[both]
+        lengths = self._value("length_scale")[latents]
         if self.covariance_type == "full":
             lower = np.tril_indices(lengths.shape[-1], -1)
-            roots = self._roots()[both][:, [i, j]].swapaxes(0, 1)
+            roots = self._roots()[latents][:, [i, j]].swapaxes(0, 1)
             for output, R in zip((i, j), roots, strict=True):
                 dR = full_slopes(mass, gains[:, None, None] * second, F, roots, R)
-                np.add.at(gradients["length_scale"], (both, output), -(dR * R).sum(axis=-1))
+                np.add.at(gradients["length_scale"], (latents, output), -(dR * R).sum(axis=-1))
                 shear = (dR / lengths[:, output, :, None])[:, *lower]
-                np.add.at(gradients["shear"], (both, output), shear)
+                np.add.at(gradients["shear"], (latents, output), shear)
             slope = np.einsum("mkl,mpl,mp->mk", F, F, first)
         else:
             slopes = diagonal_slopes(mass, gains[:, None] * second, lengths[:, i], lengths[:, j])
             for output, by_length in zip((i, j), slopes, strict=True):
-                np.add.at(gradients["length_scale"], (both, output), by_length)
+                np.add.at(gradients["length_scale"], (latents, output), by_length)
             slope = F**2 * first
-        np.add.at(gradients["shift"], (both, i), slope)
-        np.add.at(gradients["shift"], (both, j), -slope)
+        np.add.at(gradients["shift"], (latents, i), slope)
+        np.add.at(gradients["shift"], (latents, j), -slope)
         return gradients
 
     def is_stationary(self):
-        """Return True: the covariance depends on the separation alone."""
+        """Return True: the covariance depends only on the separation."""
         return True
 
 
 def _geometric_mean(value, axis):
-    """Return the geometric mean along an axis, in the shape of the values."""
+    """Return the geometric mean along an axis, broadcast to the shape of the values."""
     mean = np.log(value).mean(axis=axis, keepdims=True)
     return np.exp(np.broadcast_to(mean, value.shape))
 
 
 def _middle(X):
-    """Return a point near the data: taken away, so that the expanded square loses no digits."""
+    """Return the mean of the data; subtracting it avoids cancellation in the expanded square."""
     return np.mean(X, axis=0) if len(X) else 0.0
 
 
 def feed_matrix(feeds, n_latent, private_latents, P) -> np.ndarray:
-    """Return (M, P), one where a latent feeds an output."""
+    """Return the matrix (M, P) that is one where a latent contributes to an output."""
     if feeds is None:
         feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P)[: P * bool(private_latents)]])
     else:
@@ -474,14 +476,14 @@ def feed_matrix(feeds, n_latent, private_latents, P) -> np.ndarray:
         )
     if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
         raise ValueError(
-            f"Got latents that feed the outputs as {feeds.astype(int).tolist()}, but expected (M, {P}) with at "
-            "least one latent for every output, and no idle latent: raise n_latent, or set private_latents=True."
+            f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one latent for every output, "
+            "and at least one output for every latent: raise n_latent, or set private_latents=True."
         )
     return feeds
 
 
 def check_equal_scales(covariance_type, lengths, feeds) -> None:
-    """Raise a ValueError where length scales (M, P, d) differ that the type holds equal."""
+    """Raise a ValueError if length scales (M, P, d) differ that must be equal for the covariance type."""
     axis = TIED_AXIS.get(covariance_type)
     if axis is None:
         return
@@ -490,23 +492,23 @@ def check_equal_scales(covariance_type, lengths, feeds) -> None:
         along = "regressors" if covariance_type == "spherical" else "outputs"
         raise ValueError(
             f"Got length scales that differ along the {along} with covariance_type={covariance_type!r}, but "
-            "expected equal ones: use covariance_type='diag', or give one length scale to all."
+            "expected equal ones: use covariance_type='diag', or give equal length scales."
         )
 
 
 def common_scale(scales, X) -> np.ndarray:
-    """Return one scale for all regressors: the geometric mean over those that vary in X; scales are (M, P, d, ...).
+    """Return the geometric mean of scales (M, P, d, ...) over the regressors that vary in X, for all regressors.
 
     Raises
     ------
     ValueError
-        Where regressors differ too much in scale to share one.
+        If the scales of the regressors differ too much for a common length scale.
     """
     varies = ~constant_columns(X)
     if not varies.any():
         return scales
     spread = column_scale(X)[varies]
-    if spread.max() > MOST_UNLIKE * spread.min():
+    if spread.max() > MAX_SCALE_RATIO * spread.min():
         raise ValueError(
             f"Got regressors with standard deviations from {spread.min():.2g} to {spread.max():.2g}, but "
             "covariance_type='spherical' has one length scale for all of them. Scale the regressors (StandardScaler), "

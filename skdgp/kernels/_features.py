@@ -1,4 +1,4 @@
-"""Inducing features: finitely many variables that stand for the processes in sparse inference."""
+"""Inducing features of sparse inference: finitely many variables that represent the processes."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from skdgp.kernels._paths import FeaturePaths, PathBundle, TrendPaths, joint_pat
 from skdgp.kernels._strips import ExponentialRows
 
 JITTER = 1e-6
-"""White noise of the inducing variables, over their variance: part of their definition, so the bound stays a bound."""
-CANDIDATES = 2400  # of each latent, that a ranking compares
-CLUSTERED = 5000  # samples that k-means looks at
-NEGLIGIBLE = 1e-6  # residual variance, relative to the scale given, that ends a ranking
+"""Variance of white noise in the inducing variables, over their variance. It is part of their definition, so the bound
+remains a bound."""
+CANDIDATES = 2400  # candidates of each latent in a ranking
+CLUSTERED = 5000  # largest number of samples for k-means
+NEGLIGIBLE = 1e-6  # residual variance at which a ranking stops, relative to the required accuracy
 
 
 class Features(ABC):
-    """K variables u, jointly Gaussian with the outputs: Kuu (K, K), and Kfu of those that covary with an output.
+    """K variables u that are jointly Gaussian with the outputs, with covariances Kuu (K, K) and Kfu.
 
-    ``theta`` holds variational parameters: they change the quality of the approximation, never the model.
+    ``theta`` holds variational parameters. They change the quality of the approximation, not the model.
     """
 
-    kernel: Any  # a MultiOutputKernel, which stands above
+    kernel: Any  # a MultiOutputKernel; its module imports this one
     size: int
 
     @abstractmethod
     def columns(self, i: int) -> Indices:
-        """Return which of the variables covary with output i, (c_i,): whole blocks of Kuu."""
+        """Return the indices of the variables that covary with output i, (c_i,): whole blocks of Kuu."""
 
     @abstractmethod
     def Kuu(self) -> Matrix:
@@ -60,12 +61,12 @@ class Features(ABC):
 
     @abstractmethod
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PathBundle, Matrix]:
-        """Return samples of the outputs that are functions, and u (n_paths, K), drawn with them."""
+        """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
     def rows(self) -> Callable[[Matrix], Matrix]:
         """Return a function X (n, d) -> Kfu of all outputs side by side, for few samples at a time.
 
-        Its attribute ``sizes`` (P,) says how many of the columns are each output's.
+        Its attribute ``sizes`` (P,) is the number of columns of each output.
         """
         return FeatureRows(self)
 
@@ -84,14 +85,14 @@ class Features(ABC):
         return np.empty((0, 2))
 
     def theta_scale(self, scale) -> Vector:
-        """Return by how much each entry of theta varies, where the regressors vary by ``scale`` (d,)."""
+        """Return the scale of each entry of theta, for regressors of the scale ``scale`` (d,)."""
         return np.empty(0)
 
 
 class PointFeatures(Features):
-    """The values of all outputs at inducing inputs Z (k, d): features of any kernel.
+    """The values of all outputs at inducing inputs Z (k, d), for any kernel.
 
-    An output covaries with the values of those outputs that the kernel couples it to, directly or by others.
+    An output covaries with the values of all outputs to which the kernel couples it, directly or through others.
     """
 
     def __init__(self, kernel, Z):
@@ -99,20 +100,20 @@ class PointFeatures(Features):
         self.size = kernel.n_outputs * len(self.Z)
 
     def _coupled(self, i):
-        """Return the outputs that output i is coupled to, directly or by others."""
-        found, waiting = {i}, [i]
-        while waiting:
-            j = waiting.pop()
-            more = {k for k in range(self.kernel.n_outputs) if self.kernel.couples(j, k)} - found
-            found |= more
-            waiting += more
-        return sorted(found)
+        """Return the outputs that are coupled to output i, directly or through others."""
+        coupled, queue = {i}, [i]
+        while queue:
+            j = queue.pop()
+            more = {k for k in range(self.kernel.n_outputs) if self.kernel.couples(j, k)} - coupled
+            coupled |= more
+            queue += more
+        return sorted(coupled)
 
-    def _of(self, j):
+    def _slice(self, j):
         return slice(j * len(self.Z), (j + 1) * len(self.Z))
 
     def columns(self, i):
-        return np.concatenate([np.arange(self.size)[self._of(j)] for j in self._coupled(i)])
+        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled(i)])
 
     def Kuu(self):
         K = self.kernel(self.Z)
@@ -137,7 +138,7 @@ class PointFeatures(Features):
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
         for i in range(self.kernel.n_outputs):
             for j in self._coupled(i):
-                w = W[self._of(i), self._of(j)]
+                w = W[self._slice(i), self._slice(j)]
                 total += self.kernel.block_gradient(i, j, self.Z, self.Z, w)
                 dZ += 2 * np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w)
         return np.concatenate([total, dZ.ravel()])
@@ -164,14 +165,14 @@ class PointFeatures(Features):
 
 
 class LatentFeatures(Features):
-    r"""Smoothed latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z) at unit variance, with a Gaussian g_f.
+    r"""Filtered latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z), with Gaussian filters g_f and unit variance.
 
-    Such a variable is one more output of the same family (Alvarez et al. 2010), so every covariance is that of a
-    ConvolvedGaussian with a further output for every block f of variables. g_f is one of
+    Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances are those of a
+    ConvolvedGaussian with one further output for every block f of variables. There are two kinds of filter g_f:
 
-    - a window of its own ``width``, which is variational: one block serves all outputs that the latent feeds;
-    - the filter of output i, ``outputs[f] = i``: the block is what the latent contributes to that output. A window
-      cannot serve outputs of different widths at once; an output's own part loses nothing to that output.
+    - a window with variational length scales ``width``: one block for all outputs of the latent;
+    - the filter of output i, ``outputs[f] = i``: the block is the contribution of the latent to this output. One window
+      cannot represent outputs of different widths well, while this filter loses no information about its output.
 
     Parameters
     ----------
@@ -181,9 +182,9 @@ class LatentFeatures(Features):
     Z : sequence of ndarray (k_f, d)
         Inducing inputs of each block.
     width : ndarray (F, d) or None
-        Length scales of windows; None for filters of outputs.
+        Length scales of windows; None if ``outputs`` is given.
     outputs : sequence of int (F,) or None
-        Whose filters; None for windows.
+        Outputs whose filters are used; None for windows.
     """
 
     def __init__(self, kernel, latents, Z, width=None, outputs=None):
@@ -194,7 +195,7 @@ class LatentFeatures(Features):
         self._edges = np.cumsum([0, *map(len, self.Z)])
         self.size = int(self._edges[-1])
         feeds = kernel._value("feeds").astype(bool)
-        self._blocks = [[f for f, m in enumerate(self.latents) if fed[m]] for fed in feeds.T]
+        self._blocks = [[f for f, m in enumerate(self.latents) if mask[m]] for mask in feeds.T]
         pairs = [(f, g) for f in range(len(self.latents)) for g in range(len(self.latents))]
         self._related = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
 
@@ -210,7 +211,7 @@ class LatentFeatures(Features):
         vars(self).update(vars(LatentFeatures(**state)))
 
     def _with_blocks(self):
-        """Return the kernel with one more output for each block, at unit variance."""
+        """Return the kernel with one further output of unit variance for each block."""
         kernel, arrays = self.kernel, {}
         for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
             value = kernel._value(name)
@@ -225,16 +226,16 @@ class LatentFeatures(Features):
             )
         return type(kernel)(covariance_type="full" if kernel.covariance_type == "full" else "diag", **arrays)
 
-    def _of(self, f):
+    def _slice(self, f):
         return slice(self._edges[f], self._edges[f + 1])
 
     def columns(self, i):
-        return np.concatenate([np.arange(0), *(np.arange(self.size)[self._of(f)] for f in self._blocks[i])])
+        return np.concatenate([np.arange(0), *(np.arange(self.size)[self._slice(f)] for f in self._blocks[i])])
 
     def Kuu(self):
         P, K = self.kernel.n_outputs, np.zeros((self.size, self.size))
         for f, g in self._related:
-            K[self._of(f), self._of(g)] = self.joint.block(P + f, P + g, self.Z[f], self.Z[g])
+            K[self._slice(f), self._slice(g)] = self.joint.block(P + f, P + g, self.Z[f], self.Z[g])
         np.einsum("ii->i", K)[:] = 1.0 + JITTER
         return K
 
@@ -257,19 +258,19 @@ class LatentFeatures(Features):
         for f in self._blocks[i]:
             w = W[:, start : start + len(self.Z[f])]
             start += len(self.Z[f])
-            entries, dZ[self._of(f)] = self.joint.entry_gradients(i, P + f, X, self.Z[f], w, inputs=True)
-            _add(total, entries)
+            entries, dZ[self._slice(f)] = self.joint.entry_gradients(i, P + f, X, self.Z[f], w, inputs=True)
+            _add_entries(total, entries)
         return self._collect(total, dZ)
 
     def gradient_uu(self, W):
         P, (total, dZ) = self.kernel.n_outputs, self._zeros()
         for f, g in self._related:
-            w = np.array(W[self._of(f), self._of(g)])
+            w = np.array(W[self._slice(f), self._slice(g)])
             if f == g:
-                np.einsum("ii->i", w)[:] = 0.0  # the diagonal is one, whatever the parameters
+                np.einsum("ii->i", w)[:] = 0.0  # the diagonal is constant
             entries, slope = self.joint.entry_gradients(P + f, P + g, self.Z[f], self.Z[g], w, inputs=True)
-            dZ[self._of(g)] += 2 * slope
-            _add(total, entries)
+            dZ[self._slice(g)] += 2 * slope
+            _add_entries(total, entries)
         return self._collect(total, dZ)
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
@@ -284,7 +285,7 @@ class LatentFeatures(Features):
         return self.kernel.n_features
 
     def _collect(self, total, dZ):
-        """Return the gradient by [kernel theta, log width, Z]: filters of outputs have no widths of their own."""
+        """Return the gradient by [kernel theta, log width, Z]; filters of outputs have no separate widths."""
         P = self.kernel.n_outputs
         by_entry = {name: entry[:, :P].copy() for name, entry in total.items()}
         d_width = []
@@ -316,7 +317,7 @@ class LatentFeatures(Features):
         width = None if self.width is None else np.exp(theta[:n]).reshape(self.width.shape)
         stacked = theta[n:].reshape(self.size, self._d)
         return LatentFeatures(
-            kernel, self.latents, [stacked[self._of(f)] for f in range(len(self.Z))], width, self.outputs
+            kernel, self.latents, [stacked[self._slice(f)] for f in range(len(self.Z))], width, self.outputs
         )
 
 
@@ -324,7 +325,7 @@ ConvolvedFeatures = PartFeatures = LatentFeatures  # names in model files of ver
 
 
 class TrendFeatures(Features):
-    """The standardised weights of a trend: with them nothing is approximated."""
+    """The standardised weights of a trend; they represent it exactly."""
 
     def __init__(self, kernel):
         self.kernel = kernel
@@ -405,7 +406,7 @@ class SumFeatures(Features):
         return self.first.paths(coefficients[:, :n]) + self.second.paths(coefficients[:, n:])
 
     def _ordered(self, a, b):
-        """Return [kernel theta, features theta] of both terms: thetas of kernels first."""
+        """Return [kernel theta, features theta] of both terms, kernels first."""
         na, nb = len(a) - len(self.first.theta), len(b) - len(self.second.theta)
         return np.concatenate([a[:na], b[:nb], a[na:], b[nb:]])
 
@@ -438,7 +439,7 @@ class FeatureRows:
 
 
 class TrendRows:
-    """The basis functions of a trend of every output, (1, phi(x) - c) times their scales."""
+    """The scaled basis functions (1, phi(x) - c) of the trend of every output."""
 
     def __init__(self, kernel):
         self.columns = kernel.columns
@@ -453,7 +454,7 @@ class TrendRows:
 
 
 class SumRows:
-    """Of the features of a sum: for each output those of the first term, then those of the second."""
+    """Kfu of a sum: for each output the columns of the first term, then those of the second."""
 
     def __init__(self, first, second):
         self.first, self.second = first, second
@@ -471,16 +472,16 @@ def _only(state, *names):
     return {name: state[name] for name in names}
 
 
-def _add(total, entries):
+def _add_entries(total, entries):
     for name, entry in entries.items():
         total[name] += entry
 
 
-# -- where inducing variables are best placed ----------------------------------------------------------
+# -- placement of inducing variables -------------------------------------------------------------------
 
 
 class Ranking(NamedTuple):
-    """Candidates of one latent, best first: what each takes away, its output, its place."""
+    """Candidates of one latent, best first: variance reduction, output and input."""
 
     gain: np.ndarray
     output: np.ndarray
@@ -488,31 +489,32 @@ class Ranking(NamedTuple):
 
 
 def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures]:
-    """Return a function n -> the features that n variables are best spent on.
+    """Return a function n -> the best n inducing features.
 
-    Candidates are the parts of every output at every sample, weighted by amplitude over ``scale`` (P,), how exactly an
-    output is to be kept. A pivoted Cholesky factorisation of their covariance takes the one that is least
-    explained by those before it (Burt et al. 2020); what it took says how many each part deserves. They are then placed
-    at the centres of k-means, in the part's own length scales, which explains more than the pivots themselves do.
+    Candidates are the contributions of the latents to every output at every sample, weighted by amplitude over
+    ``scale`` (P,), the required accuracy. A pivoted Cholesky factorisation of their covariance selects in each step the
+    candidate with the largest unexplained variance (Burt et al. 2020). The selection defines the number of variables of
+    each latent and output. These are then placed at centres of k-means in the length scales of that output, which
+    explain more variance than the pivots.
     """
     seed = check_random_state(random_state).randint(2**31 - 1)
     random_state = np.random.RandomState(seed)
     X = np.unique(X, axis=0)
     rankings = [_rank(kernel, m, X, scale, random_state) for m in range(len(kernel._value("feeds")))]
     for ranking in rankings:
-        ranking.gain[0] = np.inf  # no latent is left out: no output is without features
+        ranking.gain[0] = np.inf  # every latent, and so every output, has at least one feature
     order = np.sort(np.concatenate([ranking.gain for ranking in rankings]))[::-1]
-    some = X[np.sort(random_state.permutation(len(X))[:CLUSTERED])]
+    subset = X[np.sort(random_state.permutation(len(X))[:CLUSTERED])]
 
     def best(n):
         least = order[min(max(n, len(rankings)), len(order)) - 1]
         latents, outputs, Z = [], [], []
         for m, ranking in enumerate(rankings):
-            chosen = ranking.output[ranking.gain >= least]
-            for i in np.unique(chosen):
+            selected = ranking.output[ranking.gain >= least]
+            for i in np.unique(selected):
                 latents.append(m)
                 outputs.append(i)
-                Z.append(_centres(some, kernel._value("length_scale")[m, i], np.sum(chosen == i), seed))
+                Z.append(_centres(subset, kernel._value("length_scale")[m, i], np.sum(selected == i), seed))
         return LatentFeatures(kernel, latents, Z, outputs=outputs)
 
     return best
@@ -528,7 +530,7 @@ def _rank(kernel, m, X, scale, random_state):
 
 
 def _centres(X, length_scale, n, seed):
-    """Return n centres of the samples in the metric of the length scales, or all samples where n is as many."""
+    """Return n centres of the samples in the metric of the length scales, or all samples if n is not smaller."""
     if n >= len(X):
         return X
     return cluster_centres(X, length_scale, n, seed, max_iter=30)

@@ -1,7 +1,7 @@
 """The covariance of two Gaussian filters of one latent process, and its derivatives.
 
-Notation of the convolved Gaussian: A = 2 R R^T, Sigma = A_i (A_i + A_j)^-1 A_j = F F^T, and c, the covariance at its
-peak for unit amplitudes. The leading axis runs over latents, (m, ...).
+Notation: A = 2 R R^T, Sigma = A_i (A_i + A_j)^-1 A_j = F F^T, and c is the maximum of the covariance for unit
+amplitudes. The first axis of all arrays runs over the latent processes, (m, ...).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ def diagonal_pair(li, lj):
 def full_pair(Ri, Rj):
     """Return c (m,) and F (m, d, d) for lower triangular roots (m, d, d).
 
-    A_i + A_j and A_i^-1 + A_j^-1 are sums of squares: their roots are the triangles of QR factorisations, which exist
-    however unlike the length scales are.
+    A_i + A_j and A_i^-1 + A_j^-1 are sums of squares. Their roots come from QR factorisations, which are stable for
+    length scales of very different size.
     """
     log_diagonals = (np.log(np.abs(np.einsum("mkk->mk", B))).sum(axis=1) for B in (Ri, Rj, _root_of_sum(Ri, Rj)))
     log_i, log_j, log_sum = log_diagonals
@@ -42,7 +42,7 @@ def precision(R):
 def moments(sums, a, b, full):
     """Return sum G, sum G delta and sum G delta delta^T (or its diagonal) over delta = a_i - b_j.
 
-    From row sums, column sums and one matrix product: the (n_i, n_j, d) array of separations is never formed.
+    Row sums, column sums and one matrix product are enough; the (n_i, n_j, d) array of separations is not needed.
     """
     rows, columns, Gb, _ = sums
     first = rows @ a - columns @ b
@@ -55,10 +55,9 @@ def moments(sums, a, b, full):
 def diagonal_slopes(mass, second, li, lj):
     """Return d/dlog l_i and d/dlog l_j of sum(W c exp(...)), from the moments of W c exp(...): (m, d) each."""
     total = li**2 + lj**2
-    # Of the exponent -delta^2 / (li^2 + lj^2), and of sqrt(2 li lj / (li^2 + lj^2)).
-    bend = 2 * second / total**2
-    tilt = 0.5 * mass[:, None] * (lj**2 - li**2) / total
-    return bend * li**2 + tilt, bend * lj**2 - tilt
+    by_exponent = 2 * second / total**2  # derivative of the exponent -delta^2 / (li^2 + lj^2)
+    by_factor = 0.5 * mass[:, None] * (lj**2 - li**2) / total  # derivative of sqrt(2 li lj / (li^2 + lj^2))
+    return by_exponent * li**2 + by_factor, by_exponent * lj**2 - by_factor
 
 
 def full_slopes(mass, second, F, R_both, R):

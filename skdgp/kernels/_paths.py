@@ -1,4 +1,4 @@
-"""Functions of the regressors with random coefficients, of which posterior samples are sums."""
+"""Sample paths: functions of the regressors with random coefficients."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from scipy.special import logsumexp
 from skdgp.kernels._strips import ExponentialRows
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
-TILE = 512  # values whose covariances with points are made at a time
+TILE = 512  # values in one block of covariances
 
 
 class PathBundle(ABC):
     """S functions of the regressors with P values, evaluated together.
 
-    Inputs are (S, n, d), the points of each, or (1, n, d), the same points for all.
+    Inputs are (S, n, d), with different points for each function, or (1, n, d), with the same points for all.
     """
 
     @abstractmethod
@@ -27,30 +27,30 @@ class PathBundle(ABC):
 
     @abstractmethod
     def gradient(self, X) -> np.ndarray:
-        """Return their slopes, (S, n, P, d)."""
+        """Return the slopes of all outputs, (S, n, P, d)."""
 
     @abstractmethod
     def take(self, some: slice) -> PathBundle:
         """Return some of the functions."""
 
     @abstractmethod
-    def doubles(self, alike: bool) -> int:
-        """Return how many doubles values at one point take meanwhile, or at one of each, unless they are ``alike``."""
+    def doubles(self, same_points: bool) -> int:
+        """Return the working memory for one point of each function, in doubles."""
 
     def __add__(self, other) -> SumPaths:
         return SumPaths(self, other)
 
     def values(self, X) -> np.ndarray:
-        """Return ``each`` of many points, some at a time."""
+        """Return the values at many points, in chunks."""
         return _in_chunks(self.each, X, self.doubles(len(X) == 1))
 
     def slopes(self, X) -> np.ndarray:
-        """Return ``gradient`` of many points, some at a time."""
+        """Return the slopes at many points, in chunks."""
         return _in_chunks(self.gradient, X, X.shape[-1] * self.doubles(len(X) == 1))
 
 
 def _in_chunks(function, X, doubles):
-    """Return a function of X (S, n, d) along its second axis, of which each n takes so many doubles meanwhile."""
+    """Return a function of X (S, n, d), evaluated in chunks of n; each point needs ``doubles`` of working memory."""
     step = max(1, CHUNK_BYTES // max(1, 8 * doubles))
     if X.shape[1] <= step:
         return function(X)
@@ -66,8 +66,8 @@ class SumPaths(PathBundle):
     def take(self, some):
         return SumPaths(self.first.take(some), self.second.take(some))
 
-    def doubles(self, alike):
-        return max(self.first.doubles(alike), self.second.doubles(alike))
+    def doubles(self, same_points):
+        return max(self.first.doubles(same_points), self.second.doubles(same_points))
 
     def each(self, X):
         values = self.first.each(X)
@@ -79,13 +79,13 @@ class SumPaths(PathBundle):
 
 
 class TrendPaths(PathBundle):
-    """Trends with weights: tau_i0 u_i0 + sum_k tau_ik u_ik (phi_k(s) - c_k).
+    """Trends with given weights: tau_i0 u_i0 + sum_k tau_ik u_ik (phi_k(s) - c_k).
 
     Parameters
     ----------
     kernel : Trend
     weights : ndarray (S, P, K + 1)
-        Standardised, u.
+        Standardised weights u.
     """
 
     def __init__(self, kernel, weights):
@@ -97,8 +97,8 @@ class TrendPaths(PathBundle):
     def take(self, some):
         return TrendPaths(self.kernel, self.weights[some])
 
-    def doubles(self, alike):
-        return self.weights[:1].size if alike else self.weights.size
+    def doubles(self, same_points):
+        return self.weights[:1].size if same_points else self.weights.size
 
     def each(self, X):
         columns = self.kernel.columns(_rows_of(X)) - self._center
@@ -124,12 +124,12 @@ class FeaturePaths(PathBundle):
     def take(self, some):
         return FeaturePaths(self.features, len(self._own), self.coefficients[some])
 
-    def doubles(self, alike):
-        return (1 if alike else len(self.coefficients)) * self._own[-1].stop
+    def doubles(self, same_points):
+        return (1 if same_points else len(self.coefficients)) * self._own[-1].stop
 
     def each(self, X):
         A = _over_points(self._rows(_rows_of(X)), X)
-        values = [contract(A[..., own], c) for own, c in zip(self._own, self._weights, strict=True)]
+        values = [contract(A[..., columns], c) for columns, c in zip(self._own, self._weights, strict=True)]
         return np.stack(values, axis=-1)
 
     def gradient(self, X):
@@ -152,8 +152,8 @@ class KernelPaths(PathBundle):
     def take(self, some):
         return KernelPaths(self.kernel, self.X, [c[some] for c in self.coefficients])
 
-    def doubles(self, alike):
-        return (1 if alike else len(self.coefficients[0])) * TILE
+    def doubles(self, same_points):
+        return (1 if same_points else len(self.coefficients[0])) * TILE
 
     def each(self, X):
         return self._summed(self.kernel.block, X, ())
@@ -167,41 +167,41 @@ class KernelPaths(PathBundle):
         for i, j in product(range(P), repeat=2):
             if self.kernel.couples(i, j):
                 for a in range(0, len(self.X[j]), TILE):
-                    some = slice(a, a + TILE)
-                    A = _over_points(block(i, j, points, self.X[j][some]), X)
-                    values[..., i, :, :] += contract(A, self.coefficients[j][:, some])
+                    tile = slice(a, a + TILE)
+                    A = _over_points(block(i, j, points, self.X[j][tile]), X)
+                    values[..., i, :, :] += contract(A, self.coefficients[j][:, tile])
         return values.T.swapaxes(0, 1)
 
 
 class ValuePaths(PathBundle):
-    """The same as ``KernelPaths``, of a convolved Gaussian: for few points one product and one exponential."""
+    """``KernelPaths`` of a convolved Gaussian: few points need one matrix product and one exponential."""
 
     def __init__(self, kernel, X, coefficients):
         self.general = KernelPaths(kernel, X, coefficients)
         outputs = range(kernel.n_outputs)
-        felt = [[j for j in outputs if kernel.couples(i, j)] for i in outputs]
-        self._rows = ExponentialRows(kernel, [[(j, X[j]) for j in own] for i, own in enumerate(felt)])
-        self._own = [slice(a, b) for a, b in pairwise(np.cumsum([0, *self._rows.sizes]))]
-        nothing = np.empty((len(coefficients[0]), 0))
+        coupled = [[j for j in outputs if kernel.couples(i, j)] for i in outputs]
+        self._rows = ExponentialRows(kernel, [[(j, X[j]) for j in others] for others in coupled])
+        self._slices = [slice(a, b) for a, b in pairwise(np.cumsum([0, *self._rows.sizes]))]
+        empty = np.empty((len(coefficients[0]), 0))
         self._weights = [
-            np.hstack([nothing, *(np.tile(coefficients[j], len(kernel._pair(i, j)[1])) for j in own)])
-            for i, own in enumerate(felt)
+            np.hstack([empty, *(np.tile(coefficients[j], len(kernel._pair(i, j)[1])) for j in others)])
+            for i, others in enumerate(coupled)
         ]
 
     def __reduce__(self):
-        # The weights of all latents are made again from the coefficients, which are a fraction of them.
+        # Pickle the coefficients only: they are smaller than the weights of all latents.
         return ValuePaths, (self.general.kernel, self.general.X, self.general.coefficients)
 
     def take(self, some):
         general = self.general
         return ValuePaths(general.kernel, general.X, [c[some] for c in general.coefficients])
 
-    def doubles(self, alike):
-        return (1 if alike else len(self._weights[0])) * self._own[-1].stop
+    def doubles(self, same_points):
+        return (1 if same_points else len(self._weights[0])) * self._slices[-1].stop
 
     def each(self, X):
         A = _over_points(self._rows(_rows_of(X)), X)
-        values = [contract(A[..., own], c) for own, c in zip(self._own, self._weights, strict=True)]
+        values = [contract(A[..., columns], c) for columns, c in zip(self._slices, self._weights, strict=True)]
         return np.stack(values, axis=-1)
 
     def gradient(self, X):
@@ -214,7 +214,7 @@ def _rows_of(X):
 
 
 def _over_points(A, X):
-    """Return what was made of the rows of X, (..., S n, C), as (..., S, n, C)."""
+    """Return A (..., S n, C), computed from the rows of X, in the shape (..., S, n, C)."""
     return A.reshape(*A.shape[:-2], *X.shape[:2], A.shape[-1])
 
 
@@ -227,9 +227,9 @@ def contract(A, c):
 
 
 class LatentWaves(NamedTuple):
-    """What a latent contributes to the outputs that feel it: sums of gain * cos(omega . (s - shift) + phase).
+    """The contribution of a latent to its outputs: sums of gain * cos(omega . (s - shift) + phase).
 
-    ``omega`` (S, F, d), ``phase`` (S, F), ``outputs`` (c,), and of these ``gain`` (S, F, c), ``shift`` (c, d).
+    ``omega`` (S, F, d), ``phase`` (S, F), ``outputs`` (c,), and for these outputs ``gain`` (S, F, c), ``shift`` (c, d).
     """
 
     omega: np.ndarray
@@ -240,7 +240,7 @@ class LatentWaves(NamedTuple):
 
     @classmethod
     def draw(cls, outputs, roots, amplitude, shift, n_paths, n_frequencies, random_state) -> LatentWaves:
-        r"""Draw what one latent contributes to convolved Gaussians, h_i * x with A_i = 2 R_i R_i^T.
+        r"""Return random waves of one latent of a convolved Gaussian, h_i * x with A_i = 2 R_i R_i^T.
 
         The spectral density of h_i * x is the Gaussian N_i = N(0, R_i R_i^T), so samples are
 
@@ -249,9 +249,9 @@ class LatentWaves(NamedTuple):
                   \quad g_k, g'_k \sim N(0, 1).
 
         These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the mixture of the N_i
-        of all outputs that feel the latent, and frequencies are stratified over its components: each output has waves
-        of its own, and weights are bounded (the balance heuristic of Veach & Guibas 1995). Frequencies are drawn anew
-        for every path, so that moments over paths are those of the prior, however few they are.
+        of all outputs of the latent. Frequencies are stratified over its components, so the weights are bounded (the
+        balance heuristic of Veach & Guibas 1995). Every path has new frequencies, so moments over paths are those of
+        the prior for any number of frequencies.
 
         Parameters
         ----------
@@ -273,20 +273,20 @@ class LatentWaves(NamedTuple):
         log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
         log_mixture = logsumexp(log_density, axis=2, b=np.bincount(component), keepdims=True)  # log(F q)
         gain = amplitude * np.exp(0.5 * (log_density - log_mixture))
-        gain *= random_state.rayleigh(size=(S, F, 1))  # the length of (g, g'), whose direction is uniform
+        gain *= random_state.rayleigh(size=(S, F, 1))  # the length of (g, g'); the phase is its direction
         return cls(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), outputs, gain, shift)
 
-    def at_origin(self, chosen) -> tuple[np.ndarray, np.ndarray]:
-        """Return the phase at the shift of the first of the chosen outputs, (S, F), and how the others turn it."""
-        turn = self.omega @ self.shift[chosen].T
+    def at_origin(self, selected) -> tuple[np.ndarray, np.ndarray]:
+        """Return the phase (S, F) for the first selected output, and the phase differences of the others."""
+        turn = self.omega @ self.shift[selected].T
         return self.phase - turn[..., 0], turn - turn[..., :1]
 
 
 class Waves(PathBundle):
-    """Sums of waves: one cosine of each serves all outputs that feel its latent.
+    """Sums of waves: each cosine is computed once for all outputs of its latent.
 
-    Waves of latents that several outputs feel come first, in one product with their weights; latents that one output
-    feels alone (private ones) are summed apart, so that no zeros are multiplied.
+    Waves of shared latents come first and are multiplied by one matrix of weights. Waves of private latents are summed
+    separately, which avoids products with zero weights.
 
     Parameters
     ----------
@@ -295,9 +295,9 @@ class Waves(PathBundle):
     shared : ndarray (S, c, P)
         Weights of the first c waves.
     own : ndarray (S, 1, m, F)
-        Weights of the other m F.
+        Weights of the other m F waves, of m private latents.
     fed : ndarray (m, P)
-        One where the output is the one that feels the latent.
+        One for the output of each private latent.
     """
 
     def __init__(self, omega, phase, shared, own, fed):
@@ -305,15 +305,15 @@ class Waves(PathBundle):
 
     @classmethod
     def of(cls, latents: list[LatentWaves], outputs) -> Waves:
-        """Return the paths of some of the outputs, (P,)."""
+        """Return the paths of the given outputs, (P,)."""
         (S, F), P = latents[0].phase.shape, len(outputs)
         shared, own, fed = [], [], []
         for latent in latents:
-            place, chosen = np.nonzero(np.equal.outer(outputs, latent.outputs))
+            place, selected = np.nonzero(np.equal.outer(outputs, latent.outputs))
             if len(place) == 0:
                 continue
-            phase, turn = latent.at_origin(chosen)
-            gain = latent.gain[..., chosen]
+            phase, turn = latent.at_origin(selected)
+            gain = latent.gain[..., selected]
             if len(place) == 1:
                 own.append((latent.omega, phase, gain))
                 fed.append(np.eye(P)[place[0]])
@@ -323,19 +323,19 @@ class Waves(PathBundle):
             if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
                 shared.append((latent.omega, phase - 0.5 * np.pi, (gain * np.sin(turn)) @ unit))
         waves = [*shared, *own]
-        alone = np.concatenate([np.empty((S, F, 0)), *(weight for *_, weight in own)], axis=2)
+        private = np.concatenate([np.empty((S, F, 0)), *(weight for *_, weight in own)], axis=2)
         return cls(
             np.concatenate([omega for omega, *_ in waves], axis=1).swapaxes(1, 2).copy(),
             np.concatenate([phase for _, phase, _ in waves], axis=1)[:, None],
             np.concatenate([np.empty((S, 0, P)), *(weight for *_, weight in shared)], axis=1),
-            alone.swapaxes(1, 2)[:, None].copy(),
+            private.swapaxes(1, 2)[:, None].copy(),
             np.reshape(fed, (-1, P)),
         )
 
     def take(self, some):
         return Waves(self.omega[some], self.phase[some], self.shared[some], self.own[some], self.fed)
 
-    def doubles(self, alike):
+    def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
 
     def each(self, X):
@@ -343,7 +343,7 @@ class Waves(PathBundle):
         half += 0.5 * self.phase
         wave, c = _cosine_of_twice(half), self.shared.shape[1]
         values = wave[..., :c] @ self.shared
-        values += np.einsum("snmf,slmf->snm", self._own(wave), self.own) @ self.fed
+        values += np.einsum("snmf,slmf->snm", self._private(wave), self.own) @ self.fed
         return values
 
     def gradient(self, X):
@@ -351,17 +351,17 @@ class Waves(PathBundle):
         c, (S, d, _) = self.shared.shape[1], self.omega.shape
         shared = wave[:, :, None, :c] * self.shared.swapaxes(1, 2)[:, None]
         slopes = shared @ self.omega[:, None, :, :c].swapaxes(2, 3)
-        alone = (self._own(wave) * self.own)[..., None, :]
+        private = (self._private(wave) * self.own)[..., None, :]
         omega = self.omega[:, :, c:].reshape(S, 1, d, *self.own.shape[2:]).transpose(0, 1, 3, 4, 2)
-        slopes += np.einsum("snmk,mp->snpk", (alone @ omega)[..., 0, :], self.fed)
+        slopes += np.einsum("snmk,mp->snpk", (private @ omega)[..., 0, :], self.fed)
         return slopes
 
-    def _own(self, wave):
+    def _private(self, wave):
         return wave[..., self.shared.shape[1] :].reshape(*wave.shape[:2], *self.own.shape[2:])
 
 
 def _cosine_of_twice(half):
-    """Return cos(2 half), and overwrite ``half``: NumPy's tangent is vectorised, its cosine takes ten times as long."""
+    """Return cos(2 half) and overwrite ``half``; NumPy's tangent is vectorised and ten times as fast as its cosine."""
     square = np.tan(half, out=half)
     square *= square
     square += 1.0
@@ -371,14 +371,14 @@ def _cosine_of_twice(half):
 
 
 def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWaves]:
-    """Return the waves of every latent of a ConvolvedGaussian; as many as a latent has outputs, at least."""
+    """Return the waves of every latent of a ConvolvedGaussian, at least one for each of its outputs."""
     w, mu, feeds = (kernel._value(name) for name in ("amplitude", "shift", "feeds"))
     lengths = kernel._value("length_scale")
     roots = kernel._roots() if kernel.covariance_type == "full" else np.eye(mu.shape[2]) / lengths[..., None]
     n_frequencies = max(n_frequencies, int(feeds.sum(axis=1).max()))
     return [
-        LatentWaves.draw(felt, roots[m, felt], w[m, felt], mu[m, felt], n_paths, n_frequencies, random_state)
-        for m, felt in enumerate(map(np.flatnonzero, feeds))
+        LatentWaves.draw(i, roots[m, i], w[m, i], mu[m, i], n_paths, n_frequencies, random_state)
+        for m, i in enumerate(map(np.flatnonzero, feeds))
     ]
 
 
@@ -388,9 +388,9 @@ def convolved_paths(kernel, n_paths, n_frequencies, random_state) -> Waves:
 
 
 def joint_paths(joint, Z, jitter, n_paths, n_frequencies, random_state) -> tuple[Waves, np.ndarray]:
-    """Return paths of a ConvolvedGaussian's first outputs, and values (S, K) of its last ones at Z, a list of (k, d).
+    """Return paths of the first outputs of a ConvolvedGaussian, and values (S, K) of its last outputs at Z.
 
-    ``jitter`` is the variance of white noise in these.
+    Z is a list of (k, d), one for each of the last outputs. ``jitter`` is the variance of white noise in the values.
     """
     latents = draw_latents(joint, n_paths, n_frequencies, random_state)
     P = joint.n_outputs - len(Z)

@@ -1,4 +1,4 @@
-"""Starting values of the convolved Gaussian, taken from the data, and the log-normal prior on its length scales."""
+"""Starting values of the convolved Gaussian from the data, and the log-normal prior on its length scales."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, output_scale
 
-TIE = 1e-9  # of a variance
-SHARED_VARIANCE = 0.1  # of an output that also has a latent of its own
+TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
+SHARED_VARIANCE = 0.1  # part of an output's variance that starts in the shared latents, if it has a private latent
 
 
 def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
 
-    ``feeds`` (M, P) tells which latent feeds which output. The shared latents start along the principal directions
-    of the outputs' correlation, so that what moves together shares a latent from the start; widths are spread over
-    latents, since equal ones would have equal gradients and never part.
+    ``feeds`` (M, P) is one where a latent contributes to an output. Shared latents start along the principal directions
+    of the correlation matrix of the outputs, so correlated outputs share a latent from the start. Latents start with
+    different widths: with equal widths they would have equal gradients and remain equal.
     """
     rng = check_random_state(random_state)
     M, P = feeds.shape
@@ -29,7 +29,7 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     directions[shared] = _directions(Y, n_shared, rng)
     weight *= directions**2
     amplitude = np.sign(directions) * np.sqrt(weight / weight.sum(axis=0)) * y_scale
-    # A latent that explains more varies more slowly: wide first, narrow last.
+    # The first latents explain most of the variance and start wide, the last ones narrow.
     spread = np.full(M, 1.2)
     spread[shared] = np.geomspace(2.0, 0.8, n_shared)
     lengths = width_factor * np.sqrt(d) * spread[:, None, None] * x_scale
@@ -43,20 +43,20 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0):
 
 
 def _directions(Y, n_latent, rng):
-    """Return (n_latent, P) whose squares sum to one over the latents: principal directions, then random ones."""
+    """Return directions (n_latent, P), first principal ones, then random ones; squares sum to one over the latents."""
     P = Y.shape[1]
-    seen = np.isfinite(Y)
-    Z = np.where(seen, Y - np.nanmean(np.where(seen.any(axis=0), Y, 0.0), axis=0), 0.0) / column_scale(Y)
-    counts = np.maximum(seen.T.astype(float) @ seen, 1.0)
-    order = np.diag(TIE * np.arange(P, 0, -1))  # where outputs are unrelated, rounding is not to choose the directions
+    observed = np.isfinite(Y)
+    Z = np.where(observed, Y - np.nanmean(np.where(observed.any(axis=0), Y, 0.0), axis=0), 0.0) / column_scale(Y)
+    counts = np.maximum(observed.T.astype(float) @ observed, 1.0)
+    order = np.diag(TIE_BREAK * np.arange(P, 0, -1))
     values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
-    side = np.sqrt(np.arange(2, P + 2)) @ vectors  # either sign is an eigenvector's: which one LAPACK gives, is chance
+    side = np.sqrt(np.arange(2, P + 2)) @ vectors  # the sign of an eigenvector depends on LAPACK: choose one
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
     principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]
     rows = principal[:n_latent]
     if n_latent > P:
         rows = np.concatenate([rows, 0.5 * rng.normal(size=(n_latent - P, P))])
-    # A small push off the axes: an amplitude of exactly zero has no gradient.
+    # A small perturbation, since an amplitude of exactly zero has no gradient.
     rows = rows + 0.05 * rng.normal(size=rows.shape)
     return rows / np.sqrt((rows**2).sum(axis=0, keepdims=True)) if n_latent else rows
 
@@ -64,8 +64,8 @@ def _directions(Y, n_latent, rng):
 def prior_of(prior, X) -> np.ndarray | None:
     """Return medians and spreads (d, 2) for regressors X (n, d), or None.
 
-    "auto" is the prior of Hvarfner, Hellsten & Nardi (2024), LogNormal(sqrt(2) + log(d) / 2, sqrt(3)) for regressors
-    that are uniform on [0, 1], whose standard deviation is 1 / sqrt(12).
+    "auto" is the prior of Hvarfner, Hellsten & Nardi (2024): LogNormal(sqrt(2) + log(d) / 2, sqrt(3)) for regressors
+    that are uniform on [0, 1] and thus have the standard deviation 1 / sqrt(12).
     """
     if prior is None:
         return None
@@ -91,22 +91,22 @@ def log_normal(index, lengths, prior):
     Parameters
     ----------
     index : ndarray (M, P, d)
-        As in ``Free``: entries of one number are one hyperparameter. It counts once, and what falls on it is shared by
-        its entries.
+        As in ``FreeParameter``: entries with the same number are one hyperparameter. It enters the density once, and
+        its derivative is distributed over its entries.
     lengths : ndarray (M, P, d)
     prior : ndarray (d, 2)
         Medians and spreads.
     """
     median, spread = np.moveaxis(np.broadcast_to(prior, (*index.shape, 2)), -1, 0)
-    chosen = index >= 0
-    number, spread = index[chosen], spread[chosen]
+    free = index >= 0
+    number, spread = index[free], spread[free]
     counts = np.bincount(number)
 
     def mean(values):
         return np.bincount(number, weights=values) / counts
 
-    z = mean(np.log(lengths / median)[chosen] / spread)
+    z = mean(np.log(lengths / median)[free] / spread)
     value = -0.5 * z @ z - mean(np.log(spread)).sum() - 0.5 * len(z) * np.log(2 * np.pi)
     slope = np.zeros(index.shape)
-    slope[chosen] = -(z / counts)[number] / spread
+    slope[free] = -(z / counts)[number] / spread
     return value, slope

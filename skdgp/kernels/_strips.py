@@ -1,7 +1,4 @@
-"""Exponentials of squared distances, computed in strips of rows that fit the cache.
-
-A strip, and what is done with it, stays in the cache; what is kept are sums over it.
-"""
+"""Exponentials of squared distances and their sums, computed in strips of rows that fit the cache."""
 
 from __future__ import annotations
 
@@ -11,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.distance import cdist
 
-STRIP = 3 * 2**16  # doubles: fewer strips mean fewer waits of threads for each other
-FAR = 1e9  # |a|^2 / 2 and |b|^2 / 2 above which their cancellation would show: it leaves errors of 1e-16 of them
+STRIP = 3 * 2**16  # doubles in one strip; fewer strips mean less waiting between threads
+FAR = 1e9  # |a|^2 / 2 or |b|^2 / 2 above which cancellation, about 1e-16 of them, becomes visible
 
 
 class Exponent(NamedTuple):
-    """left @ right.T is shift - |a - b|^2 / 2 for every row a and b: one matrix product gives the whole exponent.
+    """Factors with left @ right.T = shift - |a - b|^2 / 2 for all rows a and b, so one matrix product is enough.
 
-    Where both are far from the origin, the product would be rounded to less than it means: differences are taken.
+    Far from the origin the product would lose digits; ``far`` then selects explicit differences.
     """
 
     left: np.ndarray
@@ -41,7 +38,7 @@ class Exponent(NamedTuple):
         return cls(left, right, shift, far)
 
     def exponential(self, rows, out):
-        """Return exp of some rows, written to ``out``."""
+        """Return the exponentials of some rows, written to ``out``."""
         if self.far:
             out[:] = self.shift - 0.5 * cdist(self.left[rows, :-2], self.right[:, :-2], "sqeuclidean")
         else:
@@ -50,7 +47,7 @@ class Exponent(NamedTuple):
 
 
 def strips(n_rows, n_columns) -> Iterator[slice]:
-    """Cut rows so that a strip of them has about STRIP entries."""
+    """Return slices of the rows with about STRIP entries each."""
     step = max(8, STRIP // max(n_columns, 1))
     return (slice(a, min(a + step, n_rows)) for a in range(0, n_rows, step))
 
@@ -73,7 +70,7 @@ def signed_sum(exponents, signs, shape) -> np.ndarray:
 
 
 class Sums(NamedTuple):
-    """Of G = W * exp(exponent): row sums (n_i,), column sums (n_j,), G b (n_i, d) and, on request, G^T a (n_j, d)."""
+    """Row sums (n_i,), column sums (n_j,), G b (n_i, d) and G^T a (n_j, d) or None, for G = W * exp(exponent)."""
 
     rows: np.ndarray
     columns: np.ndarray
@@ -82,7 +79,7 @@ class Sums(NamedTuple):
 
 
 def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
-    """Return the sums of G for each exponent; a is a list of one (n_i, d) for each, b is (n_j, d)."""
+    """Return the sums of G for each exponent; a is a list with one (n_i, d) for each exponent, b is (n_j, d)."""
     (n_i, n_j), d = W.shape, b.shape[1]
     padded = np.column_stack([b, np.ones(n_j)])
     ones = np.ones(n_i)
@@ -91,11 +88,11 @@ def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
     lefts = np.zeros((len(exponents), n_j, d)) if transposed else [None] * len(exponents)
     buffer = np.empty(min(W.size, STRIP + 8 * n_j))
     for rows in strips(n_i, n_j):
-        own = W[rows]
-        G = buffer[: own.size].reshape(own.shape)
+        strip = W[rows]
+        G = buffer[: strip.size].reshape(strip.shape)
         for k, exponent in enumerate(exponents):
             exponent.exponential(rows, G)
-            np.multiply(G, own, out=G)
+            np.multiply(G, strip, out=G)
             np.matmul(G, padded, out=products[k, rows])
             columns[k] += ones[rows] @ G
             if transposed:
@@ -104,24 +101,24 @@ def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
 
 
 class ExponentialRows:
-    """Covariances of outputs with further ones, or with values, of a convolved Gaussian, one column after another.
+    """Covariances of the outputs of a convolved Gaussian with given values of other outputs, as columns.
 
-    Each latent that feeds both has columns of its own. Every column is gain * exp(-1/2 |F (x - mu - z)|^2). With x
-    taken from a middle, the square is |F x|^2, the same for all columns of a pair and latent, plus what is linear in x.
+    Each latent shared by the two outputs has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x relative to a
+    central point, the square is |F x|^2, which is the same for all columns of a pair and latent, plus a linear term.
 
     Parameters
     ----------
     joint : ConvolvedGaussian
     columns : list of lists of (j, Z)
-        For each output: another output, and where it stands, (k, d).
+        For each output: another output and its inputs (k, d).
     """
 
     def __init__(self, joint, columns):
         self.sizes = np.array(
-            [sum(len(Z) * len(joint._pair(i, j)[1]) for j, Z in own) for i, own in enumerate(columns)]
+            [sum(len(Z) * len(joint._pair(i, j)[1]) for j, Z in pairs) for i, pairs in enumerate(columns)]
         )
         self.joint = joint
-        self.columns = columns = [(i, j, Z) for i, own in enumerate(columns) for j, Z in own if len(Z)]
+        self.columns = columns = [(i, j, Z) for i, pairs in enumerate(columns) for j, Z in pairs if len(Z)]
         d = joint.n_features
         self.middle = np.concatenate([Z for *_, Z in columns]).mean(axis=0) if columns else np.zeros(d)
         roots, slopes, constants, counts = [], [], [], []

@@ -1,4 +1,4 @@
-"""Trends: functions linear in weights with a Gaussian prior, which are integrated out."""
+"""Trends: functions that are linear in weights with a Gaussian prior. The weights are integrated out."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_d
 from skdgp.kernels._features import TrendFeatures
 from skdgp.kernels._paths import TrendPaths
 
-STEP = 1e-3  # of a regressor's spread, for differences of fourth order
+STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
 
 
 def check_transformer(transformer) -> None:
-    """Raise a TypeError for what cannot be fitted to regressors and transform them."""
+    """Raise a TypeError unless the object is an instance of a scikit-learn transformer."""
     methods = all(callable(getattr(transformer, name, None)) for name in ("fit", "transform", "get_params"))
     if isinstance(transformer, type) or not methods:
         raise TypeError(
@@ -27,16 +27,16 @@ def check_transformer(transformer) -> None:
 
 
 class FittedBasis:
-    """A transformer fitted once: clones of a kernel share it, since hyperparameters do not change it.
+    """A fitted transformer; clones of a kernel share it, since hyperparameters do not change it.
 
     Parameters
     ----------
     transformer : scikit-learn transformer
         Fitted.
     step : ndarray (d,)
-        In each regressor, for the slopes.
+        Step in each regressor for numerical slopes.
     n_columns : int
-        Columns that it gives, K.
+        Number of columns K of its output.
     """
 
     def __init__(self, transformer, step, n_columns):
@@ -45,7 +45,7 @@ class FittedBasis:
         self.n_columns = n_columns
 
     @classmethod
-    def to(cls, transformer, X) -> FittedBasis:
+    def from_transformer(cls, transformer, X) -> FittedBasis:
         """Return a clone of the transformer fitted to X (n, d)."""
         check_transformer(transformer)
         fitted = clone(transformer).fit(X)
@@ -75,30 +75,30 @@ class FittedBasis:
         return as_columns(self.transformer.transform(X), len(X), self.transformer)
 
     def slopes(self, X) -> np.ndarray:
-        """Return d phi / dX, (d, n, K), by central differences: exact for polynomials up to degree four."""
+        """Return d phi / dX, (d, n, K), by central differences, which are exact for polynomials up to degree four."""
         X = np.asarray(X, dtype=float)
         unit = np.diag(self.step)[:, None, :]
-        there = np.stack([X + times * unit for times in (-2, -1, 1, 2)])  # (4, d, n, d)
-        phi = self.columns(there.reshape(-1, X.shape[1])).reshape(*there.shape[:3], self.n_columns)
+        points = np.stack([X + times * unit for times in (-2, -1, 1, 2)])  # (4, d, n, d)
+        phi = self.columns(points.reshape(-1, X.shape[1])).reshape(*points.shape[:3], self.n_columns)
         return np.tensordot([1.0, -8.0, 8.0, -1.0], phi, axes=1) / (12 * self.step[:, None, None])
 
 
 def as_columns(phi, n: int, transformer) -> np.ndarray:
-    """Return what a transformer gave as a finite (n, K) array."""
+    """Return the output of a transformer as a finite (n, K) array."""
     phi = np.asarray(phi.toarray() if hasattr(phi, "toarray") else phi, dtype=float)
     if phi.ndim != 2 or len(phi) != n or phi.shape[1] == 0 or not np.isfinite(phi).all():
         raise ValueError(
             f"Got columns of shape {phi.shape} from {transformer!r} for {n} samples, but expected finite ones, "
-            f"({n}, K) with K > 0: choose a transformer whose every column is a function of the regressors."
+            f"({n}, K) with K > 0: choose a transformer whose columns are functions of the regressors."
         )
     return phi
 
 
 class Trend(MultiOutputKernel):
-    """Covariance of tau_i0^2 + sum_k tau_ik^2 (phi_k(s) - c_k)(phi_k(s') - c_k): a subclass says what phi is.
+    """Base class of trends, with the covariance tau_i0^2 + sum_k tau_ik^2 (phi_k(s) - c_k)(phi_k(s') - c_k).
 
-    Parameters, common to all, are ``intercept_scale`` (P,), ``slope_scale`` (P, K), ``center`` (K,) and bounds of the
-    first two.
+    A subclass defines phi by ``columns`` and ``column_slopes``. The parameters of all trends are ``intercept_scale``
+    (P,), ``slope_scale`` (P, K), ``center`` (K,) and bounds of the first two.
     """
 
     @abstractmethod
@@ -107,7 +107,7 @@ class Trend(MultiOutputKernel):
 
     @abstractmethod
     def column_slopes(self, X) -> np.ndarray:
-        """Return d phi / dX, (d, n, K), or (d, 1, K) where it is the same everywhere."""
+        """Return d phi / dX, (d, n, K), or (d, 1, K) if it is constant."""
 
     @property
     def n_outputs(self):
@@ -125,7 +125,7 @@ class Trend(MultiOutputKernel):
         if not self.has_values():
             raise ValueError(
                 f"{type(self).__name__} has no values yet: give intercept_scale and slope_scale, or let "
-                "DependentGPRegressor.fit take them from the data."
+                "DependentGPRegressor.fit estimate them from the data."
             )
         slope = np.atleast_2d(np.asarray(self.slope_scale, dtype=float))
         return slope if name == "slope_scale" else as_shape(name, np.ravel(self.intercept_scale), (len(slope),))
@@ -137,7 +137,7 @@ class Trend(MultiOutputKernel):
         ready = self.prepared(X)
         phi = ready.columns(X)
         P, K = Y.shape[1], phi.shape[1]
-        # Of many columns each is given less, so that together they are what a straight line is.
+        # With many columns each weight starts smaller, so that the total variance is that of a linear trend.
         unit = min(1.0, np.sqrt(X.shape[1] / K)) * column_scale(Y)[:, None] / column_scale(phi)
         intercept, slope = column_scale(Y), unit
         if singles:
@@ -159,7 +159,7 @@ class Trend(MultiOutputKernel):
         return clone(ready).set_params(**params)
 
     def basis(self, i, X):
-        """Return (n, K + 1): output i's standardised weights -> its trend at X."""
+        """Return the basis (n, K + 1) that maps the standardised weights of output i to its trend at X."""
         return np.column_stack([np.full(len(X), self._scales(i)[0]), self._weighted(i, X)])
 
     def basis_derivative(self, i, X):
@@ -208,9 +208,9 @@ class Trend(MultiOutputKernel):
         basis = np.column_stack([np.ones(len(X)), (phi - phi.mean(axis=0)) / column_scale(phi)])
         residual = np.array(Y, dtype=float)
         for y in residual.T:
-            seen = np.isfinite(y)
-            if seen.sum() > 2 * basis.shape[1]:
-                y[seen] -= basis[seen] @ np.linalg.lstsq(basis[seen], y[seen], rcond=None)[0]
+            rows = np.isfinite(y)
+            if rows.sum() > 2 * basis.shape[1]:
+                y[rows] -= basis[rows] @ np.linalg.lstsq(basis[rows], y[rows], rcond=None)[0]
         return residual
 
     def _scales(self, i):
@@ -258,13 +258,13 @@ class Trend(MultiOutputKernel):
 
 
 class LinearTrend(Trend):
-    r"""Covariance of one linear function per output whose weights have a Gaussian prior.
+    r"""Covariance of one linear function for each output, with a Gaussian prior on its weights.
 
     .. math:: K_{ij}(s, s') = \delta_{ij} \left( \tau_{i0}^2
               + \sum_k \tau_{ik}^2 (s_k - c_k)(s'_k - c_k) \right)
 
-    which is equation 2.41 of Rasmussen & Williams (2006) with a diagonal prior on the weights: mean, variance
-    and likelihood then carry the uncertainty of the trend, and nothing is fitted beforehand.
+    which is equation 2.41 of Rasmussen & Williams (2006) with a diagonal prior on the weights. The weights are
+    integrated out, so mean, variance and likelihood include the uncertainty of the trend.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ class LinearTrend(Trend):
         Prior standard deviation of the slopes, unit of the output per unit of the regressor. None: from the
         data.
     center : array (d,) or None
-        Where the intercept is. None: the mean of the data it is initialized with, else the origin.
+        Point of the intercept. None: the mean of the data, or the origin without data.
     intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
         Bounds; None: from the data.
 
@@ -317,36 +317,36 @@ class LinearTrend(Trend):
 
 
 class BasisTrend(Trend):
-    r"""Covariance of one function per output that is linear in the columns of a scikit-learn transformer.
+    r"""Covariance of one function for each output that is linear in the columns of a scikit-learn transformer.
 
     .. math:: K_{ij}(s, s') = \delta_{ij} \left( \tau_{i0}^2
               + \sum_k \tau_{ik}^2 (\varphi_k(s) - c_k)(\varphi_k(s') - c_k) \right)
 
-    Output i's trend is :math:`w_{i0} + \sum_k w_{ik} (\varphi_k(s) - c_k)` with weights
+    The trend of output i is :math:`w_{i0} + \sum_k w_{ik} (\varphi_k(s) - c_k)` with weights
     :math:`w_{ik} \sim N(0, \tau_{ik}^2)`, which are integrated out (Rasmussen & Williams 2006, equations 2.37 to 2.42).
-    ``LinearTrend`` is :math:`\varphi(s) = s`. Slopes are central differences of the transform, of fourth order.
+    ``LinearTrend`` is the case :math:`\varphi(s) = s`. Slopes are central differences of fourth order.
 
     Parameters
     ----------
     transformer : scikit-learn transformer
-        phi: ``PolynomialFeatures(2)``, ``SplineTransformer()``, a pipeline. ``initialize`` fits a clone of it to X, as
-        arrays without column names. A constant column changes nothing: the intercept stands apart.
+        phi: ``PolynomialFeatures(2)``, ``SplineTransformer()`` or a pipeline. ``initialize`` fits a clone of it to X,
+        an array without column names. A constant column has no effect, since the intercept is a separate term.
     intercept_scale : array (P,) or None
         Prior standard deviation of the intercept, in the unit of the output. None: from the data.
     slope_scale : array (P, K) or None
-        Prior standard deviation of the weights, unit of the output per unit of the column. None: from the data,
-        together as much variance as a linear trend starts with.
+        Prior standard deviation of the weights, unit of the output per unit of the column. None: from the data, with
+        the same total variance as a linear trend.
     center : array (K,) or None
-        Taken from the columns. None: their mean over the data it is initialized with.
+        Subtracted from the columns. None: the mean of the columns over the data.
     intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
         Bounds; None: from the data.
 
     Raises
     ------
     TypeError
-        By ``initialize``: when ``transformer`` is no transformer.
+        By ``initialize``, if ``transformer`` is not a transformer.
     ValueError
-        When its columns are not finite or not of the samples' number.
+        If its columns are not finite, or their number of rows is not the number of samples.
 
     Examples
     --------
@@ -400,7 +400,7 @@ class BasisTrend(Trend):
     def prepared(self, X):
         if isinstance(self.transformer, FittedBasis):
             return self
-        return clone(self).set_params(transformer=FittedBasis.to(self.transformer, X))
+        return clone(self).set_params(transformer=FittedBasis.from_transformer(self.transformer, X))
 
     def single_output(self):
         return BasisTrend(self.transformer)

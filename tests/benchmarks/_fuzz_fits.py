@@ -34,8 +34,8 @@ from skdgp.inference._sums import data_of
 DOCUMENTED = (
     "The outputs .* are constant",
     "The regressors .* are constant",
-    "Compacting to .* changes mean or deviation",
-    ".* samples repeat another one",
+    "Compacting to .* changes mean or standard deviation",
+    ".* samples repeat another sample",
     "Got n_inducing=",
     "The fit was interrupted",
     "The fit stopped at max_iter",

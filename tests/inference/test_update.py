@@ -114,15 +114,16 @@ class TestFactor:
         K = A @ A.T + np.eye(size)
         factor, n = Factor(np.asfortranarray(np.linalg.cholesky(K[:20, :20]))), 20
         for m in steps:
-            half = factor.half(np.array(K[:n, n : n + m], order="F"))
+            half = factor.solve_lower(np.array(K[:n, n : n + m], order="F"))
             factor, corner = factor.extended(half, np.array(K[n : n + m, n : n + m], order="F"))
             n += m
             np.testing.assert_allclose(np.tril(corner), np.tril(factor.matrix())[n - m :, n - m :])
         L, b = np.linalg.cholesky(K), rng.normal(size=(size, 3))
         assert factor.size == size
         np.testing.assert_allclose(np.tril(factor.matrix()), L, rtol=1e-8, atol=1e-10)
-        np.testing.assert_allclose(factor.half(np.array(b, order="F")), np.linalg.solve(L, b), rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(factor.other_half(b[:, 0]), np.linalg.solve(L.T, b[:, 0]), rtol=1e-7, atol=1e-9)
+        solved = factor.solve_lower(np.array(b, order="F"))
+        np.testing.assert_allclose(solved, np.linalg.solve(L, b), rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(factor.solve_upper(b[:, 0]), np.linalg.solve(L.T, b[:, 0]), rtol=1e-7, atol=1e-9)
         assert factor.log_determinant() == pytest.approx(np.linalg.slogdet(K)[1])
 
 

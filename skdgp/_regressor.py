@@ -244,7 +244,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Targets; NaN where an output was not observed.
         time : array (n,) or None
             Time of each sample, in any unit. The noise of each output then has a second part, a drift with the
-            covariance tau^2 exp(-|t - t'| / T) within a flight, whose tau and T are learned. Use it if errors of
+            covariance ``tau^2 exp(-|t - t'| / T)`` within a flight, whose tau and T are learned. Use it if errors of
             neighbouring samples are correlated: without it bands are too narrow. In a pipeline, pass it as
             ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing. None: white noise.
         flight : array (n,) or None

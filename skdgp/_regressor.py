@@ -569,8 +569,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             if include_noise:
                 variance = variance + self.noise_variance_ / self._scale**2
             variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
-            return self._shaped(mean * self._scale + self._center), self._shaped(np.sqrt(variance) * self._scale)
-        mean = self._shaped(mean * self._scale + self._center)
+            return self._squeeze(mean * self._scale + self._center), self._squeeze(np.sqrt(variance) * self._scale)
+        mean = self._squeeze(mean * self._scale + self._center)
         if not return_cov:
             return mean
         check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
@@ -599,9 +599,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """
         X = self._check_regressors(X)
         if not return_std:
-            return self._shaped(self.posterior_.gradient(X) * self._scale[:, None])
+            return self._squeeze(self.posterior_.gradient(X) * self._scale[:, None])
         mean, variance = self.posterior_.gradient(X, return_variance=True)
-        return self._shaped(mean * self._scale[:, None]), self._shaped(np.sqrt(variance) * self._scale[:, None])
+        return self._squeeze(mean * self._scale[:, None]), self._squeeze(np.sqrt(variance) * self._scale[:, None])
 
     def sample_y(self, X, n_samples=1, random_state=0):
         """Return samples of the joint posterior of all outputs at X.
@@ -623,7 +623,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         white = check_random_state(random_state).standard_normal((len(cov), n_samples))
         draws = eigen_root(cov) @ white  # a posterior covariance may be singular
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
-        return self._shaped((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
+        return self._squeeze((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
 
     def sample_paths(self, n_paths=1, random_state=0):
         """Return sample paths of the posterior: samples that are functions of the regressors.
@@ -774,7 +774,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             and float(np.abs(X).max()) <= X_RANGE[1]
         )
 
-    def _shaped(self, values):
+    def _squeeze(self, values):
         """Return values (n, P, ...), without the axis of outputs for one-dimensional targets."""
         return values[:, 0] if self._single else values
 

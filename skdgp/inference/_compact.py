@@ -12,7 +12,7 @@ from skdgp._compute.linalg import column_scale
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._sparse import SparsePosterior, maximize_features
-from skdgp.inference._sums import data_of, shares_of
+from skdgp.inference._sums import data_from_shares, shares_of
 
 MAX_POINTS = 1000  # largest number of training inputs at which the change is measured
 PERTURBATION = 0.5  # of the same number of further points, in standard deviations of the regressors
@@ -145,7 +145,7 @@ def _values(posterior) -> Data:
         return posterior.data
     if posterior.shares is None:
         raise ValueError("A compact model holds no samples to be compacted again. Compact the model it was made from.")
-    return data_of(posterior.shares, posterior.kernel.n_outputs)
+    return data_from_shares(posterior.shares, posterior.kernel.n_outputs)
 
 
 class _Check:

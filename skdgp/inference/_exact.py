@@ -9,7 +9,7 @@ import numpy as np
 
 from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
 from skdgp._compute.threads import n_threads, thread_map, threads_for
-from skdgp.inference._likelihood import Data, covariance, log_likelihood, tiles_of
+from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
 from skdgp.inference._paths import Paths, exact_paths
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
@@ -127,7 +127,7 @@ class ExactPosterior:
 
     def _cross(self, outputs, Xs):
         """Return cov(y_i(Xs), all observed values) for several outputs, stacked, (len(outputs) n, N)."""
-        tiles, rows = tiles_of([len(x) for x in self.data.X]), tiles_of([len(Xs)] * len(outputs))
+        tiles, rows = make_tiles([len(x) for x in self.data.X]), make_tiles([len(Xs)] * len(outputs))
         K = np.empty((len(outputs) * len(Xs), self.data.n_values))
 
         def fill(pair):
@@ -177,7 +177,7 @@ class ExactPosterior:
     def _mean(self, Xs):
         """Return the mean; covariances are computed and used tile by tile, within the cache."""
         mean = np.zeros((len(Xs), self.kernel.n_outputs))
-        tiles = tiles_of([len(x) for x in self.data.X])
+        tiles = make_tiles([len(x) for x in self.data.X])
         side = min(ROWS, -(-len(Xs) // n_threads()))
 
         def add(row):
@@ -187,7 +187,7 @@ class ExactPosterior:
                     block = self.kernel.block(i, b.output, Xs[row.rows], self.data.X[b.output][b.rows])
                     mean[row.rows, i] += block @ self.alpha[b.stacked]
 
-        thread_map(add, tiles_of([len(Xs)] * self.kernel.n_outputs, max(1, side)))
+        thread_map(add, make_tiles([len(Xs)] * self.kernel.n_outputs, max(1, side)))
         return mean
 
     def covariance(self, Xs) -> np.ndarray:

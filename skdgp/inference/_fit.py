@@ -123,10 +123,12 @@ def fit_exact(
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    if found is None:
+    hyperparameters = found
+    if hyperparameters is None:
         options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
-        found = _learn(kernel.prepared(X), X, Y, clock, slice(None), *options)
-    return found.fit(ExactPosterior(found.kernel, found.noise, found.data(X, Y, clock)))
+        hyperparameters = _learn(kernel.prepared(X), X, Y, clock, slice(None), *options)
+    data = hyperparameters.data(X, Y, clock)
+    return hyperparameters.fit(ExactPosterior(hyperparameters.kernel, hyperparameters.noise, data))
 
 
 def fit_sparse(
@@ -157,31 +159,32 @@ def fit_sparse(
     Z = _centres(X, n_inducing, random_state)
     size = kernel.initialize(X, Y, np.random.RandomState(0)).features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    if found is None:
+    learned = found
+    if learned is None:
         rows = some_rows(Y, random_state)
-        found = _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread)
-    kernel, features = found.kernel, found.kernel.features(Z)
+        learned = _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread)
+    kernel, features = learned.kernel, learned.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
-        total = found.noise if found.drift is None else found.noise + found.drift[0]
+        total = learned.noise if learned.drift is None else learned.noise + learned.drift[0]
         posterior = SparsePosterior(kernel, features, total, shares)
         if optimizer is None:
-            return _final_fit(found, posterior, X, Y, clock, 1.0)
+            return _final_fit(learned, posterior, X, Y, clock, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
         posterior = _converge_noise(posterior, 1.0, least)
         value, inflation = posterior.log_marginal_likelihood, _variance_inflation(posterior, X, Y)
         # Errors of neighbours are correlated: a sample carries less information, so its noise variance is inflated.
         posterior = _converge_noise(posterior, inflation, least)
         noise = posterior.noise
-        found = found._replace(noise=noise / inflation)
+        hyperparameters = learned._replace(noise=noise / inflation)
         if clock is not None:
-            found = _learn_drift(found, posterior, X, Y, clock, least)
-    if found.interrupted:
-        return _final_fit(found, posterior, X, Y, clock, inflation, value)
+            hyperparameters = _learn_drift(hyperparameters, posterior, X, Y, clock, least)
+    if hyperparameters.interrupted:
+        return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value)
     features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features, noise, shares)
-    return _final_fit(found, posterior, X, Y, clock, inflation, value, best)
+    return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value, best)
 
 
 def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, more=None) -> Fit:
@@ -289,9 +292,9 @@ def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_n
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
         best = maximize(
-            likelihood_of(kernel, data, len(noise)),
+            make_objective(kernel, data, len(noise)),
             theta,
-            bounds_of(kernel, bounds),
+            theta_bounds(kernel, bounds),
             optimizer=optimizer,
             max_iter=max_iter,
             name=name,
@@ -397,10 +400,10 @@ class _SingleFit:
     def optimize(self, kernel, theta, step, max_iter, name=None):
         """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
         clock = None if self.clock is None else self.clock[::step]
-        likelihood = likelihood_of(
+        likelihood = make_objective(
             kernel, Data.from_table(self.x[::step], self.y[::step], None, clock), len(self.noise)
         )
-        bounds = bounds_of(kernel, self.noise_bounds)
+        bounds = theta_bounds(kernel, self.noise_bounds)
         return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
 
     def try_width(self, kernel, width_factor, max_iter):
@@ -440,7 +443,7 @@ def fit_singles(kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, r
     )
 
 
-def likelihood_of(kernel, data, n_noise):
+def make_objective(kernel, data, n_noise):
     """Return the function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient."""
     workspace = np.empty((data.n_values, data.n_values))
 
@@ -454,7 +457,7 @@ def likelihood_of(kernel, data, n_noise):
     return evaluate
 
 
-def bounds_of(kernel, noise_bounds):
+def theta_bounds(kernel, noise_bounds):
     """Return the bounds of [theta, log noise]."""
     return np.concatenate([kernel.bounds, np.log(noise_bounds)])
 

@@ -72,7 +72,7 @@ class Tile(NamedTuple):
     stacked: slice  # among the stacked values of all outputs
 
 
-def tiles_of(sizes, side=None):
+def make_tiles(sizes, side=None):
     """Return the tiles of outputs of the given sizes."""
     tiles, start = [], 0
     for i, size in enumerate(sizes):
@@ -90,7 +90,7 @@ def _cut(tile, side):
 
 def _pairs(kernel, sizes):
     """Return the pairs of tiles on and above the diagonal that the kernel couples."""
-    tiles = tiles_of(sizes)
+    tiles = make_tiles(sizes)
     pairs = list(combinations(tiles, 2))
     for tile in tiles:
         pairs += combinations_with_replacement(_cut(tile, HALF), 2)

@@ -85,7 +85,7 @@ class NoiseParts(NamedTuple):
     free_scale: bool
 
     @classmethod
-    def of(cls, noise, data) -> NoiseParts:
+    def split(cls, noise, data) -> NoiseParts:
         """Return the parts of [sigma^2 (P), tau^2 (P), T (P), s (r)], of which only sigma^2 is always present."""
         P, drift = len(data.y), data.drift
         white, rest = noise[:P], noise[P:]
@@ -106,7 +106,7 @@ def add_noise(K, noise, data) -> None:
         White noise variance of each output and the other learned parts, see ``NoiseParts``.
     data : Data
     """
-    parts = NoiseParts.of(noise, data)
+    parts = NoiseParts.split(noise, data)
     np.einsum("ii->i", K)[:] += np.repeat(parts.white, [len(y) for y in data.y])
     for i, rows in _drift_slices(parts, data):
         K[rows, rows] += np.triu(data.drift.covariance(i, parts.variance[i], parts.memory[i])[0])
@@ -117,7 +117,7 @@ def add_noise(K, noise, data) -> None:
 
 def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
     """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) holds the white noise variances."""
-    parts = NoiseParts.of(noise, data)
+    parts = NoiseParts.split(noise, data)
     std = np.repeat(np.sqrt(parts.white), [len(y) for y in data.y])
     draws = std * random_state.standard_normal((n_draws, len(std)))
     for i, rows in _drift_slices(parts, data):
@@ -133,7 +133,7 @@ def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
 
 def noise_gradient(W, noise, data) -> np.ndarray:
     """Return 1/2 sum(W * dK / d log noise), in the shape of ``noise``; only the upper triangle of W is read."""
-    P, parts = len(data.y), NoiseParts.of(noise, data)
+    P, parts = len(data.y), NoiseParts.split(noise, data)
     outputs = np.repeat(np.arange(P), [len(y) for y in data.y])  # an output without values contributes zero
     gradient = [0.5 * parts.white * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)]
     if parts.free_drift:

@@ -34,8 +34,8 @@ class _Objective:
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
             raise KeyboardInterrupt
-        known = self.record.recall(self.n_evaluations, theta)
-        value, gradient = self._evaluate(theta) if known is None else known
+        recorded = self.record.recall(self.n_evaluations, theta)
+        value, gradient = self._evaluate(theta) if recorded is None else recorded
         self.n_evaluations += 1
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
             # A large finite value, so that the line search turns back.
@@ -43,7 +43,7 @@ class _Objective:
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
         self.values.append(self.value)
-        if known is None:
+        if recorded is None:
             notify(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
 

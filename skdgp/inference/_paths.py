@@ -75,27 +75,27 @@ class Paths(Sequence):
 
     def __call__(self, X) -> np.ndarray:
         """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) for one-dimensional targets."""
-        return self._values(self._checked(X, 2)[None])
+        return self._values(self._check_points(X, 2)[None])
 
     def each(self, X) -> np.ndarray:
         """Return the values of each path at its own points X (n_paths, n, d), in the shape of a call."""
-        return self._values(self._checked(X, 3))
+        return self._values(self._check_points(X, 3))
 
     def gradient(self, X) -> np.ndarray:
         """Return the slopes of all paths at X (n, d), or of each path at its own points X (n_paths, n, d).
 
         The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets.
         """
-        X = self._checked(X, 3) if np.ndim(X) == 3 else self._checked(X, 2)[None]
-        return self._shaped(self.bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
+        X = self._check_points(X, 3) if np.ndim(X) == 3 else self._check_points(X, 2)[None]
+        return self._squeeze(self.bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
 
     def _values(self, X):
         values = self.bundle.values(X)
         values *= self.scale
         values += self.center
-        return self._shaped(values)
+        return self._squeeze(values)
 
-    def _checked(self, X, ndim):
+    def _check_points(self, X, ndim):
         columns = getattr(X, "columns", None)
         if columns is not None and self.feature_names is not None and list(columns) != list(self.feature_names):
             raise ValueError(
@@ -110,7 +110,7 @@ class Paths(Sequence):
             )
         return X
 
-    def _shaped(self, values):
+    def _squeeze(self, values):
         return values[:, :, 0] if self.single else values
 
 

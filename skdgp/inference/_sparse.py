@@ -35,11 +35,11 @@ from skdgp.inference._sums import (
     ROWS,
     Sums,
     bound_gradient,
-    data_of,
+    compute_sums,
+    data_from_shares,
     row_slices,
     shares_of,
     sub_factor,
-    sums_of,
     total_statistics,
     upgraded_shares,
 )
@@ -91,11 +91,11 @@ class SparsePosterior:
         with threads_for(self.features.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         if self.shares is not None:
-            self.sums, self.statistics = self._sums_of(self.shares)
+            self.sums, self.statistics = self._compute_sums(self.shares)
         self._condition()
 
-    def _sums_of(self, shares):
-        return sums_of(self.kernel, self.features, self.noise, self.Lu, shares)
+    def _compute_sums(self, shares):
+        return compute_sums(self.kernel, self.features, self.noise, self.Lu, shares)
 
     def _condition(self):
         """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b."""
@@ -131,7 +131,7 @@ class SparsePosterior:
     def with_noise(self, noise) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
         noise = np.asarray(noise, dtype=float)
-        return self._with(self.shares, self.statistics, Sums.of(self.features, noise, self.statistics), noise)
+        return self._with(self.shares, self.statistics, Sums.combine(self.features, noise, self.statistics), noise)
 
     def noise_seen(self) -> np.ndarray:
         """Return the expected mean squared residual of each output, (P,), for independent noise.
@@ -152,12 +152,12 @@ class SparsePosterior:
 
     def updated(self, data: Data) -> SparsePosterior:
         """Return the posterior with further values: their sums are added."""
-        sums, added = self._sums_of(shares_of(data))
+        sums, added = self._compute_sums(shares_of(data))
         sums = self.sums.plus(sums)
         if self.shares is None:
             return self._with(None, None, sums)
         total = added and [total_statistics(pair) for pair in zip(self.statistics, added, strict=True)]
-        return self._with(shares_of(data_of(self.shares, len(data.X)).joined(data)), total, sums)
+        return self._with(shares_of(data_from_shares(self.shares, len(data.X)).joined(data)), total, sums)
 
     def likelihood_at(self, kernel, noise, eval_gradient=False):
         """Return the bound of the same data at other hyperparameters, with ``eval_gradient`` also its gradient."""

@@ -81,12 +81,12 @@ def shares_of(data: Data) -> list[SampleShare]:
             if len(values[1])
             for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in values), strict=True)
         ]
-    table = _table_of(data)[0]
+    table = _sample_table(data)[0]
     parts = zip(*(np.array_split(a, min(SAMPLE_SHARES, -(-len(a) // ROWS))) for a in table), strict=True)
     return [SampleShare(tuple(range(len(data.y))), *part) for part in parts]
 
 
-def _table_of(data):
+def _sample_table(data):
     """Return X, Y and loading of the samples, and the index of each sample among the stacked values."""
     samples, first = np.unique(np.concatenate(data.sample_noise.sample), return_index=True)
     n, P = len(samples), len(data.y)
@@ -105,14 +105,14 @@ def _drifting_shares(data):
             (_one_output(i, X, y), data.drift.clock[i]) for i, (X, y) in enumerate(zip(data.X, data.y, strict=True))
         ]
     else:
-        (X, Y, loading), first = _table_of(data)
+        (X, Y, loading), first = _sample_table(data)
         whole = SampleShare(tuple(range(len(data.y))), X, Y, loading)
         tables = [(whole, np.concatenate(data.drift.clock)[first])]
     shares = []
     for share, clock in tables:
         order = np.lexsort(clock.T)  # by flight, then by time
-        ends = np.flatnonzero(np.diff(clock[order, 1])) + 1
-        for flight in np.split(order, ends):
+        boundaries = np.flatnonzero(np.diff(clock[order, 1])) + 1
+        for flight in np.split(order, boundaries):
             for rows in np.array_split(flight, max(1, -(-len(flight) // DRIFT_ROWS))):
                 if len(rows):
                     X, Y, loading = (part[rows] for part in (share.X, share.Y, share.loading))
@@ -120,7 +120,7 @@ def _drifting_shares(data):
     return shares
 
 
-def data_of(shares, n_outputs) -> Data:
+def data_from_shares(shares, n_outputs) -> Data:
     """Return the observed values of all shares."""
     if shares[0].drift is not None:
         return _drifting_data(shares, n_outputs)
@@ -163,7 +163,7 @@ class Sums(NamedTuple):
     rest: float
 
     @classmethod
-    def of(cls, features, noise, statistics) -> Sums:
+    def combine(cls, features, noise, statistics) -> Sums:
         """Return the sums over outputs with independent noise."""
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
         for i, s in enumerate(statistics):
@@ -217,7 +217,7 @@ def total_statistics(parts) -> Statistics:
     return Statistics(*(sum(part) for part in zip(*parts, strict=True)))
 
 
-def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics] | None]:
+def compute_sums(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics] | None]:
     """Return the sums over all values, and their parts by output if the noise is independent, else None."""
     if shares and not _independent(shares):
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
@@ -236,7 +236,7 @@ def sums_of(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics]
             if share.outputs == (i,):
                 by_share.append(Statistics(part[0], part[1], part[2], part[3], len(share.X)))
         statistics.append(total_statistics(by_share))
-    return Sums.of(features, noise, statistics), statistics
+    return Sums.combine(features, noise, statistics), statistics
 
 
 def _share_sums(kernel, features, noise, Lu, share):

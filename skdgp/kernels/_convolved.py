@@ -12,7 +12,7 @@ from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_d
 from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._paths import ValuePaths, convolved_paths
-from skdgp.kernels._start import log_normal, prior_of, starting_values
+from skdgp.kernels._start import log_normal, resolve_prior, starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
@@ -207,14 +207,14 @@ class ConvolvedGaussian(MultiOutputKernel):
         }
 
     def prepared(self, X):
-        return clone(self).set_params(length_scale_prior=prior_of(self.length_scale_prior, X))
+        return clone(self).set_params(length_scale_prior=resolve_prior(self.length_scale_prior, X))
 
     def log_prior(self, eval_gradient=False):
         (widths,) = (f for f in self.free_parameters() if f.name == "length_scale")
         if self.length_scale_prior is None or widths.fixed:
             return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
         lengths = self._value("length_scale")
-        value, slope = log_normal(widths.index, lengths, prior_of(self.length_scale_prior, lengths[0]))
+        value, slope = log_normal(widths.index, lengths, resolve_prior(self.length_scale_prior, lengths[0]))
         by_entry = {name: np.zeros_like(self._value(name)) for name in PARAMETERS} | {"length_scale": slope}
         return (value, self.theta_gradient(by_entry)) if eval_gradient else value
 

@@ -99,7 +99,7 @@ class PointFeatures(Features):
         self.kernel, self.Z = kernel, np.asarray(Z, dtype=float)
         self.size = kernel.n_outputs * len(self.Z)
 
-    def _coupled(self, i):
+    def _coupled_outputs(self, i):
         """Return the outputs that are coupled to output i, directly or through others."""
         coupled, queue = {i}, [i]
         while queue:
@@ -113,7 +113,7 @@ class PointFeatures(Features):
         return slice(j * len(self.Z), (j + 1) * len(self.Z))
 
     def columns(self, i):
-        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled(i)])
+        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled_outputs(i)])
 
     def Kuu(self):
         K = self.kernel(self.Z)
@@ -121,14 +121,14 @@ class PointFeatures(Features):
         return K
 
     def Kfu(self, i, X):
-        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled(i)])
+        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled_outputs(i)])
 
     def Kfu_derivative(self, i, X):
-        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled(i)], axis=2)
+        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled_outputs(i)], axis=2)
 
     def gradient_fu(self, i, X, W):
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
-        for j, w in zip(self._coupled(i), np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
+        for j, w in zip(self._coupled_outputs(i), np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
             total += self.kernel.block_gradient(i, j, X, self.Z, w)
             dZ += np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, X), w)
         return np.concatenate([total, dZ.ravel()])
@@ -137,7 +137,7 @@ class PointFeatures(Features):
         W = W + JITTER * np.diag(np.diag(W))
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
         for i in range(self.kernel.n_outputs):
-            for j in self._coupled(i):
+            for j in self._coupled_outputs(i):
                 w = W[self._slice(i), self._slice(j)]
                 total += self.kernel.block_gradient(i, j, self.Z, self.Z, w)
                 dZ += 2 * np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w)
@@ -197,7 +197,7 @@ class LatentFeatures(Features):
         feeds = kernel._value("feeds").astype(bool)
         self._blocks = [[f for f, m in enumerate(self.latents) if mask[m]] for mask in feeds.T]
         pairs = [(f, g) for f in range(len(self.latents)) for g in range(len(self.latents))]
-        self._related = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
+        self._block_pairs = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
 
     def __getstate__(self):
         return {name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width", "outputs")}
@@ -234,7 +234,7 @@ class LatentFeatures(Features):
 
     def Kuu(self):
         P, K = self.kernel.n_outputs, np.zeros((self.size, self.size))
-        for f, g in self._related:
+        for f, g in self._block_pairs:
             K[self._slice(f), self._slice(g)] = self.joint.block(P + f, P + g, self.Z[f], self.Z[g])
         np.einsum("ii->i", K)[:] = 1.0 + JITTER
         return K
@@ -264,7 +264,7 @@ class LatentFeatures(Features):
 
     def gradient_uu(self, W):
         P, (total, dZ) = self.kernel.n_outputs, self._zeros()
-        for f, g in self._related:
+        for f, g in self._block_pairs:
             w = np.array(W[self._slice(f), self._slice(g)])
             if f == g:
                 np.einsum("ii->i", w)[:] = 0.0  # the diagonal is constant

@@ -30,7 +30,7 @@ class PathBundle(ABC):
         """Return the slopes of all outputs, (S, n, P, d)."""
 
     @abstractmethod
-    def take(self, some: slice) -> PathBundle:
+    def take(self, index: slice) -> PathBundle:
         """Return some of the functions."""
 
     @abstractmethod
@@ -63,8 +63,8 @@ class SumPaths(PathBundle):
     def __init__(self, first: PathBundle, second: PathBundle):
         self.first, self.second = first, second
 
-    def take(self, some):
-        return SumPaths(self.first.take(some), self.second.take(some))
+    def take(self, index):
+        return SumPaths(self.first.take(index), self.second.take(index))
 
     def doubles(self, same_points):
         return max(self.first.doubles(same_points), self.second.doubles(same_points))
@@ -94,22 +94,22 @@ class TrendPaths(PathBundle):
         self._intercept = weights[:, None, :, 0] * kernel._value("intercept_scale")
         self._slope = (weights[:, :, 1:] * kernel._value("slope_scale")).swapaxes(1, 2).copy()
 
-    def take(self, some):
-        return TrendPaths(self.kernel, self.weights[some])
+    def take(self, index):
+        return TrendPaths(self.kernel, self.weights[index])
 
     def doubles(self, same_points):
         return self.weights[:1].size if same_points else self.weights.size
 
     def each(self, X):
-        columns = self.kernel.columns(_rows_of(X)) - self._center
-        values = _over_points(columns, X) @ self._slope
+        columns = self.kernel.columns(_flatten_points(X)) - self._center
+        values = _unflatten_points(columns, X) @ self._slope
         values += self._intercept
         return values
 
     def gradient(self, X):
-        slopes = self.kernel.column_slopes(_rows_of(X))  # (d, S n, K), or the same everywhere
+        slopes = self.kernel.column_slopes(_flatten_points(X))  # (d, S n, K), or the same everywhere
         slopes = np.broadcast_to(slopes, (len(slopes), X.shape[0] * X.shape[1], slopes.shape[2]))
-        return np.moveaxis(_over_points(slopes, X) @ self._slope, 0, -1)
+        return np.moveaxis(_unflatten_points(slopes, X) @ self._slope, 0, -1)
 
 
 class FeaturePaths(PathBundle):
@@ -121,21 +121,21 @@ class FeaturePaths(PathBundle):
         self._own = [slice(a, b) for a, b in pairwise(np.cumsum([0, *map(len, columns)]))]
         self._weights = [np.ascontiguousarray(coefficients[:, c]) for c in columns]
 
-    def take(self, some):
-        return FeaturePaths(self.features, len(self._own), self.coefficients[some])
+    def take(self, index):
+        return FeaturePaths(self.features, len(self._own), self.coefficients[index])
 
     def doubles(self, same_points):
         return (1 if same_points else len(self.coefficients)) * self._own[-1].stop
 
     def each(self, X):
-        A = _over_points(self._rows(_rows_of(X)), X)
+        A = _unflatten_points(self._rows(_flatten_points(X)), X)
         values = [contract(A[..., columns], c) for columns, c in zip(self._own, self._weights, strict=True)]
         return np.stack(values, axis=-1)
 
     def gradient(self, X):
         slopes = []
         for i, c in enumerate(self._weights):
-            D = _over_points(self.features.Kfu_derivative(i, _rows_of(X)), X)
+            D = _unflatten_points(self.features.Kfu_derivative(i, _flatten_points(X)), X)
             slopes.append(np.moveaxis(contract(D, c), 0, -1))
         return np.stack(slopes, axis=2)
 
@@ -149,8 +149,8 @@ class KernelPaths(PathBundle):
     def __init__(self, kernel, X, coefficients):
         self.kernel, self.X, self.coefficients = kernel, X, coefficients
 
-    def take(self, some):
-        return KernelPaths(self.kernel, self.X, [c[some] for c in self.coefficients])
+    def take(self, index):
+        return KernelPaths(self.kernel, self.X, [c[index] for c in self.coefficients])
 
     def doubles(self, same_points):
         return (1 if same_points else len(self.coefficients[0])) * TILE
@@ -162,13 +162,13 @@ class KernelPaths(PathBundle):
         return self._summed(self.kernel.block_derivative, X, X.shape[-1:])
 
     def _summed(self, block, X, slopes):
-        P, points = self.kernel.n_outputs, _rows_of(X)
+        P, points = self.kernel.n_outputs, _flatten_points(X)
         values = np.zeros((*slopes, P, len(self.coefficients[0]), X.shape[1]))
         for i, j in product(range(P), repeat=2):
             if self.kernel.couples(i, j):
                 for a in range(0, len(self.X[j]), TILE):
                     tile = slice(a, a + TILE)
-                    A = _over_points(block(i, j, points, self.X[j][tile]), X)
+                    A = _unflatten_points(block(i, j, points, self.X[j][tile]), X)
                     values[..., i, :, :] += contract(A, self.coefficients[j][:, tile])
         return values.T.swapaxes(0, 1)
 
@@ -192,15 +192,15 @@ class ValuePaths(PathBundle):
         # Pickle the coefficients only: they are smaller than the weights of all latents.
         return ValuePaths, (self.general.kernel, self.general.X, self.general.coefficients)
 
-    def take(self, some):
+    def take(self, index):
         general = self.general
-        return ValuePaths(general.kernel, general.X, [c[some] for c in general.coefficients])
+        return ValuePaths(general.kernel, general.X, [c[index] for c in general.coefficients])
 
     def doubles(self, same_points):
         return (1 if same_points else len(self._weights[0])) * self._slices[-1].stop
 
     def each(self, X):
-        A = _over_points(self._rows(_rows_of(X)), X)
+        A = _unflatten_points(self._rows(_flatten_points(X)), X)
         values = [contract(A[..., columns], c) for columns, c in zip(self._slices, self._weights, strict=True)]
         return np.stack(values, axis=-1)
 
@@ -208,12 +208,12 @@ class ValuePaths(PathBundle):
         return self.general.gradient(X)
 
 
-def _rows_of(X):
+def _flatten_points(X):
     """Return the points of X (S, n, d) one after another, (S n, d)."""
     return X.reshape(-1, X.shape[-1])
 
 
-def _over_points(A, X):
+def _unflatten_points(A, X):
     """Return A (..., S n, C), computed from the rows of X, in the shape (..., S, n, C)."""
     return A.reshape(*A.shape[:-2], *X.shape[:2], A.shape[-1])
 
@@ -304,7 +304,7 @@ class Waves(PathBundle):
         self.omega, self.phase, self.shared, self.own, self.fed = omega, phase, shared, own, fed
 
     @classmethod
-    def of(cls, latents: list[LatentWaves], outputs) -> Waves:
+    def combine(cls, latents: list[LatentWaves], outputs) -> Waves:
         """Return the paths of the given outputs, (P,)."""
         (S, F), P = latents[0].phase.shape, len(outputs)
         shared, own, fed = [], [], []
@@ -332,8 +332,8 @@ class Waves(PathBundle):
             np.reshape(fed, (-1, P)),
         )
 
-    def take(self, some):
-        return Waves(self.omega[some], self.phase[some], self.shared[some], self.own[some], self.fed)
+    def take(self, index):
+        return Waves(self.omega[index], self.phase[index], self.shared[index], self.own[index], self.fed)
 
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
@@ -384,7 +384,7 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
 
 def convolved_paths(kernel, n_paths, n_frequencies, random_state) -> Waves:
     """Return paths of all outputs of a ConvolvedGaussian."""
-    return Waves.of(draw_latents(kernel, n_paths, n_frequencies, random_state), range(kernel.n_outputs))
+    return Waves.combine(draw_latents(kernel, n_paths, n_frequencies, random_state), range(kernel.n_outputs))
 
 
 def joint_paths(joint, Z, jitter, n_paths, n_frequencies, random_state) -> tuple[Waves, np.ndarray]:
@@ -394,6 +394,6 @@ def joint_paths(joint, Z, jitter, n_paths, n_frequencies, random_state) -> tuple
     """
     latents = draw_latents(joint, n_paths, n_frequencies, random_state)
     P = joint.n_outputs - len(Z)
-    u = np.concatenate([Waves.of(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(Z)], axis=1)
+    u = np.concatenate([Waves.combine(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(Z)], axis=1)
     u += np.sqrt(jitter) * random_state.standard_normal(u.shape)
-    return Waves.of(latents, range(P)), u
+    return Waves.combine(latents, range(P)), u

@@ -61,7 +61,7 @@ def _directions(Y, n_latent, rng):
     return rows / np.sqrt((rows**2).sum(axis=0, keepdims=True)) if n_latent else rows
 
 
-def prior_of(prior, X) -> np.ndarray | None:
+def resolve_prior(prior, X) -> np.ndarray | None:
     """Return medians and spreads (d, 2) for regressors X (n, d), or None.
 
     "auto" is the prior of Hvarfner, Hellsten & Nardi (2024): LogNormal(sqrt(2) + log(d) / 2, sqrt(3)) for regressors

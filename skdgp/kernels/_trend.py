@@ -160,11 +160,11 @@ class Trend(MultiOutputKernel):
 
     def basis(self, i, X):
         """Return the basis (n, K + 1) that maps the standardised weights of output i to its trend at X."""
-        return np.column_stack([np.full(len(X), self._scales(i)[0]), self._weighted(i, X)])
+        return np.column_stack([np.full(len(X), self._scales(i)[0]), self._scaled_columns(i, X)])
 
     def basis_derivative(self, i, X):
         """Return dbasis / dX, (d, n, K + 1)."""
-        slopes = self._weighted_slopes(i, X)
+        slopes = self._scaled_slopes(i, X)
         padded = np.concatenate([np.zeros((*slopes.shape[:2], 1)), slopes], axis=2)
         return np.broadcast_to(padded, (len(slopes), len(X), self.n_weights))
 
@@ -174,7 +174,7 @@ class Trend(MultiOutputKernel):
         return self._by_entry(i, by_column[0], by_column[1:])
 
     def diag_gradient(self, i, Xi, w):
-        return self._by_entry(i, 2 * w.sum() * self._scales(i)[0] ** 2, 2 * w @ self._weighted(i, Xi) ** 2)
+        return self._by_entry(i, 2 * w.sum() * self._scales(i)[0] ** 2, 2 * w @ self._scaled_columns(i, Xi) ** 2)
 
     def features(self, Z):
         return TrendFeatures(self)
@@ -216,10 +216,10 @@ class Trend(MultiOutputKernel):
     def _scales(self, i):
         return self._value("intercept_scale")[i], self._value("slope_scale")[i]
 
-    def _weighted(self, i, X):
+    def _scaled_columns(self, i, X):
         return (self.columns(X) - self._value("center")) * self._scales(i)[1]
 
-    def _weighted_slopes(self, i, X):
+    def _scaled_slopes(self, i, X):
         return self.column_slopes(X) * self._scales(i)[1]
 
     def couples(self, i, j):
@@ -228,24 +228,24 @@ class Trend(MultiOutputKernel):
     def block(self, i, j, Xi, Xj):
         if i != j:
             return np.zeros((len(Xi), len(Xj)))
-        return self._weighted(i, Xi) @ self._weighted(i, Xj).T + self._scales(i)[0] ** 2
+        return self._scaled_columns(i, Xi) @ self._scaled_columns(i, Xj).T + self._scales(i)[0] ** 2
 
     def block_diag(self, i, Xi):
-        return (self._weighted(i, Xi) ** 2).sum(axis=1) + self._scales(i)[0] ** 2
+        return (self._scaled_columns(i, Xi) ** 2).sum(axis=1) + self._scales(i)[0] ** 2
 
     def block_derivative(self, i, j, Xi, Xj):
         shape = (np.shape(Xi)[1], len(Xi), len(Xj))
         if i != j:
             return np.zeros(shape)
-        return np.broadcast_to(self._weighted_slopes(i, Xi) @ self._weighted(i, Xj).T, shape)
+        return np.broadcast_to(self._scaled_slopes(i, Xi) @ self._scaled_columns(i, Xj).T, shape)
 
     def derivative_diag(self, i, Xi):
-        return np.broadcast_to((self._weighted_slopes(i, Xi) ** 2).sum(axis=2).T, np.shape(Xi))
+        return np.broadcast_to((self._scaled_slopes(i, Xi) ** 2).sum(axis=2).T, np.shape(Xi))
 
     def block_gradient(self, i, j, Xi, Xj, W):
         if i != j:
             return np.zeros(self.n_dims)
-        by_slope = np.einsum("ak,ak->k", self._weighted(i, Xi), W @ self._weighted(i, Xj))
+        by_slope = np.einsum("ak,ak->k", self._scaled_columns(i, Xi), W @ self._scaled_columns(i, Xj))
         return self._by_entry(i, 2 * W.sum() * self._scales(i)[0] ** 2, 2 * by_slope)
 
     def free_parameters(self):

@@ -29,7 +29,7 @@ from skdgp import DependentGPRegressor
 from skdgp._compute.linalg import JitterWarning
 from skdgp.inference import Data
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._sums import data_of
+from skdgp.inference._sums import data_from_shares
 
 DOCUMENTED = (
     "The outputs .* are constant",
@@ -311,7 +311,7 @@ def _joint(model, points, prior, rounding):
 
 def _bound(model):
     posterior = model.posterior_
-    data = data_of(posterior.shares, len(model._scale))
+    data = data_from_shares(posterior.shares, len(model._scale))
     exact = ExactPosterior(posterior.kernel, posterior.noise, data).log_marginal_likelihood
     excess = posterior.log_marginal_likelihood - exact
     if not excess <= 1e-4 * data.n_values + 1e-7 * abs(exact):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from functools import partial
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import r2_score
-from sklearn.utils import check_array, check_random_state
+from sklearn.utils import Bunch, check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.checkpoint import fit_record, run_recorded
@@ -20,6 +21,7 @@ from skdgp._compute.parallel import check_n_jobs, fit_map
 from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.tables import column_names
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference import (
     Data,
     choose_kernel,
@@ -190,24 +192,24 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     def __init__(
         self,
-        kernel=None,
+        kernel: Any = None,
         *,
-        n_latent=2,
-        private_latents=True,
-        covariance_type="diag",
-        length_scale_prior=None,
-        structure="joint",
-        trend="linear",
-        inference="auto",
-        n_inducing=100,
-        input_noise=None,
-        optimizer="fmin_l_bfgs_b",
-        n_restarts_optimizer=0,
-        max_iter=60,
-        normalize_y=True,
-        n_jobs=None,
-        random_state=None,
-    ):
+        n_latent: Any = 2,
+        private_latents: bool = True,
+        covariance_type: str = "diag",
+        length_scale_prior: Any = None,
+        structure: str = "joint",
+        trend: Any = "linear",
+        inference: str = "auto",
+        n_inducing: int = 100,
+        input_noise: Any = None,
+        optimizer: Any = "fmin_l_bfgs_b",
+        n_restarts_optimizer: int = 0,
+        max_iter: int = 60,
+        normalize_y: bool = True,
+        n_jobs: int | None = None,
+        random_state: Seed = None,
+    ) -> None:
         self.kernel = kernel
         self.n_latent = n_latent
         self.private_latents = private_latents
@@ -233,7 +235,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     # -- fitting ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X, y, time=None, flight=None):
+    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
 
         Parameters
@@ -385,7 +387,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     # -- updates of a fitted model ---------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def partial_fit(self, X, y, time=None, flight=None):
+    def partial_fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
         """Update the posterior with further samples, at the hyperparameters of ``fit``.
 
         Kernel, noise, centre and scale do not change. The posterior becomes that of all samples so far. An exact
@@ -454,7 +456,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self._n_flights = int(clock[:, 1].max()) + 1
         return clock, (self.drift_variance_ / self._scale**2, self.drift_memory_)
 
-    def compact(self, n_inducing=1500, *, tolerance=None, max_iter=10, random_state=0):
+    def compact(
+        self, n_inducing: int = 1500, *, tolerance: Any = None, max_iter: int = 10, random_state: Seed = 0
+    ) -> DependentGPRegressor:
         """Return a small, fast model with nearly the same predictions that stores no samples.
 
         Inducing variables replace the samples, at the same hyperparameters. Each variable is the contribution of one
@@ -512,7 +516,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         small.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         return small
 
-    def output_correlation(self):
+    def output_correlation(self) -> Bunch:
         """Return the correlation between outputs and the shift at which it is largest.
 
         Returns
@@ -533,7 +537,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     # -- predictions: y = _center + _scale z for the normalised outputs z ------------------------------------
 
-    def predict(self, X, return_std=False, return_cov=False, include_noise=False, include_input_noise=True):
+    def predict(
+        self,
+        X: Matrix,
+        return_std: bool = False,
+        return_cov: bool = False,
+        include_noise: bool = False,
+        include_input_noise: Any = True,
+    ) -> Any:
         """Predict the outputs (equations 17 and 18).
 
         Parameters
@@ -583,7 +594,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         scale = np.repeat(self._scale, len(X))
         return mean, cov * np.multiply.outer(scale, scale)
 
-    def predict_gradient(self, X, return_std=False):
+    def predict_gradient(self, X: Matrix, return_std: bool = False) -> Any:
         """Return the slopes of the mean, d mean / d regressor, and with ``return_std`` their standard deviation.
 
         Parameters
@@ -603,7 +614,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         mean, variance = self.posterior_.gradient(X, return_variance=True)
         return self._squeeze(mean * self._scale[:, None]), self._squeeze(np.sqrt(variance) * self._scale[:, None])
 
-    def sample_y(self, X, n_samples=1, random_state=0):
+    def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
         """Return samples of the joint posterior of all outputs at X.
 
         Parameters
@@ -625,7 +636,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
         return self._squeeze((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
 
-    def sample_paths(self, n_paths=1, random_state=0):
+    def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
         """Return sample paths of the posterior: samples that are functions of the regressors.
 
         ``sample_y`` draws values at given points. A path can be evaluated and differentiated at any points, repeatedly,
@@ -668,7 +679,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         names = getattr(self, "feature_names_in_", None)
         return self.posterior_.paths(n_paths, random_state).in_units(self._center, self._scale, self._single, names)
 
-    def score(self, X, y, sample_weight=None):
+    def score(self, X: Matrix, y: Any, sample_weight: Any = None) -> float:
         """Return the coefficient of determination R^2 of the observed targets, averaged over the outputs.
 
         Parameters
@@ -697,7 +708,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     # -- likelihood and hyperparameters ------------------------------------------------------------------
 
-    def log_marginal_likelihood(self, theta=None, eval_gradient=False):
+    def log_marginal_likelihood(self, theta: Vector | None = None, eval_gradient: bool = False) -> Any:
         """Return the log marginal likelihood of the normalised outputs (equation 20).
 
         Parameters
@@ -732,7 +743,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return self.posterior_.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
 
     @property
-    def theta_(self):
+    def theta_(self) -> Vector:
         """Fitted hyperparameters, in the form of the argument of ``log_marginal_likelihood``."""
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
@@ -782,7 +793,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 # -- validation ------------------------------------------------------------------------------
 
 
-def check_targets(y, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
+def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
     """Return the targets as (n, P) with NaN where not observed, their names, and whether y is one-dimensional."""
     if y is None:
         raise ValueError(f"This {estimator} estimator requires y to be passed, but the target y is None.")
@@ -813,7 +824,7 @@ def standardize(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarray
     return (Y - center) / scale, center, scale
 
 
-def check_clock(time, flight, n_samples: int) -> np.ndarray | None:
+def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
     """Return time and flight number of each sample, (n, 2), or None if no time is given."""
     if time is None:
         if flight is not None:
@@ -886,7 +897,7 @@ def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
         )
 
 
-def check_compaction(n_inducing, tolerance, max_iter) -> None:
+def check_compaction(n_inducing: int, tolerance: Any, max_iter: int) -> None:
     """Raise a ValueError if a parameter of ``compact`` is invalid."""
     if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:
         raise ValueError(f"Got n_inducing={n_inducing!r}, but expected an integer number of variables from 1 on.")
@@ -915,7 +926,7 @@ def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) 
     )
 
 
-def input_root(input_noise, X: np.ndarray, names: list[str]):
+def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
     """Return R (d, r) of the covariance R R^T of the regressors' noise; None and "learned" are returned unchanged."""
     if input_noise is None or isinstance(input_noise, str):
         return input_noise
@@ -951,7 +962,7 @@ def default_names(n: int) -> list[str]:
     return [f"y{i}" for i in range(n)]
 
 
-def warn_of_indices(index, y) -> None:
+def warn_of_indices(index: Any, y: Any) -> None:
     """Warn if X and y have different indices."""
     if isinstance(index, pd.Index) and isinstance(y, (pd.DataFrame, pd.Series)) and not index.equals(y.index):
         _warn(

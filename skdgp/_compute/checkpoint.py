@@ -38,7 +38,7 @@ _file: ContextVar[_File | None] = ContextVar("skdgp_checkpoint_file", default=No
 
 
 @contextmanager
-def checkpointing(folder, *, every: float = 5.0) -> Iterator[None]:
+def checkpointing(folder: Any, *, every: float = 5.0) -> Iterator[None]:
     """Let every fit of ``DependentGPRegressor`` inside the ``with`` block resume where a killed one was.
 
     What a fit has evaluated is written into the folder every few seconds, each file whole or not at all. When the

@@ -60,12 +60,12 @@ MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the o
 
 
 def identify(
-    flights,
+    flights: Any,
     aircraft: Aircraft | str | os.PathLike,
     *,
-    test=None,
+    test: Any = None,
     regressors: str | Sequence[str] = "quasi-steady",
-    reconstruction="auto",
+    reconstruction: Any = "auto",
     lags: str | dict | None = None,
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
@@ -75,7 +75,7 @@ def identify(
     horizons: Sequence[float] = (2.0, 10.0),
     random_state: Seed = 0,
     n_jobs: int | None = None,
-    servos=None,
+    servos: Any = None,
     airborne: bool | float = True,
 ) -> Identification:
     """Learn a model of the six coefficients from flights, and judge it on others.
@@ -229,13 +229,13 @@ def identify(
 
 def validate(
     model: Bunch,
-    flights,
+    flights: Any,
     *,
     aircraft: Aircraft | str | os.PathLike | None = None,
     horizons: Sequence[float] = (2.0, 10.0),
-    servos=None,
+    servos: Any = None,
     airborne: bool | float = True,
-    **loads,
+    **loads: Any,
 ) -> Identification:
     """Judge a model that exists on flights.
 
@@ -405,7 +405,7 @@ class Identification:
                 lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
         return "\n".join([*lines, "", *_comparison(tested)]).rstrip()
 
-    def evaluate(self, flight) -> Evaluation:
+    def evaluate(self, flight: Any) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
         with warnings.catch_warnings():
             flights = usable_flights_of_model(self.pipeline, _flights.named_flights(flight))

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import joblib
 from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
@@ -36,7 +36,7 @@ class ModelFileError(ValueError):
     """A file could not be read as a model: what was got, what was expected, what to do."""
 
 
-def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts) -> Path:
+def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Path:
     """Write a fitted pipeline, its aircraft and facts into one file, which appears whole or not at all.
 
     Parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -35,11 +36,11 @@ def make_identification_pipeline(
     aircraft: Aircraft,
     *,
     regressors: str | Sequence[str] = "quasi-steady",
-    reconstruction="auto",
+    reconstruction: Any = "auto",
     cutoff: float | str | dict | None = "auto",
-    mixer=None,
-    regressor=None,
-    memory=None,
+    mixer: Any = None,
+    regressor: Any = None,
+    memory: Any = None,
     lags: str | dict | None = None,
 ) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
@@ -217,7 +218,7 @@ class FlightPipeline(Pipeline):
     ((40, 2), (40, 2))
     """
 
-    def predict(self, X, **params):
+    def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients of one or more flights at their full rate.
 
         Parameters

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale
+from skdgp._compute.typing import Seed
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._sparse import SparsePosterior, maximize_features
@@ -68,7 +70,9 @@ class Compaction(NamedTuple):
         return float(max(self.mean_rms.max(), self.std_rms.max()))
 
 
-def compact(posterior, n_inducing: int, tolerance: float | None, max_iter: int, random_state, allow):
+def compact(
+    posterior: Any, n_inducing: int, tolerance: float | None, max_iter: int, random_state: Seed, allow: Callable
+) -> tuple[SparsePosterior, Compaction]:
     """Return a posterior with at most ``n_inducing`` inducing variables and no samples, and the change.
 
     Parameters

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import minimize
 from sklearn.utils import Bunch
 
 
-def output_correlation(kernel):
+def output_correlation(kernel: Any) -> Bunch:
     """Return the largest correlation between outputs over all separations, and the separation of that maximum.
 
     For a stationary kernel the correlation of output i at s + delta with output j at s is

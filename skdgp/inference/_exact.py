@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
 from skdgp._compute.threads import n_threads, thread_map, threads_for
+from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
 from skdgp.inference._paths import Paths, exact_paths
 
@@ -33,7 +35,7 @@ class ExactPosterior:
     log_marginal_likelihood : float
     """
 
-    def __init__(self, kernel, noise, data: Data):
+    def __init__(self, kernel: Any, noise: Vector, data: Data) -> None:
         self.kernel, self.noise, self.data = kernel, np.asarray(noise, dtype=float), data
         self._rows = slice(None)
         self._solve()
@@ -65,7 +67,7 @@ class ExactPosterior:
             alpha[self._rows] = self.factor.solve_upper(self._white)
         return alpha
 
-    def solve(self, B) -> np.ndarray:
+    def solve(self, B: Matrix) -> np.ndarray:
         """Return K^-1 B for rows of the stacked values, (N, m)."""
         solved = np.empty(B.shape)
         with threads_for(len(B)):
@@ -115,13 +117,13 @@ class ExactPosterior:
         new = np.arange(sum(added)) + np.repeat(np.cumsum(sizes), added)
         return np.concatenate([old[self._rows], new])
 
-    def likelihood_at(self, kernel, noise, eval_gradient=False):
+    def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
         """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
         return log_likelihood(kernel, noise, self.data, eval_gradient)
 
     # -- prediction ------------------------------------------------------------------------------------
 
-    def cross(self, i, Xs) -> np.ndarray:
+    def cross(self, i: int, Xs: Matrix) -> np.ndarray:
         """Return cov(y_i(Xs), all observed values), (n, N)."""
         return self._cross([i], Xs)
 
@@ -151,7 +153,7 @@ class ExactPosterior:
         step = max(1, int(CHUNK_BYTES / 8 / max(per_row, 1)))
         return [slice(a, min(a + step, n)) for a in range(0, max(n, 1), step)]
 
-    def predict(self, Xs, return_variance=False):
+    def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:
             return self._mean_function.each(Xs[None])[0] if len(Xs) <= FEW else self._mean(Xs)
@@ -190,12 +192,12 @@ class ExactPosterior:
         thread_map(add, make_tiles([len(Xs)] * self.kernel.n_outputs, max(1, side)))
         return mean
 
-    def covariance(self, Xs) -> np.ndarray:
+    def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
         half = self._solve_lower(self._cross(range(self.kernel.n_outputs), Xs))
         return self.kernel(Xs) - half.T @ half
 
-    def gradient(self, Xs, return_variance=False):
+    def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         P, d = self.kernel.n_outputs, np.shape(Xs)[1]
         mean = np.empty((len(Xs), P, d))
@@ -213,7 +215,7 @@ class ExactPosterior:
                     variance[rows, i] = unexplained_variance(self.kernel.derivative_diag(i, x), explained)
         return (mean, variance) if return_variance else mean
 
-    def paths(self, n_paths, random_state) -> Paths:
+    def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior that are functions of the regressors."""
         return exact_paths(self, n_paths, random_state)
 
@@ -232,7 +234,7 @@ class Factor:
         The next rows of L are [below, tail].
     """
 
-    def __init__(self, head, below=None, tail=None):
+    def __init__(self, head, below=None, tail=None) -> None:
         self.head, self.below, self.tail = head, below, tail
 
     @property
@@ -248,7 +250,7 @@ class Factor:
         """Return log |K|."""
         return log_determinant(self.head) + (0.0 if self.tail is None else log_determinant(self.tail))
 
-    def solve_lower(self, B):
+    def solve_lower(self, B: Matrix):
         """Return L^-1 B; a matrix ``B`` in Fortran order may be overwritten."""
         if self.tail is None:
             return triangular_solve(self.head, B)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from threading import Event
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -13,6 +13,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
 from skdgp._compute.threads import thread_map
+from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import fit_drift
@@ -69,7 +70,7 @@ class Hyperparameters(NamedTuple):
     rising: bool = False
     converged: bool = True
 
-    def fit(self, posterior, value=None, more=None) -> Fit:
+    def fit(self, posterior: Any, value: Any = None, more: Any = None) -> Fit:
         """Return the posterior with the history of the search; ``more`` is a later Optimum, or None."""
         value = posterior.log_marginal_likelihood if value is None else value
         n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
@@ -79,21 +80,33 @@ class Hyperparameters(NamedTuple):
         noise = self.noise if self.drift is None else self.noise + self.drift[0]
         return Fit(posterior, noise, self.root, self.drift, value, *history)
 
-    def data(self, X, Y, clock, passes=2) -> Data:
+    def data(self, X: Matrix, Y: Matrix, clock: Matrix | None, passes: int = 2) -> Data:
         """Return the observed values with their noise model: noisy regressors and drift.
 
         The first pass takes slopes of a fit to exact regressors, the second of one to noisy regressors.
         """
         drift = self.drift or (None, None)
         data = Data.from_table(X, Y, None, clock, drift)
-        for _ in range(0 if self.root is None else passes):
+        if self.root is None:
+            return data
+        for _ in range(passes):
             loading = input_noise_loading(ExactPosterior(self.kernel, self.noise, data), X, self.root)
             data = Data.from_table(X, Y, loading, clock, drift)
         return data
 
 
 def fit_exact(
-    kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, spread=0.0, found=None, clock=None
+    kernel: Any,
+    X: Matrix,
+    Y: Matrix,
+    *,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Seed,
+    input_noise: Any = None,
+    spread: float = 0.0,
+    found: Any = None,
+    clock: Matrix | None = None,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
 
@@ -132,7 +145,18 @@ def fit_exact(
 
 
 def fit_sparse(
-    kernel, X, Y, *, n_inducing, optimizer, max_iter, random_state, input_noise=None, spread=0.0, found=None, clock=None
+    kernel: Any,
+    X: Matrix,
+    Y: Matrix,
+    *,
+    n_inducing: int,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Seed,
+    input_noise: Any = None,
+    spread: float = 0.0,
+    found: Any = None,
+    clock: Matrix | None = None,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
 
@@ -333,7 +357,7 @@ def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_n
     )
 
 
-def input_noise_loading(posterior, X, root) -> np.ndarray:
+def input_noise_loading(posterior: Any, X: Matrix, root: Matrix) -> np.ndarray:
     """Return G = J R, (n, P, r): the slopes J of the mean times the root R of the regressors' noise covariance."""
     return posterior.gradient(X) @ root
 
@@ -350,7 +374,7 @@ def _initial_input_noise(noise, P, data, d):
     return np.concatenate([0.5 * noise[:P], noise[P:], start]), np.tile(INPUT_BOUNDS, (d, 1))
 
 
-def some_rows(Y, random_state):
+def some_rows(Y: Matrix, random_state: Seed):
     """Return rows with about SUBSET observed values, an equal number for each output where it has them."""
     observed = np.isfinite(Y)
     quota = SUBSET // Y.shape[1]
@@ -416,7 +440,18 @@ class _SingleFit:
         return self.optimize(start, theta, max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter), name)
 
 
-def fit_singles(kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop: Event) -> Singles:
+def fit_singles(
+    kernel: Any,
+    noise: Vector,
+    noise_bounds,
+    X: Matrix,
+    Y: Matrix,
+    clock: Matrix | None,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Any,
+    stop: Event,
+) -> Singles:
     """Return a separate fit of each output, with at most twice ``max_iter`` iterations each.
 
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
@@ -443,7 +478,7 @@ def fit_singles(kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, r
     )
 
 
-def make_objective(kernel, data, n_noise):
+def make_objective(kernel: Any, data: Any, n_noise):
     """Return the function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient."""
     workspace = np.empty((data.n_values, data.n_values))
 
@@ -457,12 +492,12 @@ def make_objective(kernel, data, n_noise):
     return evaluate
 
 
-def theta_bounds(kernel, noise_bounds):
+def theta_bounds(kernel: Any, noise_bounds):
     """Return the bounds of [theta, log noise]."""
     return np.concatenate([kernel.bounds, np.log(noise_bounds)])
 
 
-def stratified(rows, n, random_state):
+def stratified(rows: Any, n, random_state: Any):
     """Return a stratified sample of n rows: one random row of each of n equal parts, since neighbours are redundant."""
     if n >= len(rows):
         return rows
@@ -476,7 +511,7 @@ def stratified(rows, n, random_state):
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
 
 
-def autocorrelation_time(residuals) -> float:
+def autocorrelation_time(residuals: Vector) -> float:
     r"""Return the integrated autocorrelation time, in samples, at least 1.
 
     The mean of n values with autocorrelation rho has the variance of the mean of n / tau independent values, with

@@ -6,7 +6,7 @@ Only this file knows the layout of the N x N matrix. A kernel computes one tile 
 from __future__ import annotations
 
 from itertools import combinations, combinations_with_replacement, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsymv, dsyr
@@ -18,6 +18,7 @@ from skdgp._compute.linalg import (
     triangular_solve,
 )
 from skdgp._compute.threads import thread_map, threads_for
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.inference._noise import Drift, SampleNoise, add_noise, noise_gradient
 
 TILE = 768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
@@ -33,7 +34,14 @@ class Data(NamedTuple):
     drift: Drift | None = None
 
     @classmethod
-    def from_table(cls, X, Y, loading=None, clock=None, drift=(None, None)):
+    def from_table(
+        cls,
+        X: Matrix,
+        Y: Matrix,
+        loading: Array | None = None,
+        clock: Matrix | None = None,
+        drift: tuple = (None, None),
+    ) -> Data:
         """Return the observed values of X (n, d) and Y (n, P), with NaN where an output was not observed.
 
         ``loading`` (n, P, r) describes noisy regressors, see ``SampleNoise``. ``clock`` (n, 2), time and flight, adds a
@@ -97,7 +105,7 @@ def _pairs(kernel, sizes):
     return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
-def covariance(kernel, noise, data: Data, workspace=None) -> np.ndarray:
+def covariance(kernel: Any, noise: Vector, data: Data, workspace: Matrix | None = None) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
     ``noise`` is as for ``add_noise``. The result is written to ``workspace`` (N, N), in C order, if it is given.
@@ -119,12 +127,14 @@ def covariance(kernel, noise, data: Data, workspace=None) -> np.ndarray:
     return upper.T
 
 
-def all_coupled(kernel) -> bool:
+def all_coupled(kernel: Any) -> bool:
     """Return whether the kernel couples every pair of outputs."""
     return all(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
 
 
-def log_likelihood(kernel, noise, data: Data, eval_gradient=False, workspace=None):
+def log_likelihood(
+    kernel: Any, noise: Vector, data: Data, eval_gradient: bool = False, workspace: Matrix | None = None
+) -> Any:
     """Return the log marginal likelihood (equation 20) and its gradient by [theta, log noise].
 
     With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), computed tile by tile.

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
 from skdgp._compute.checkpoint import stage_record
 from skdgp._compute.progress import notify
+from skdgp._compute.typing import Vector
 
 
 class Optimum(NamedTuple):
@@ -57,17 +59,17 @@ class _Objective:
 
 
 def maximize(
-    log_likelihood,
-    theta,
-    bounds,
+    log_likelihood: Callable,
+    theta: Vector,
+    bounds: Any,
     *,
-    optimizer="fmin_l_bfgs_b",
-    max_iter=100,
-    tolerance=1e-5,
-    stage="fit",
-    name=None,
-    stop=None,
-):
+    optimizer: Any = "fmin_l_bfgs_b",
+    max_iter: int = 100,
+    tolerance: Any = 1e-5,
+    stage: str = "fit",
+    name: str | None = None,
+    stop: Any = None,
+) -> Optimum:
     """Return the best point of a search that starts at ``theta``.
 
     Parameters

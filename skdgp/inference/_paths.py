@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import triangular_solve
 from skdgp._compute.threads import threads_for
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._noise import draw_noise
 
 FREQUENCIES = 64  # waves of each latent process in each path
@@ -24,13 +26,13 @@ FREQUENCIES = 64  # waves of each latent process in each path
 class Path:
     """One sample of the posterior: a function X (n, d) -> (n, P), or (n,) for one-dimensional targets."""
 
-    def __init__(self, alone: Paths):
+    def __init__(self, alone: Paths) -> None:
         self._alone = alone
 
     def __call__(self, X) -> np.ndarray:
         return self._alone(X)[0]
 
-    def gradient(self, X) -> np.ndarray:
+    def gradient(self, X: Matrix) -> np.ndarray:
         """Return d value / d regressor at X (n, d), (n, P, d), or (n, d) for one-dimensional targets."""
         return self._alone.gradient(X)[0]
 
@@ -54,11 +56,20 @@ class Paths(Sequence):
         Expected column names of a DataFrame.
     """
 
-    def __init__(self, bundle, n_paths, n_features, center=0.0, scale=1.0, single=False, feature_names=None):
+    def __init__(
+        self,
+        bundle: Any,
+        n_paths: int,
+        n_features: int,
+        center: Any = 0.0,
+        scale: Any = 1.0,
+        single: bool = False,
+        feature_names: Any = None,
+    ) -> None:
         self.bundle, self.n_paths, self.n_features = bundle, n_paths, n_features
         self.center, self.scale, self.single, self.feature_names = center, scale, single, feature_names
 
-    def in_units(self, center, scale, single, feature_names) -> Paths:
+    def in_units(self, center: Any, scale: Vector, single: bool, feature_names: Any) -> Paths:
         """Return the paths of the outputs ``center`` + ``scale`` times these outputs."""
         return Paths(self.bundle, self.n_paths, self.n_features, center, scale, single, feature_names)
 
@@ -77,11 +88,11 @@ class Paths(Sequence):
         """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) for one-dimensional targets."""
         return self._values(self._check_points(X, 2)[None])
 
-    def each(self, X) -> np.ndarray:
+    def each(self, X: Matrix) -> np.ndarray:
         """Return the values of each path at its own points X (n_paths, n, d), in the shape of a call."""
         return self._values(self._check_points(X, 3))
 
-    def gradient(self, X) -> np.ndarray:
+    def gradient(self, X: Matrix) -> np.ndarray:
         """Return the slopes of all paths at X (n, d), or of each path at its own points X (n_paths, n, d).
 
         The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets.
@@ -114,7 +125,7 @@ class Paths(Sequence):
         return values[:, :, 0] if self.single else values
 
 
-def sparse_paths(posterior, n_paths, random_state) -> Paths:
+def sparse_paths(posterior: Any, n_paths: int, random_state: Any) -> Paths:
     """Return paths of a SparsePosterior, with u_post = Lu w, w ~ N(white, B^-1)."""
     random_state = check_random_state(random_state)
     features, Lu = posterior.features, posterior.Lu
@@ -127,7 +138,7 @@ def sparse_paths(posterior, n_paths, random_state) -> Paths:
     return Paths(prior + features.paths(coefficients), n_paths, posterior.kernel.n_features)
 
 
-def exact_paths(posterior, n_paths, random_state) -> Paths:
+def exact_paths(posterior: Any, n_paths: int, random_state: Any) -> Paths:
     """Return paths of an ExactPosterior, f + Kfy Kyy^-1 (y - f(X) - noise), with a draw of the noise."""
     random_state = check_random_state(random_state)
     kernel, data = posterior.kernel, posterior.data

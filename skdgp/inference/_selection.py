@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
+from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows, stratified
 
 
@@ -27,7 +30,16 @@ class Choice:
 
 
 def choose_kernel(
-    kernels, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record: FitRecord | None = None, clock=None
+    kernels: Sequence,
+    X: Matrix,
+    Y: Matrix,
+    *,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Seed,
+    input_noise: Any = None,
+    record: FitRecord | None = None,
+    clock: Matrix | None = None,
 ) -> Choice:
     r"""Choose among kernels by the Bayesian information criterion, starting with the fewest hyperparameters.
 
@@ -89,8 +101,18 @@ FEWEST_ROWS = 40  # rows below which blocks are too short for a comparison
 
 
 def held_out_errors(
-    name, kernel, X, Y, *, optimizer, max_iter, random_state, input_noise=None, record=None, clock=None
-):
+    name: str,
+    kernel: Any,
+    X: Matrix,
+    Y: Matrix,
+    *,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Seed,
+    input_noise: Any = None,
+    record: Any = None,
+    clock: Matrix | None = None,
+) -> tuple[Vector | None, Hyperparameters | None]:
     """Return the mean squared error of each output in held-out blocks of rows, over its variance.
 
     Rows are in the order of the log, so a block is a continuous part of a flight, and predicting it resembles

@@ -28,6 +28,7 @@ from skdgp._compute.linalg import (
     unexplained_variance,
 )
 from skdgp._compute.threads import thread_map, threads_for
+from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
 from skdgp.inference._paths import Paths, sparse_paths
@@ -69,7 +70,7 @@ class SparsePosterior:
     sums: Sums
     statistics: Any  # list of Statistics, None if the noise is correlated
 
-    def __init__(self, kernel, features, noise, shares: list):
+    def __init__(self, kernel: Any, features: Any, noise: Vector, shares: list) -> None:
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
         self.shares = shares
         self._begin()
@@ -128,7 +129,7 @@ class SparsePosterior:
         new._condition()
         return new
 
-    def with_noise(self, noise) -> SparsePosterior:
+    def with_noise(self, noise: Vector) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
         noise = np.asarray(noise, dtype=float)
         return self._with(self.shares, self.statistics, Sums.combine(self.features, noise, self.statistics), noise)
@@ -159,7 +160,7 @@ class SparsePosterior:
         total = added and [total_statistics(pair) for pair in zip(self.statistics, added, strict=True)]
         return self._with(shares_of(data_from_shares(self.shares, len(data.X)).joined(data)), total, sums)
 
-    def likelihood_at(self, kernel, noise, eval_gradient=False):
+    def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
         """Return the bound of the same data at other hyperparameters, with ``eval_gradient`` also its gradient."""
         if self.shares is None:
             raise ValueError(
@@ -171,7 +172,7 @@ class SparsePosterior:
             return other.log_marginal_likelihood
         return other.log_marginal_likelihood, other.bound_gradient()[: kernel.n_dims + len(noise)]
 
-    def bound_gradient(self):
+    def bound_gradient(self) -> Vector:
         """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
         return bound_gradient(self)
 
@@ -186,7 +187,7 @@ class SparsePosterior:
         with threads_for(self.features.size):
             return self.readout.roots(self.Lu, self.B_inverse)
 
-    def predict(self, Xs, return_variance=False):
+    def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         readout = self.readout
         evaluate = partial(readout.mean_and_variance, roots=self.roots) if return_variance else readout.mean
@@ -195,7 +196,7 @@ class SparsePosterior:
         parts = thread_map(lambda rows: evaluate(Xs[rows]), row_slices(len(Xs)))
         return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
 
-    def covariance(self, Xs) -> np.ndarray:
+    def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
         P, n = self.kernel.n_outputs, len(Xs)
         A = np.zeros((self.features.size, P * n), order="F")
@@ -204,11 +205,11 @@ class SparsePosterior:
         V = triangular_solve(self.Lu, A)
         return self.kernel(Xs) - V.T @ (V - self.B_inverse @ V)
 
-    def paths(self, n_paths, random_state) -> Paths:
+    def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior that are functions of the regressors."""
         return sparse_paths(self, n_paths, random_state)
 
-    def gradient(self, Xs, return_variance=False):
+    def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         parts = thread_map(partial(self._gradient, Xs, self.roots if return_variance else None), row_slices(len(Xs)))
         mean, variance = zip(*parts, strict=True)
@@ -228,7 +229,7 @@ class SparsePosterior:
         return mean, unexplained_variance(prior, np.stack(explained, axis=1))
 
 
-def maximize_features(start: SparsePosterior, scale, *, max_iter, stage) -> tuple:
+def maximize_features(start: SparsePosterior, scale: Vector, *, max_iter: int, stage: str) -> tuple:
     """Return the features that maximise the bound, from those of ``start``, and the Optimum.
 
     Steps are in units of ``scale`` (d,), the standard deviations of the regressors, rounded to powers of two. The
@@ -259,7 +260,7 @@ class Readout:
         Kuu^-1 times the posterior mean of the features.
     """
 
-    def __init__(self, kernel, features, weights):
+    def __init__(self, kernel: Any, features: Any, weights) -> None:
         self.kernel, self.rows = kernel, features.rows()
         self.columns = [features.columns(i) for i in range(kernel.n_outputs)]
         edges = np.cumsum([0, *map(len, self.columns)])
@@ -277,11 +278,11 @@ class Readout:
             roots.append(triangular_solve(sub_factor(Lu, columns), semidefinite_root(reduction), transposed=True))
         return roots
 
-    def mean(self, X) -> np.ndarray:
+    def mean(self, X: Matrix) -> np.ndarray:
         """Return the mean at X (n, d), (n, P)."""
         return self.rows(X) @ self.weights
 
-    def mean_and_variance(self, X, roots) -> tuple[np.ndarray, np.ndarray]:
+    def mean_and_variance(self, X: Matrix, roots) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and variance at X (n, d), (n, P) each."""
         A = self.rows(X)
         variance = np.empty((len(X), len(self.slices)))
@@ -291,7 +292,7 @@ class Readout:
         return A @ self.weights, variance
 
 
-def explained_variance(A, root):
+def explained_variance(A, root: Matrix):
     """Return the variance explained by the data for functions with covariances A (n, c) with the features."""
     half = A @ root
     return np.einsum("nc,nc->n", half, half)

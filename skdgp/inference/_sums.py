@@ -129,7 +129,8 @@ def data_from_shares(shares, n_outputs) -> Data:
         by_output = [[empty, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)]
         X = [np.concatenate([share.X for share in parts]) for parts in by_output]
         return Data(X, [np.concatenate([share.Y[:, 0] for share in parts]) for parts in by_output])
-    return Data.from_table(*(np.concatenate(part) for part in list(zip(*shares, strict=True))[1:4]))
+    table = [np.concatenate([share[k] for share in shares]) for k in (1, 2, 3)]
+    return Data.from_table(table[0], table[1], table[2])
 
 
 def _drifting_data(shares, n_outputs):

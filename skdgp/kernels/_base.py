@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import joblib
 import numpy as np
@@ -13,7 +14,7 @@ from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
 from skdgp._compute.linalg import cluster_centres, column_scale
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._features import Features, PointFeatures, SumFeatures
 from skdgp.kernels._paths import KernelPaths, PathBundle
 
@@ -74,15 +75,15 @@ class MultiOutputKernel(Kernel):
     # -- required methods ------------------------------------------------------------------------------
 
     @abstractmethod
-    def block(self, i: int, j: int, Xi, Xj) -> Matrix:
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return cov(y_i(Xi), y_j(Xj)), (n_i, n_j)."""
 
     @abstractmethod
-    def block_gradient(self, i: int, j: int, Xi, Xj, W) -> Vector:
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         """Return sum(W * dK_ij / dtheta), (n_theta,), without the (n_i, n_j, n_theta) array of derivatives."""
 
     @abstractmethod
-    def block_diag(self, i: int, Xi) -> Vector:
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
         """Return var(y_i(Xi)), (n_i,)."""
 
     @abstractmethod
@@ -95,13 +96,13 @@ class MultiOutputKernel(Kernel):
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
 
-    def diag_gradient(self, i: int, Xi, w) -> Vector:
+    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
         """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
         rows = [slice(a, a + DIAGONAL_ROWS) for a in range(0, len(Xi), DIAGONAL_ROWS)]
         parts = [self.block_gradient(i, i, Xi[a], Xi[a], np.diag(w[a])) for a in rows]
         return np.sum(parts, axis=0) if parts else np.zeros(self.n_dims)
 
-    def block_derivative(self, i: int, j: int, Xi, Xj) -> Array:
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
 
         The default uses central differences of fourth order, for regressors of about unit size.
@@ -111,7 +112,7 @@ class MultiOutputKernel(Kernel):
             Xi, Xj = Xi - Xj[0], Xj - Xj[0]
         return np.stack([_difference(lambda x: self.block(i, j, Xi + x, Xj), unit) for unit in np.eye(Xi.shape[1])])
 
-    def derivative_diag(self, i: int, Xi) -> Matrix:
+    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         """Return the prior variance of dy_i/dx at Xi, (n_i, d); the default uses central differences."""
         Xi = np.asarray(Xi, dtype=float)
 
@@ -124,7 +125,15 @@ class MultiOutputKernel(Kernel):
         """Return whether all parameter values are given."""
         return all(getattr(self, parameter.name) is not None for parameter in self.free_parameters())
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0) -> MultiOutputKernel:
+    def initialize(
+        self,
+        X: Matrix,
+        Y: Matrix,
+        random_state: Seed,
+        singles: Sequence | None = None,
+        coarse: Any = None,
+        width_factor: float = 1.0,
+    ) -> MultiOutputKernel:
         """Return the kernel with missing values and bounds estimated from data.
 
         X is (n, d), Y is (n, P) with NaN where an output was not observed. ``singles`` (fits of each output with
@@ -135,7 +144,7 @@ class MultiOutputKernel(Kernel):
             raise ValueError(f"{type(self).__name__} cannot estimate values from data: give all of its parameters.")
         return self
 
-    def prepared(self, X) -> MultiOutputKernel:
+    def prepared(self, X: Matrix) -> MultiOutputKernel:
         """Return the kernel with those parts that depend only on the inputs (n, d) of all samples; values stay open."""
         return self
 
@@ -149,11 +158,11 @@ class MultiOutputKernel(Kernel):
             f"{type(self).__name__} does not define single_output, the kernel of a separate fit of one output."
         )
 
-    def log_prior(self, eval_gradient=False):
+    def log_prior(self, eval_gradient: bool = False) -> Any:
         """Return the log density of the prior on theta, by default zero; with ``eval_gradient`` also its gradient."""
         return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
 
-    def residual(self, X, Y) -> Matrix:
+    def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         """Return the part of Y (n, P) from which the other terms of a sum estimate their starting values."""
         return Y
 
@@ -165,31 +174,31 @@ class MultiOutputKernel(Kernel):
         """Return separations besides zero where a stationary cov(y_i, y_j) may be largest, (k, d)."""
         return np.zeros((0, self.n_features))
 
-    def features(self, Z) -> Features:
+    def features(self, Z: Matrix) -> Features:
         """Return inducing features for sparse inference at Z (k, d), by default the values of the outputs at Z."""
         return PointFeatures(self, Z)
 
-    def feature_ranking(self, X, scale, random_state) -> Callable[[int], Features]:
+    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable[[int], Features]:
         """Return a function n -> the best n inducing features for the outputs at X (n, d).
 
         ``scale`` (P,) is the accuracy required of each output. Every term of a sum gets n features.
         """
         return lambda n: self.features(cluster_centres(X, column_scale(X), max(1, n // self.n_outputs), random_state))
 
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> PathBundle:
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         """Return sample paths of the prior, with ``n_frequencies`` waves for each latent process."""
         raise NotImplementedError(
             f"{type(self).__name__} does not define prior_paths, which sample paths need. Use sample_y, which draws "
             "values at given points from any kernel."
         )
 
-    def paths(self, X, coefficients) -> PathBundle:
+    def paths(self, X: Matrix, coefficients: Any) -> PathBundle:
         """Return the functions sum_j cov(y, y_j(X_j)) c_j, with X_j (n_j, d) and c_j (S, n_j) for each output."""
         return KernelPaths(self, X, coefficients)
 
     # -- matrices --------------------------------------------------------------------------------------
 
-    def split(self, X) -> list[np.ndarray]:
+    def split(self, X: Matrix) -> list[np.ndarray]:
         """Return X as one array for each output."""
         per_output = isinstance(X, (list, tuple)) and len(X) > 0 and np.ndim(X[0]) == 2
         arrays = [np.asarray(x, dtype=float) for x in (X if per_output else [X])]
@@ -231,7 +240,7 @@ class MultiOutputKernel(Kernel):
         )
         return entries.reshape(len(points), len(points), len(self.theta))
 
-    def diag(self, X):
+    def diag(self, X: Matrix) -> Vector:
         """Return the diagonal of ``kernel(X)``, (sum n_i,)."""
         return np.concatenate([self.block_diag(i, Xi) for i, Xi in enumerate(self.split(X))])
 
@@ -256,7 +265,7 @@ class MultiOutputKernel(Kernel):
     # -- hyperparameters -------------------------------------------------------------------------------
 
     @property
-    def hyperparameters(self):
+    def hyperparameters(self) -> list:
         """Each hyperparameter with its number of elements and bounds."""
         return [
             Hyperparameter(f.name, "numeric", "fixed" if f.fixed else _pairs(f), 1 if f.fixed else f.n_elements)
@@ -277,7 +286,7 @@ class MultiOutputKernel(Kernel):
         return np.concatenate(parts) if parts else np.empty(0)
 
     @theta.setter
-    def theta(self, theta):
+    def theta(self, theta: Vector | None):
         theta = np.asarray(theta, dtype=float)
         expected = sum(f.n_elements for f in self.free_parameters())
         if theta.shape != (expected,):
@@ -293,13 +302,13 @@ class MultiOutputKernel(Kernel):
                 setattr(self, f.name, value)
 
     @property
-    def bounds(self):
+    def bounds(self) -> Matrix:
         """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
         parts = [np.log(_pairs(f)) if f.log else _pairs(f) for f in self.free_parameters() if f.n_elements]
         return np.concatenate(parts) if parts else np.empty((0, 2))
 
     @property
-    def n_dims(self):
+    def n_dims(self) -> int:
         """Length of theta."""
         return sum(f.n_elements for f in self.free_parameters())
 
@@ -326,7 +335,7 @@ class MultiOutputKernel(Kernel):
         shown = {k: v for k, v in self.get_params(deep=False).items() if v is not None and np.ndim(v) == 0}
         return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in shown.items())})"
 
-    def is_stationary(self):
+    def is_stationary(self) -> bool:
         """Return whether the covariance depends only on x - x'."""
         return False
 
@@ -344,12 +353,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
     """The sum of two multi-output kernels: the covariance of a sum of independent processes."""
 
     @property
-    def n_outputs(self):
+    def n_outputs(self) -> int:
         """Number of outputs P."""
         return self._common("n_outputs")
 
     @property
-    def n_features(self):
+    def n_features(self) -> int:
         """Number of regressors d."""
         return self._common("n_features")
 
@@ -359,29 +368,37 @@ class Sum(_SklearnSum, MultiOutputKernel):
             raise ValueError(f"Got a sum of kernels with {name} {first} and {second}, but expected the same number.")
         return first
 
-    def couples(self, i, j):
+    def couples(self, i: int, j: int) -> bool:
         return self.k1.couples(i, j) or self.k2.couples(i, j)
 
-    def block(self, i, j, Xi, Xj):
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         if not (self.k1.couples(i, j) and self.k2.couples(i, j)):
             return (self.k1 if self.k1.couples(i, j) else self.k2).block(i, j, Xi, Xj)
         K = self.k1.block(i, j, Xi, Xj)
         K += self.k2.block(i, j, Xi, Xj)
         return K
 
-    def block_gradient(self, i, j, Xi, Xj, W):
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         return np.concatenate([k.block_gradient(i, j, Xi, Xj, W) for k in (self.k1, self.k2)])
 
-    def block_derivative(self, i, j, Xi, Xj):
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
 
-    def block_diag(self, i, Xi):
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)
 
-    def derivative_diag(self, i, Xi):
+    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0):
+    def initialize(
+        self,
+        X: Matrix,
+        Y: Matrix,
+        random_state: Seed,
+        singles: Sequence | None = None,
+        coarse: Any = None,
+        width_factor: float = 1.0,
+    ) -> MultiOutputKernel:
         def options(name):
             hints = singles and [getattr(s, name) for s in singles], coarse and getattr(coarse, name)
             return dict(zip(("singles", "coarse"), hints, strict=True), width_factor=width_factor)
@@ -389,52 +406,52 @@ class Sum(_SklearnSum, MultiOutputKernel):
         first = self.k1.initialize(X, Y, random_state, **options("k1"))
         return Sum(first, self.k2.initialize(X, first.residual(X, Y), random_state, **options("k2")))
 
-    def prepared(self, X):
+    def prepared(self, X: Matrix) -> MultiOutputKernel:
         return Sum(self.k1.prepared(X), self.k2.prepared(X))
 
-    def log_prior(self, eval_gradient=False):
+    def log_prior(self, eval_gradient: bool = False) -> Any:
         first, second = (k.log_prior(eval_gradient) for k in (self.k1, self.k2))
         return (first[0] + second[0], np.concatenate([first[1], second[1]])) if eval_gradient else first + second
 
-    def coarse(self):
+    def coarse(self) -> MultiOutputKernel:
         return Sum(self.k1.coarse(), self.k2.coarse())
 
-    def has_values(self):
+    def has_values(self) -> bool:
         return self.k1.has_values() and self.k2.has_values()
 
-    def paths(self, X, coefficients):
+    def paths(self, X: Matrix, coefficients: Any) -> Any:
         return self.k1.paths(X, coefficients) + self.k2.paths(X, coefficients)
 
-    def stationary_part(self):
+    def stationary_part(self) -> Any:
         parts = [part for part in (self.k1.stationary_part(), self.k2.stationary_part()) if part is not None]
         return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None
 
-    def diag_gradient(self, i, Xi, w):
+    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
         return np.concatenate([self.k1.diag_gradient(i, Xi, w), self.k2.diag_gradient(i, Xi, w)])
 
-    def features(self, Z):
+    def features(self, Z: Matrix) -> Any:
         return SumFeatures(self.k1.features(Z), self.k2.features(Z))
 
-    def feature_ranking(self, X, scale, random_state):
+    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable:
         rankings = [k.feature_ranking(X, scale, random_state) for k in (self.k1, self.k2)]
         return lambda n: SumFeatures(*(ranking(n) for ranking in rankings))
 
-    def prior_paths(self, *args):
+    def prior_paths(self, *args: Any) -> PathBundle:
         return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
 
-    def peaks(self, i, j):
+    def peaks(self, i: int, j: int) -> Matrix:
         return np.concatenate([self.k1.peaks(i, j), self.k2.peaks(i, j)])
 
-    def single_output(self):
+    def single_output(self) -> MultiOutputKernel:
         return Sum(self.k1.single_output(), self.k2.single_output())
 
-    def residual(self, X, Y):
+    def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         return self.k2.residual(X, self.k1.residual(X, Y))
 
-    def diag(self, X):
+    def diag(self, X: Matrix) -> Vector:
         return self.k1.diag(X) + self.k2.diag(X)
 
-    def free_parameters(self):
+    def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]
 
     def __repr__(self):
@@ -468,7 +485,7 @@ def _pairs(f: FreeParameter) -> np.ndarray:
     return pairs
 
 
-def as_shape(name: str, value, shape) -> np.ndarray:
+def as_shape(name: str, value: Any, shape) -> np.ndarray:
     """Return a parameter broadcast to its shape, or raise a ValueError with the expected shape."""
     value = np.asarray(value, dtype=float)
     try:
@@ -484,7 +501,7 @@ def or_default(given, default):
     return default if given is None else given
 
 
-def renumber(index, free):
+def renumber(index: Indices, free):
     """Return the index with the free entries renumbered 0, 1, 2, ... and -1 for the other entries."""
     numbers = np.full(index.shape, -1)
     free = np.broadcast_to(free, index.shape)

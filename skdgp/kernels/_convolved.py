@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale, constant_columns
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
-from skdgp.kernels._paths import ValuePaths, convolved_paths
+from skdgp.kernels._paths import PathBundle, ValuePaths, convolved_paths
 from skdgp.kernels._start import log_normal, resolve_prior, starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
@@ -85,21 +88,21 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def __init__(
         self,
-        n_latent=1,
+        n_latent: Any = 1,
         *,
-        private_latents=True,
-        covariance_type="diag",
-        feeds=None,
-        amplitude=None,
-        length_scale=None,
-        shear=0.0,
-        shift=0.0,
-        amplitude_bounds=None,
-        length_scale_bounds=None,
-        shear_bounds=None,
-        shift_bounds="fixed",
-        length_scale_prior=None,
-    ):
+        private_latents: bool = True,
+        covariance_type: str = "diag",
+        feeds: Any = None,
+        amplitude: Any = None,
+        length_scale: Any = None,
+        shear: Any = 0.0,
+        shift: Any = 0.0,
+        amplitude_bounds: Any = None,
+        length_scale_bounds: Any = None,
+        shear_bounds: Any = None,
+        shift_bounds: Any = "fixed",
+        length_scale_prior: Any = None,
+    ) -> None:
         self.n_latent = n_latent
         self.private_latents = private_latents
         self.covariance_type = covariance_type
@@ -154,19 +157,27 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self._arrays()[name]
 
     @property
-    def n_outputs(self):
+    def n_outputs(self) -> int:
         """Number of outputs P."""
         return self._value("amplitude").shape[1]
 
     @property
-    def n_features(self):
+    def n_features(self) -> int:
         """Number of regressors d."""
         return self._value("length_scale").shape[2]
 
-    def has_values(self):
+    def has_values(self) -> bool:
         return self.amplitude is not None and self.length_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0):
+    def initialize(
+        self,
+        X: Matrix,
+        Y: Matrix,
+        random_state: Seed,
+        singles: Sequence | None = None,
+        coarse: Any = None,
+        width_factor: float = 1.0,
+    ) -> MultiOutputKernel:
         params = self.prepared(X).get_params()
         feeds = self._feed_matrix(Y.shape[1])
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
@@ -206,10 +217,10 @@ class ConvolvedGaussian(MultiOutputKernel):
             "length_scale": np.where(private, widths, np.exp(weight @ np.log(widths))[:, None, :]),
         }
 
-    def prepared(self, X):
+    def prepared(self, X: Matrix) -> MultiOutputKernel:
         return clone(self).set_params(length_scale_prior=resolve_prior(self.length_scale_prior, X))
 
-    def log_prior(self, eval_gradient=False):
+    def log_prior(self, eval_gradient: bool = False) -> Any:
         (widths,) = (f for f in self.free_parameters() if f.name == "length_scale")
         if self.length_scale_prior is None or widths.fixed:
             return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
@@ -218,7 +229,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         by_entry = {name: np.zeros_like(self._value(name)) for name in PARAMETERS} | {"length_scale": slope}
         return (value, self.theta_gradient(by_entry)) if eval_gradient else value
 
-    def coarse(self):
+    def coarse(self) -> MultiOutputKernel:
         if self.covariance_type in ("diag", "full") and self.length_scale is None and self.length_scale_bounds is None:
             return ConvolvedGaussian(
                 self.n_latent,
@@ -231,22 +242,22 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         return self
 
-    def single_output(self):
+    def single_output(self) -> MultiOutputKernel:
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
         return ConvolvedGaussian(0, covariance_type=kind, length_scale_prior=self.length_scale_prior)
 
-    def stationary_part(self):
+    def stationary_part(self) -> Any:
         return self
 
-    def paths(self, X, coefficients):
+    def paths(self, X: Matrix, coefficients: Any) -> Any:
         return ValuePaths(self, X, coefficients)
 
-    def diag_gradient(self, i, Xi, w):
+    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
         zeros = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
         zeros["amplitude"][:, i] = 2 * np.sum(w) * self._value("amplitude")[:, i]
         return self.theta_gradient(zeros)
 
-    def features(self, Z):
+    def features(self, Z: Matrix) -> Any:
         w, A = self._value("amplitude"), self.A
         lengths = np.sqrt(2.0 / (np.einsum("mpkk->mpk", A) if A.ndim == 4 else A))
         weight = np.maximum(w**2, 1e-12) * self._value("feeds")
@@ -254,20 +265,20 @@ class ConvolvedGaussian(MultiOutputKernel):
         width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
         return LatentFeatures(self, range(len(w)), [Z] * len(w), width)
 
-    def feature_ranking(self, X, scale, random_state):
+    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable:
         return rank_parts(self, X, scale, random_state)
 
-    def prior_paths(self, n_paths, n_frequencies, random_state):
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         return convolved_paths(self, n_paths, n_frequencies, random_state)
 
-    def peaks(self, i, j):
+    def peaks(self, i: int, j: int) -> Matrix:
         # Terms of opposite sign may cancel at their centres: add points one to three widths away along each axis.
         _, _, _, F, shift = self._pair(i, j)
         widths = 1.0 / (F if F.ndim == 2 else np.einsum("mkk->mk", F))
         steps = np.concatenate([t * np.eye(self.n_features) for t in (-3, -2, -1, 1, 2, 3)])
         return np.concatenate([shift, *(mu + steps * width for mu in shift for width in widths)])
 
-    def free_parameters(self):
+    def free_parameters(self) -> list[FreeParameter]:
         feeds = self._value("feeds").astype(bool)
         M, P, d = self._value("shift").shape
         pairs = self._value("shear").shape[-1]
@@ -301,19 +312,19 @@ class ConvolvedGaussian(MultiOutputKernel):
     # -- parameters of the paper -----------------------------------------------------------------------
 
     @property
-    def A(self):
+    def A(self) -> Array:
         """Filter precisions, (M, P, d) or (M, P, d, d)."""
         if self.covariance_type != "full":
             return 2.0 / self._value("length_scale") ** 2
         return precision(self._roots())
 
     @property
-    def mu(self):
+    def mu(self) -> Array:
         """Filter shifts, (M, P, d)."""
         return self._value("shift")
 
     @property
-    def v(self):
+    def v(self) -> Matrix:
         """Filter gains, (M, P): ``v = w |A|^(1/4) / pi^(d/4)``."""
         lengths = self._value("length_scale")
         logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
@@ -342,7 +353,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             cache[i, j] = latents, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
         return cache[i, j]
 
-    def couples(self, i, j):
+    def couples(self, i: int, j: int) -> bool:
         return len(self._pair(i, j)[0]) > 0
 
     def _exponents(self, i, j, Xi, Xj, shifts=None):
@@ -357,7 +368,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             exponents.append(Exponent.between(*pair, 0.0 if shifts is None else shifts[k]))
         return exponents
 
-    def block(self, i, j, Xi, Xj):
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         gains = self._pair(i, j)[1]
         nonzero = gains != 0.0
         with np.errstate(divide="ignore"):
@@ -365,14 +376,14 @@ class ConvolvedGaussian(MultiOutputKernel):
         exponents = [exponent for exponent, keep in zip(exponents, nonzero, strict=True) if keep]
         return signed_sum(exponents, np.sign(gains[nonzero]), (len(Xi), len(Xj)))
 
-    def terms(self, i, j, Xi, Xj):
+    def terms(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return the term of each common latent in the covariance, side by side, (n_i, n_j times their number)."""
         gains, shape = self._pair(i, j)[1], (len(Xi), len(Xj))
         exponents = self._exponents(i, j, Xi, Xj)
         terms = [gain * e.exponential(slice(None), np.empty(shape)) for gain, e in zip(gains, exponents, strict=True)]
         return np.hstack(terms) if terms else np.empty((len(Xi), 0))
 
-    def block_diag(self, i, Xi):
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return np.full(len(Xi), (self._value("amplitude")[:, i] ** 2).sum())
 
     def _precision(self, i, j, k):
@@ -380,7 +391,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         F = self._pair(i, j)[3][k]
         return F @ F.T if F.ndim == 2 else np.diag(F**2)
 
-    def block_derivative(self, i, j, Xi, Xj):
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
         _, gains, _, _, shift = self._pair(i, j)
         middle = _middle(Xj)
@@ -392,17 +403,17 @@ class ConvolvedGaussian(MultiOutputKernel):
             D -= E * (((Xi - middle - shift[k]) @ S).T[:, :, None] - ((Xj - middle) @ S).T[:, None, :])
         return D
 
-    def derivative_diag(self, i, Xi):
+    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         gains = self._pair(i, i)[1]
         variance = sum(gains[k] * np.diag(self._precision(i, i, k)) for k in range(len(gains)))
         return np.broadcast_to(variance, np.shape(Xi))
 
-    def block_gradient(self, i, j, Xi, Xj, W):
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if not self.couples(i, j):
             return np.zeros(self.n_dims)
         return self.theta_gradient(self.entry_gradients(i, j, Xi, Xj, W))
 
-    def entry_gradients(self, i, j, Xi, Xj, W, inputs=False):
+    def entry_gradients(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix, inputs: bool = False) -> Any:
         """Return sum(W * dK_ij) by each entry of the parameter arrays (by the logarithms of length scales).
 
         With ``inputs`` also return the derivatives by the rows of Xj, (n_j, d).
@@ -447,7 +458,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         np.add.at(gradients["shift"], (latents, j), -slope)
         return gradients
 
-    def is_stationary(self):
+    def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
 
@@ -463,7 +474,7 @@ def _middle(X):
     return np.mean(X, axis=0) if len(X) else 0.0
 
 
-def feed_matrix(feeds, n_latent, private_latents, P) -> np.ndarray:
+def feed_matrix(feeds: Any, n_latent: Any, private_latents: bool, P) -> np.ndarray:
     """Return the matrix (M, P) that is one where a latent contributes to an output."""
     if feeds is None:
         feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P)[: P * bool(private_latents)]])
@@ -482,7 +493,7 @@ def feed_matrix(feeds, n_latent, private_latents, P) -> np.ndarray:
     return feeds
 
 
-def check_equal_scales(covariance_type, lengths, feeds) -> None:
+def check_equal_scales(covariance_type: str, lengths, feeds: Any) -> None:
     """Raise a ValueError if length scales (M, P, d) differ that must be equal for the covariance type."""
     axis = TIED_AXIS.get(covariance_type)
     if axis is None:
@@ -496,7 +507,7 @@ def check_equal_scales(covariance_type, lengths, feeds) -> None:
         )
 
 
-def common_scale(scales, X) -> np.ndarray:
+def common_scale(scales, X: Matrix) -> np.ndarray:
     """Return the geometric mean of scales (M, P, d, ...) over the regressors that vary in X, for all regressors.
 
     Raises

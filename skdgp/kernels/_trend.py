@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import joblib
 import numpy as np
 from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._features import TrendFeatures
-from skdgp.kernels._paths import TrendPaths
+from skdgp.kernels._paths import PathBundle, TrendPaths
 
 STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
 
 
-def check_transformer(transformer) -> None:
+def check_transformer(transformer: Any) -> None:
     """Raise a TypeError unless the object is an instance of a scikit-learn transformer."""
     methods = all(callable(getattr(transformer, name, None)) for name in ("fit", "transform", "get_params"))
     if isinstance(transformer, type) or not methods:
@@ -39,13 +42,13 @@ class FittedBasis:
         Number of columns K of its output.
     """
 
-    def __init__(self, transformer, step, n_columns):
+    def __init__(self, transformer: Any, step, n_columns) -> None:
         self.transformer = transformer
         self.step = step
         self.n_columns = n_columns
 
     @classmethod
-    def from_transformer(cls, transformer, X) -> FittedBasis:
+    def from_transformer(cls, transformer: Any, X: Matrix) -> FittedBasis:
         """Return a clone of the transformer fitted to X (n, d)."""
         check_transformer(transformer)
         fitted = clone(transformer).fit(X)
@@ -68,13 +71,13 @@ class FittedBasis:
         """Number of regressors d."""
         return len(self.step)
 
-    def columns(self, X) -> np.ndarray:
+    def columns(self, X: Matrix) -> np.ndarray:
         """Return phi(X), (n, K)."""
         if len(X) == 0:
             return np.empty((0, self.n_columns))
         return as_columns(self.transformer.transform(X), len(X), self.transformer)
 
-    def slopes(self, X) -> np.ndarray:
+    def slopes(self, X: Matrix) -> np.ndarray:
         """Return d phi / dX, (d, n, K), by central differences, which are exact for polynomials up to degree four."""
         X = np.asarray(X, dtype=float)
         unit = np.diag(self.step)[:, None, :]
@@ -83,7 +86,7 @@ class FittedBasis:
         return np.tensordot([1.0, -8.0, 8.0, -1.0], phi, axes=1) / (12 * self.step[:, None, None])
 
 
-def as_columns(phi, n: int, transformer) -> np.ndarray:
+def as_columns(phi, n: int, transformer: Any) -> np.ndarray:
     """Return the output of a transformer as a finite (n, K) array."""
     phi = np.asarray(phi.toarray() if hasattr(phi, "toarray") else phi, dtype=float)
     if phi.ndim != 2 or len(phi) != n or phi.shape[1] == 0 or not np.isfinite(phi).all():
@@ -102,20 +105,20 @@ class Trend(MultiOutputKernel):
     """
 
     @abstractmethod
-    def columns(self, X) -> np.ndarray:
+    def columns(self, X: Matrix) -> np.ndarray:
         """Return phi(X), (n, K)."""
 
     @abstractmethod
-    def column_slopes(self, X) -> np.ndarray:
+    def column_slopes(self, X: Matrix) -> np.ndarray:
         """Return d phi / dX, (d, n, K), or (d, 1, K) if it is constant."""
 
     @property
-    def n_outputs(self):
+    def n_outputs(self) -> int:
         """Number of outputs P."""
         return self._value("slope_scale").shape[0]
 
     @property
-    def n_weights(self):
+    def n_weights(self) -> int:
         """Number of weights of each output, K + 1."""
         return self._value("slope_scale").shape[1] + 1
 
@@ -130,10 +133,18 @@ class Trend(MultiOutputKernel):
         slope = np.atleast_2d(np.asarray(self.slope_scale, dtype=float))
         return slope if name == "slope_scale" else as_shape(name, np.ravel(self.intercept_scale), (len(slope),))
 
-    def has_values(self):
+    def has_values(self) -> bool:
         return self.intercept_scale is not None and self.slope_scale is not None
 
-    def initialize(self, X, Y, random_state, singles=None, coarse=None, width_factor=1.0):
+    def initialize(
+        self,
+        X: Matrix,
+        Y: Matrix,
+        random_state: Seed,
+        singles: Sequence | None = None,
+        coarse: Any = None,
+        width_factor: float = 1.0,
+    ) -> MultiOutputKernel:
         ready = self.prepared(X)
         phi = ready.columns(X)
         P, K = Y.shape[1], phi.shape[1]
@@ -158,34 +169,34 @@ class Trend(MultiOutputKernel):
             params[name] = as_shape(name, params[name], shape)
         return clone(ready).set_params(**params)
 
-    def basis(self, i, X):
+    def basis(self, i: int, X: Matrix) -> Matrix:
         """Return the basis (n, K + 1) that maps the standardised weights of output i to its trend at X."""
         return np.column_stack([np.full(len(X), self._scales(i)[0]), self._scaled_columns(i, X)])
 
-    def basis_derivative(self, i, X):
+    def basis_derivative(self, i: int, X: Matrix) -> Array:
         """Return dbasis / dX, (d, n, K + 1)."""
         slopes = self._scaled_slopes(i, X)
         padded = np.concatenate([np.zeros((*slopes.shape[:2], 1)), slopes], axis=2)
         return np.broadcast_to(padded, (len(slopes), len(X), self.n_weights))
 
-    def basis_gradient(self, i, X, W):
+    def basis_gradient(self, i: int, X: Matrix, W: Matrix) -> Vector:
         """Return sum(W * dbasis / dtheta), (n_theta,)."""
         by_column = (W * self.basis(i, X)).sum(axis=0)
         return self._by_entry(i, by_column[0], by_column[1:])
 
-    def diag_gradient(self, i, Xi, w):
+    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
         return self._by_entry(i, 2 * w.sum() * self._scales(i)[0] ** 2, 2 * w @ self._scaled_columns(i, Xi) ** 2)
 
-    def features(self, Z):
+    def features(self, Z: Matrix) -> Any:
         return TrendFeatures(self)
 
-    def feature_ranking(self, X, scale, random_state):
+    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable:
         return lambda n: TrendFeatures(self)
 
-    def prior_paths(self, n_paths, n_frequencies, random_state):
+    def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         return TrendFeatures(self).prior_paths(n_paths, n_frequencies, random_state)[0]
 
-    def paths(self, X, coefficients):
+    def paths(self, X: Matrix, coefficients: Any) -> Any:
         weights = [c @ self.basis(i, x) for i, (x, c) in enumerate(zip(X, coefficients, strict=True))]
         return TrendPaths(self, np.stack(weights, axis=1))
 
@@ -194,16 +205,16 @@ class Trend(MultiOutputKernel):
         intercept[i], slope[i] = by_intercept, by_slope
         return self.theta_gradient({"intercept_scale": intercept, "slope_scale": slope})
 
-    def peaks(self, i, j):
+    def peaks(self, i: int, j: int) -> Matrix:
         return np.zeros((0, self.n_features))
 
-    def coarse(self):
+    def coarse(self) -> MultiOutputKernel:
         return self
 
-    def stationary_part(self):
+    def stationary_part(self) -> Any:
         return None
 
-    def residual(self, X, Y):
+    def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         phi = self.columns(X)
         basis = np.column_stack([np.ones(len(X)), (phi - phi.mean(axis=0)) / column_scale(phi)])
         residual = np.array(Y, dtype=float)
@@ -222,33 +233,33 @@ class Trend(MultiOutputKernel):
     def _scaled_slopes(self, i, X):
         return self.column_slopes(X) * self._scales(i)[1]
 
-    def couples(self, i, j):
+    def couples(self, i: int, j: int) -> bool:
         return i == j
 
-    def block(self, i, j, Xi, Xj):
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         if i != j:
             return np.zeros((len(Xi), len(Xj)))
         return self._scaled_columns(i, Xi) @ self._scaled_columns(i, Xj).T + self._scales(i)[0] ** 2
 
-    def block_diag(self, i, Xi):
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return (self._scaled_columns(i, Xi) ** 2).sum(axis=1) + self._scales(i)[0] ** 2
 
-    def block_derivative(self, i, j, Xi, Xj):
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         shape = (np.shape(Xi)[1], len(Xi), len(Xj))
         if i != j:
             return np.zeros(shape)
         return np.broadcast_to(self._scaled_slopes(i, Xi) @ self._scaled_columns(i, Xj).T, shape)
 
-    def derivative_diag(self, i, Xi):
+    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         return np.broadcast_to((self._scaled_slopes(i, Xi) ** 2).sum(axis=2).T, np.shape(Xi))
 
-    def block_gradient(self, i, j, Xi, Xj, W):
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if i != j:
             return np.zeros(self.n_dims)
         by_slope = np.einsum("ak,ak->k", self._scaled_columns(i, Xi), W @ self._scaled_columns(i, Xj))
         return self._by_entry(i, 2 * W.sum() * self._scales(i)[0] ** 2, 2 * by_slope)
 
-    def free_parameters(self):
+    def free_parameters(self) -> list[FreeParameter]:
         P, K = self.n_outputs, self.n_weights - 1
         intercept, slope = np.arange(P), np.arange(P * K).reshape(P, K)
         return [
@@ -288,13 +299,13 @@ class LinearTrend(Trend):
 
     def __init__(
         self,
-        intercept_scale=None,
-        slope_scale=None,
-        center=None,
+        intercept_scale: Any = None,
+        slope_scale: Any = None,
+        center: Any = None,
         *,
-        intercept_scale_bounds=None,
-        slope_scale_bounds=None,
-    ):
+        intercept_scale_bounds: Any = None,
+        slope_scale_bounds: Any = None,
+    ) -> None:
         self.intercept_scale = intercept_scale
         self.slope_scale = slope_scale
         self.center = center
@@ -302,17 +313,17 @@ class LinearTrend(Trend):
         self.slope_scale_bounds = slope_scale_bounds
 
     @property
-    def n_features(self):
+    def n_features(self) -> int:
         """Number of regressors d."""
         return self.n_weights - 1
 
-    def columns(self, X):
+    def columns(self, X: Matrix) -> Matrix:
         return np.asarray(X, dtype=float)
 
-    def column_slopes(self, X):
+    def column_slopes(self, X: Matrix) -> Array:
         return np.eye(self.n_features)[:, None, :]
 
-    def single_output(self):
+    def single_output(self) -> MultiOutputKernel:
         return LinearTrend()
 
 
@@ -362,14 +373,14 @@ class BasisTrend(Trend):
 
     def __init__(
         self,
-        transformer,
-        intercept_scale=None,
-        slope_scale=None,
-        center=None,
+        transformer: Any,
+        intercept_scale: Any = None,
+        slope_scale: Any = None,
+        center: Any = None,
         *,
-        intercept_scale_bounds=None,
-        slope_scale_bounds=None,
-    ):
+        intercept_scale_bounds: Any = None,
+        slope_scale_bounds: Any = None,
+    ) -> None:
         self.transformer = transformer
         self.intercept_scale = intercept_scale
         self.slope_scale = slope_scale
@@ -378,7 +389,7 @@ class BasisTrend(Trend):
         self.slope_scale_bounds = slope_scale_bounds
 
     @property
-    def n_features(self):
+    def n_features(self) -> int:
         """Number of regressors d."""
         return self._basis().n_features
 
@@ -391,16 +402,16 @@ class BasisTrend(Trend):
             "DependentGPRegressor.fit do it."
         )
 
-    def columns(self, X):
+    def columns(self, X: Matrix) -> Matrix:
         return self._basis().columns(X)
 
-    def column_slopes(self, X):
+    def column_slopes(self, X: Matrix) -> Array:
         return self._basis().slopes(X)
 
-    def prepared(self, X):
+    def prepared(self, X: Matrix) -> MultiOutputKernel:
         if isinstance(self.transformer, FittedBasis):
             return self
         return clone(self).set_params(transformer=FittedBasis.from_transformer(self.transformer, X))
 
-    def single_output(self):
+    def single_output(self) -> MultiOutputKernel:
         return BasisTrend(self.transformer)

@@ -109,7 +109,7 @@ class Aerodynamics:
         span: float | None = None,
         chord: float | None = None,
         mixing: Mixing | None = None,
-    ):
+    ) -> None:
         if isinstance(regressors, str) or len(set(regressors)) != len(regressors):
             raise ValueError(f"Got regressors={regressors!r}, but expected a list of names, each once.")
         self.function, self.regressors = function, tuple(str(name) for name in regressors)

@@ -74,7 +74,7 @@ class Simulator:
         thrust: Thrust = "auto",
         density: float | Callable | None = None,
         gravity: float = STANDARD_GRAVITY,
-    ):
+    ) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
         self.motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)

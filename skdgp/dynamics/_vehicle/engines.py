@@ -309,7 +309,7 @@ class ThrustTable:
         *,
         density: float | None = None,
         follows_density: bool = True,
-    ):
+    ) -> None:
         self.throttle, self.airspeed, self.thrust = (np.asarray(x, dtype=float) for x in (throttle, airspeed, thrust))
         for name, grid in (("throttle", self.throttle), ("airspeed", self.airspeed)):
             if grid.ndim != 1 or not len(grid) or not np.isfinite(grid).all() or not (np.diff(grid) > 0).all():

@@ -1,0 +1,47 @@
+"""Public functions say what they take and return: mypy checks the rest."""
+
+import importlib
+import inspect
+import pkgutil
+from pathlib import Path
+
+import pytest
+
+import skdgp
+
+ROOMS = ["skdgp"] + [
+    f"skdgp.{room.name}" for room in pkgutil.iter_modules(skdgp.__path__) if not room.name.startswith("_")
+]
+
+
+def public_functions(room):
+    """Return the functions of a room, and the methods of its classes, by name."""
+    found = {}
+    for name in room.__all__:
+        thing = getattr(room, name)
+        if inspect.isfunction(thing):
+            found[name] = thing
+        elif inspect.isclass(thing) and thing.__module__.startswith("skdgp."):
+            for method, value in vars(thing).items():
+                function = getattr(value, "__func__", value)
+                written_here = inspect.isfunction(function) and function.__module__.startswith("skdgp.")
+                if written_here and (method == "__init__" or not method.startswith("_")):
+                    found[f"{name}.{method}"] = function
+    return found
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_every_public_function_is_annotated(name):
+    functions = public_functions(importlib.import_module(name))
+    assert functions
+    bare = []
+    for called, function in functions.items():
+        signature = inspect.signature(function)
+        parameters = [one for one in signature.parameters.values() if one.name not in ("self", "cls")]
+        if any(one.annotation is one.empty for one in parameters) or signature.return_annotation is signature.empty:
+            bare.append(called)
+    assert bare == []
+
+
+def test_the_package_says_that_it_is_typed():
+    assert (Path(skdgp.__file__).parent / "py.typed").exists()

@@ -214,7 +214,8 @@ def fit_sparse(
 def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, more=None) -> Fit:
     """Return the fit; with noisy regressors, part of each output's noise becomes noise of the regressors.
 
-    ``inflation`` (P,) multiplies noise variances, unless the noise has a drift.
+    ``inflation`` (P,) multiplies variances of noise that has no drift. Errors of the regressors are correlated in time,
+    too, but have no drift of their own: their part is always inflated.
     """
     if hyperparameters.root is None and hyperparameters.drift is None:
         return hyperparameters.fit(posterior, value, more)

@@ -14,9 +14,8 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import GridSearchCV
 from threadpoolctl import threadpool_limits
 
-from skdgp import DependentGPRegressor
+from skdgp import DependentGPRegressor, listening
 from skdgp._compute.parallel import fit_map, share_map, sharing
-from skdgp._compute.progress import listening
 
 distributed = pytest.importorskip("distributed", reason='dask.distributed is not installed: pip install "skdgp[dask]"')
 

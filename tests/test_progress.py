@@ -2,7 +2,8 @@
 
 import pytest
 
-from skdgp._compute.progress import listening, notify
+from skdgp import listening
+from skdgp._compute.progress import notify
 from skdgp._compute.threads import thread_map
 
 

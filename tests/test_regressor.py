@@ -16,8 +16,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.estimator_checks import check_estimator
 
 import skdgp
-from skdgp import DependentGPRegressor
-from skdgp._compute.progress import listening
+from skdgp import DependentGPRegressor, listening
 from skdgp.inference import Data, ExactPosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

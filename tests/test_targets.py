@@ -11,8 +11,9 @@ from skdgp import DependentGPRegressor
 from skdgp._compute.tables import column_names
 from skdgp._regressor import check_targets
 from skdgp.calibration import CalibratedRegressor
+from skdgp.dynamics import STATE_NAMES
 from skdgp.dynamics._replay.replay import _coefficient_array
-from skdgp.dynamics._simulation.inputs import STATE_NAMES, as_starts
+from skdgp.dynamics._simulation.inputs import as_starts
 from skdgp.metrics import coverage_curve, score_outputs
 from skdgp.model_selection import flight_learning_curve, thin_targets
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector

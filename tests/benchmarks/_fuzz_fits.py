@@ -27,8 +27,7 @@ from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
 from skdgp._compute.linalg import JitterWarning
-from skdgp.inference import Data
-from skdgp.inference._exact import ExactPosterior
+from skdgp.inference import Data, ExactPosterior
 from skdgp.inference._sums import data_from_shares
 
 DOCUMENTED = (

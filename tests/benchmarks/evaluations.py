@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 from _common import finish, parser_of
 
-from skdgp._compute.progress import listening
+from skdgp import listening
 from skdgp.inference import Data, ExactPosterior, fit_exact, log_likelihood, maximize
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

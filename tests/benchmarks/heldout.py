@@ -24,8 +24,7 @@ from _common import finish, parser_of, use_torch_threads
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._compute.progress import listening
+from skdgp import DependentGPRegressor, listening, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import read_flight
 from skdgp.metrics import normalized_rmse

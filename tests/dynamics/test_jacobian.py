@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp._flight.frames import quaternion_rate
-from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body
+from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body, quaternion_rate
 from skdgp.dynamics._control.linearize import ERRORS, OUTPUTS, jacobian
 from skdgp.dynamics._equations.motion import Air, Motion
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute.progress import listening
+from skdgp import listening
 from skdgp.inference import Data, _fit, fit_exact, fit_sparse, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

@@ -5,7 +5,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from skdgp._compute.progress import listening
+from skdgp import listening
 from skdgp.inference import maximize
 
 BOUNDS = np.array([[-5.0, 5.0], [-5.0, 5.0]])

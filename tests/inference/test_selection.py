@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from sklearn.exceptions import ConvergenceWarning
 
-from skdgp import DependentGPRegressor
-from skdgp._compute.progress import listening
+from skdgp import DependentGPRegressor, listening
 from skdgp.inference import Data, _fit, choose_kernel, fit_exact, held_out_errors, log_likelihood
 from skdgp.kernels import ConvolvedGaussian
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from skdgp._flight.frames import euler_to_quaternion, quaternion_to_euler, without_sign_changes
+from skdgp._flight.frames import without_sign_changes
+from skdgp.dynamics import euler_to_quaternion, quaternion_to_euler
+from skdgp.io import Topic
 from skdgp.io._autopilot.clock import clock_parts, resample, sampling_rate, uniform_clock
-from skdgp.io._autopilot.formats import Topic
 
 
 def topic(time, order=None):

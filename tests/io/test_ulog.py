@@ -5,8 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from skdgp.io import FlightReadError
-from skdgp.io._autopilot.formats import Log
+from skdgp.io import FlightReadError, Log
 from skdgp.io._autopilot.ulog import HEADER_SIZE, SYNC, read_ulog
 
 HEADER = b"ULog\x01\x12\x35\x01" + bytes(8)

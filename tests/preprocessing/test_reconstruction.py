@@ -7,9 +7,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
-from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.frames import air_data
-from skdgp.preprocessing import FlightPathReconstruction, FlightSmoother
+from skdgp.dynamics import air_data
+from skdgp.preprocessing import FlightDataWarning, FlightPathReconstruction, FlightSmoother
 from skdgp.preprocessing._path_equations import (
     CONSTANTS,
     NEEDED,

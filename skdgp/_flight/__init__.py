@@ -1,1 +1,1 @@
-"""Flight data as such: channels and their units, the clock, checks, faults, smoothing, frames, the atmosphere."""
+"""Flight data: channels and their units, the clock, checks, faults, smoothing, frames, the atmosphere."""

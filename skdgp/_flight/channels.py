@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Channel(NamedTuple):
-    """One column of a flight table: its SI unit and what it means."""
+    """One column of a flight table: its SI unit and its meaning."""
 
     unit: str
     meaning: str

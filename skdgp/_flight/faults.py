@@ -1,9 +1,9 @@
-"""Faults of a flight log: found, named, and removed.
+"""Detection and removal of faults in a flight log.
 
-A sensor with noise hardly ever repeats a value: where a share p of all runs of equal values is longer than usual, one
-of k times the usual length has a chance of p^(k-1). The usual length is that of the channel, so a sensor that is slower
-than the table is not stuck. Where a channel has no noise, or moves quantum by quantum, runs say little: it is stuck
-only if it then leaps.
+A sensor with noise hardly ever repeats a value. If a share p of all runs of equal values is longer than the usual
+length, a run of k times this length has the probability p^(k-1). The usual length is that of the channel, so a sensor
+that is slower than the table is not stuck. A coarsely quantised or noise-free channel has long runs without a fault: it
+is stuck only if it jumps after the run.
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ def _times(rows: np.ndarray) -> str:
 
 
 class Runs(NamedTuple):
-    """Runs of equal values: where they begin, how long they are (rows), and in usual lengths."""
+    """Runs of equal values: first row, length in rows, and length over the usual length."""
 
     start: np.ndarray
     length: np.ndarray

@@ -1,8 +1,8 @@
 """Frames: attitude (Euler angles, quaternions, rotation matrices) and air data, vectorised over leading axes.
 
 Body axes: x forward, y right, z down. Earth axes: north, east, down (NED), flat and not rotating.
-Quaternions are scalar first and turn body vectors into NED vectors; ``q`` and ``-q`` are the same attitude.
-A quaternion need not have unit length anywhere here: its length is divided out.
+Quaternions are scalar first and rotate body vectors into NED axes; ``q`` and ``-q`` are the same attitude.
+A quaternion need not have unit length: all functions divide by its length.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def differentiate(
 
 
 class NoiseLevel(NamedTuple):
-    """Standard deviations of each channel's error: its white noise as measured, and what is left after ``smooth``."""
+    """Standard deviations of the error of each channel: its measured white noise, and the error after ``smooth``."""
 
     measured: np.ndarray
     smoothed: np.ndarray

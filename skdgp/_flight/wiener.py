@@ -1,7 +1,7 @@
-"""Spectra of noisy channels, and the Wiener smoothers that follow from them.
+"""Spectra of noisy channels, and their Wiener smoothers.
 
 With P(f) the measured (cross-)power of k channels and N the white noise of their sensors, the linear smoother of
-least mean squared error is, for each channel alone and for all together,
+least mean squared error is, for one channel and for all jointly,
 
     h_i(f) = max(0, 1 - N_i / P_ii(f)),        H(f) = (P - N) P^-1
 

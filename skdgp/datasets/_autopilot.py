@@ -1,4 +1,4 @@
-"""The controls of the example flights: an autopilot that flies orbits, manoeuvres on top, actuators that lag."""
+"""Controls of the example flights: autopilot, manoeuvres, actuator lags."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ CAPTURE_DISTANCE = 170.0
 
 
 class FlightControls:
-    """The controls of several flights as a function of step, stage and what is seen, as `fly_record` asks for them.
+    """Controls of several flights as a function of step, stage and measured values, for `fly_record`.
 
-    At the beginning of each step the autopilot's commands and the manoeuvres give targets. The actuators approach them
-    as exact first-order lags.
+    At the beginning of each step the commands of the autopilot and the manoeuvres are added to targets. The actuators
+    approach the targets as exact first-order lags.
     """
 
     def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
@@ -75,7 +75,7 @@ def _targets(command: Array) -> tuple[Array, Array]:
 
 
 class Autopilot:
-    """Proportional-integral loops around attitude, altitude and airspeed of several flights."""
+    """Proportional-integral loops for attitude, altitude and airspeed of several flights."""
 
     def __init__(self, step: float, n_flights: int):
         self.step = step

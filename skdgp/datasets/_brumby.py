@@ -1,7 +1,7 @@
 """A Brumby-like UAV: cropped delta, two elevons, fin and rudder, pusher propeller; 45 kg, about 36 m/s.
 
-The aerodynamics add up a few parts (wing, elevons, fin, body), each a force and the point where it acts, so the
-six coefficients share terms and depend on each other as those of a real aircraft do. The numbers are those of a
+The aerodynamics are the sum of a few parts (wing, elevons, fin, body), each a force with its point of application. So
+the six coefficients share terms and depend on each other as those of a real aircraft do. The numbers are those of a
 plausible delta of aspect ratio 3, not measurements of any aircraft.
 """
 

@@ -13,7 +13,7 @@ from skdgp._compute.typing import Array
 
 @dataclass(frozen=True)
 class FlightPlan:
-    """One flight: where to go, in which air, and what to add to the controls."""
+    """Plan of one flight: path, wind, and manoeuvres added to the controls."""
 
     name: str
     orbits: tuple[tuple[float, float, float, float], ...]

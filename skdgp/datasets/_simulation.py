@@ -1,4 +1,4 @@
-"""Simulation of the example flights, several at once, by the loop of `skdgp.dynamics.simulate`."""
+"""Simulation of the example flights as one batch, by the loop of `skdgp.dynamics.simulate`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The aircraft half: the aircraft, its motion, and its aerodynamic coefficients.
+"""Flight dynamics: the aircraft, its equations of motion, and its aerodynamic coefficients.
 
 Body axes x forward, y right, z down; moments about the centre of gravity; SI units and radians.
-The seam to the learning half is a table: flights in, the six coefficients out, and back.
+The interface to a regressor is a flight table and a table of the six coefficients.
 """
 
 from skdgp._flight.atmosphere import Atmosphere, standard_atmosphere, standard_density

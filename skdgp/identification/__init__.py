@@ -1,4 +1,4 @@
-"""From flights to a judged model: the workflow, the pipeline that learns, and the file that keeps the model."""
+"""Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
 from skdgp.identification._evaluation import Evaluation
 from skdgp.identification._identify import Identification, identify, validate

@@ -1,4 +1,4 @@
-"""Flights by name: reading, holding out, and the rows that a model can learn from."""
+"""Flights by name: reading, holding out, and the rows that are usable for training."""
 
 from __future__ import annotations
 

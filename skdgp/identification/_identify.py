@@ -1,4 +1,4 @@
-"""The workflow from flights to a judged model, and its result."""
+"""The workflow from flights to an evaluated model, and its result."""
 
 from __future__ import annotations
 
@@ -328,7 +328,7 @@ def read_aircraft(aircraft: Aircraft | str | os.PathLike) -> Aircraft:
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """A model of an aircraft, its evaluation on test flights, and how it came about: what `identify` returns.
+    """Result of `identify`: a model of an aircraft, its evaluation on test flights, and the record of the fit.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Files of an identification: model with a checksum, metrics, several written together."""
+"""Files of an identification: model with a checksum, and metrics; all are written or none."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MATTERS = ("skdgp", "scikit-learn", "numpy")
 
 
 class ModelFileError(ValueError):
-    """A file could not be read as a model: what was got, what was expected, what to do."""
+    """A file could not be read as a model."""
 
 
 def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Path:

@@ -197,11 +197,11 @@ def regressor_and_scale(pipeline: Pipeline) -> tuple[DependentGPRegressor, Array
 
 
 class FlightPipeline(Pipeline):
-    """Pipeline from flight tables to coefficients, whose standard deviations are those of the flight's own air.
+    """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 
-    As scikit-learn's ``Pipeline``, but for ``predict(flight, return_std=True)``: regressors that were noisy in the fit
-    are noisy in the flight too, and more so in rougher air, see :func:`flight_regressors`. What calls ``predict``,
-    searches, scorers, displays, gets this band.
+    The same as scikit-learn's ``Pipeline``, except that ``predict(flight, return_std=True)`` includes the noise of the
+    regressors, which is larger in rougher air, see :func:`flight_regressors`. Searches, scorers and displays call
+    ``predict`` and so use these standard deviations.
 
     Examples
     --------

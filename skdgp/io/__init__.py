@@ -1,4 +1,4 @@
-"""Flight logs into one table in the words of the vocabulary: SI, radians, one clock.
+"""Reading of flight logs into one flight table: standard column names, SI units, radians, one clock.
 
 >>> from skdgp.io import read_flight, inspect_log, servo_template
 """

@@ -1,4 +1,4 @@
-"""FlightReadError, the one error of the readers; limits of columns and of unpacked size."""
+"""FlightReadError, the error of all readers; limits of the number of columns and of the unpacked size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inspection of a log: its content, and what each step lacks."""
+"""Inspection of a log: its content, and the missing columns of each step."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ WIDTH = 110
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """One topic: messages, rate [Hz] (NaN of messages that come when something happens), gaps, the longest [s]."""
+    """One topic: number of messages, rate [Hz] (NaN for events), number of gaps, longest gap [s]."""
 
     name: str
     messages: int
@@ -56,7 +56,7 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """One column of the flight table: its source, the rate of that [Hz], whether it is constant."""
+    """One column of the flight table: its source, the rate of the source [Hz], whether it is constant."""
 
     name: str
     source: str
@@ -75,7 +75,7 @@ class FlightSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Content of a log, and what each step lacks.
+    """Content of a log, and the missing columns of each step.
 
     Attributes
     ----------

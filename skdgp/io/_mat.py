@@ -1,8 +1,8 @@
-"""Tables of MATLAB: vectors named as columns, loose or as fields of one struct, in files of versions 5 to 7.
+"""MATLAB tables: vectors named as columns, as variables or as fields of one struct, in files of versions 5 to 7.
 
-The format is that of MathWorks, MAT-File Format (R2019b): nested elements, each behind its type and length. It is read
-here because ``scipy.io.loadmat`` ends the process on some damaged files: SciPy 1.17.1 on 6 of 3000 (the kinds of damage
-of the tests; the first report is https://github.com/scipy/scipy/issues/6072). No length in the file is trusted.
+The format is that of MathWorks, MAT-File Format (R2019b): nested elements, each after its type and length. This module
+exists because ``scipy.io.loadmat`` crashes the process on some damaged files: SciPy 1.17.1 on 6 of 3000 (the kinds of
+damage of the tests; the first report is https://github.com/scipy/scipy/issues/6072). Every length is checked.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Units: conversion of stated units to SI, and refusal of numbers in other units."""
+"""Units: conversion of stated units to SI, and errors for numbers in other units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transformers of flight tables, from raw logs to regressors, with columns by name.
+"""Transformers of flight tables, from raw logs to regressors.
 
 >>> from sklearn.pipeline import make_pipeline
 >>> from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector

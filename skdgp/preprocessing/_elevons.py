@@ -16,14 +16,14 @@ MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 
 
 class ElevonSplitter(TableTransformer):
-    r"""Mix control surfaces into controls of one symmetry each.
+    r"""Mix control surfaces into controls.
 
     .. math:: \text{controls} = \text{mixing} \cdot \text{surfaces}
 
-    Default: elevator = (left + right) / 2, aileron = (left - right) / 2 of two elevons. Under exchange of the elevons
-    the lift of a symmetric aircraft is even and its roll moment odd, as are these controls.
+    Default: elevator = (left + right) / 2, aileron = (left - right) / 2 of two elevons. If the
+    elevons are exchanged, lift and elevator of a symmetric aircraft stay, and roll moment and aileron change sign.
 
-    A table with the controls but without the surfaces (a conventional aircraft, a simulation) passes through unchanged.
+    A table with the controls but without the surfaces (a conventional aircraft, a simulation) does not change.
     With both, the controls are computed from the surfaces, with a warning if the logged controls differ by more than
     0.001 rad. The surfaces stay in the table.
 

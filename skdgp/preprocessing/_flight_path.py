@@ -1,4 +1,4 @@
-"""FlightPathReconstruction: the path of each flight from all its sensors."""
+"""FlightPathReconstruction: the most likely path of each flight, from all its sensors."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FlightPathReconstruction(TableTransformer):
     and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter 10; Jategaonkar 2006,
     chapter 10), as one sparse least-squares problem. Vanes are optional. The noise of each sensor and the strength of
     gusts are estimated by maximum likelihood. ``fit`` learns the noise and, on request, scale factors, biases and lags.
-    ``transform`` uses these, and estimates biases of inertial sensors, wind and gusts of each flight by itself.
+    ``transform`` uses these, and estimates biases of inertial sensors, wind and gusts separately for each flight.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""LagCorrector: lags of air data, surfaces, attitude and GPS, estimated and removed."""
+"""LagCorrector: estimates and removes lags of air data, surfaces, attitude and GPS."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ BLOCK = 5.0  # seconds over which residuals may be correlated
 
 
 class Lag(NamedTuple):
-    """A lag [s], positive where late; its standard deviation; the share of the response that the model explains."""
+    """A lag [s], positive if late; its standard deviation; the share of the response that the model explains."""
 
     lag: float
     std: float
@@ -86,7 +86,7 @@ class LagCorrector(TableTransformer):
     (for lags in identification see Jategaonkar 2006, chapter 10; Morelli & Klein 2016, chapter 10). Its standard
     deviation allows for residuals that are correlated within 5 s (Liang & Zeger 1986).
 
-    Lags of throttle and propeller speed are not estimated, as engines respond slowly, but may be given.
+    Lags of throttle and propeller speed can be given. They are not estimated, because engines respond slowly.
 
     Parameters
     ----------

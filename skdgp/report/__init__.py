@@ -1,6 +1,6 @@
 """The report of an identification: one HTML file to read, print and sign.
 
-Fill a `ReportContent` with arrays and hand it to `write_report`; the report neither fits nor predicts.
+Fill a `ReportContent` with arrays and pass it to `write_report`. The report neither fits nor predicts.
 """
 
 from skdgp.report._content import FlightRecord, FlightResult, ModelSummary, ReportContent

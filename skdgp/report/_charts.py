@@ -1,4 +1,4 @@
-"""Interactive charts: samples packed into the page for its script."""
+"""Interactive charts: data for the script of the page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST_VALUES = 1_500_000
 
 
 class Series(NamedTuple):
-    """One quantity of a panel: a line, or with ``std`` the band about it."""
+    """One quantity of a panel: a line, with a band if ``std`` is given."""
 
     name: str
     color: str
@@ -40,7 +40,7 @@ class Series(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One vertical axis: ``title`` is read aloud, ``label`` is HTML; values can be shown relative to ``base``."""
+    """One vertical axis: ``title`` is for screen readers, ``label`` is HTML; values may be relative to ``base``."""
 
     title: str
     label: str

@@ -21,7 +21,7 @@ from skdgp.report._tables import SCORES
 
 @dataclass(frozen=True, kw_only=True)
 class FlightRecord:
-    """A flight as it was flown.
+    """The table of a flight.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class FlightRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightResult:
-    """A test flight with what the model says about it.
+    """A test flight and its predictions.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def score(y_true: Matrix, y_pred: Matrix, y_std: Matrix, baseline: Matrix | None
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSummary:
-    """What was fitted, and how it went. None and empty: not known, and not shown.
+    """Summary of the fit. Fields that are None or empty are not shown.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class ModelSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class ReportContent:
-    """Everything a report shows.
+    """The content of a report.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ _NO_BANDS_OF_TRUTH = (
 
 
 class Detail(NamedTuple):
-    """How finely flights are drawn: slices of time in a picture, samples for one of a chart."""
+    """Resolution of the drawings: slices of time in a figure, samples per point of a chart."""
 
     n_bins: int
     every: int = 1

@@ -1,4 +1,4 @@
-"""The report as one HTML file: its frame, style and script."""
+"""The report as one HTML file: page, style and script."""
 
 from __future__ import annotations
 

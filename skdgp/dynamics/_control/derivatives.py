@@ -127,7 +127,7 @@ def stability_derivatives(
 
 
 class _Frame:
-    """From coefficients and slopes in body axes, by the model's regressors, to rows and columns of the table."""
+    """Conversion of coefficients and slopes in body axes to rows and columns of the table of derivatives."""
 
     def __init__(self, motion: Motion, now: Instant, axes: str):
         self.rows, self.alpha, self.stability = ROWS[axes], now.alpha, axes == "stability"

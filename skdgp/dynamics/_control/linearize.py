@@ -1,4 +1,4 @@
-"""Linear models: derivatives of the motion, A, B, C, D with names and their spread, modes."""
+"""Linear models: the matrices A, B, C, D with names and standard deviations, and the modes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
 
 
 class Jacobian(NamedTuple):
-    """Derivatives at states (...), whose errors are `ERRORS`; an error of the coefficients is added to the model's."""
+    """Derivatives at states (...), by the state errors `ERRORS` and by an error added to the coefficients."""
 
     state: Array
     """d error_dot / d error, (..., 12, 12)."""
@@ -170,7 +170,7 @@ class Matrices(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    r"""Small motions about a flight: :math:`\dot x = A x + B u,\; y = C x + D u`, all of them changes.
+    r"""Linear model of small deviations from a flight condition: :math:`\dot x = A x + B u,\; y = C x + D u`.
 
     Parameters
     ----------

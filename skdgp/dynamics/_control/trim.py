@@ -224,7 +224,7 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
 class SteadyFlight:
     """The equations of a steady flight in the unknowns of one aircraft.
 
-    ``given`` holds altitude, climb, turn_rate, phi, beta, None where one is unknown; the rest is that of `trim`.
+    ``given`` holds altitude, climb, turn_rate, phi, beta; None is an unknown. The other fields are those of `trim`.
     """
 
     def __init__(self, motion: Motion, given: dict, controls: Sequence[str] | None, fixed: dict, limits: dict):

@@ -1,1 +1,1 @@
-"""Equations of motion, and the aerodynamics in them."""
+"""Equations of motion and aerodynamics."""

@@ -49,7 +49,7 @@ class HasTableOutput(Protocol):
 
 
 class Mixing(NamedTuple):
-    """Controls that a model knows as combinations of the surfaces: controls = matrix @ surfaces."""
+    """Controls of a model as combinations of the surfaces: controls = matrix @ surfaces."""
 
     surfaces: tuple[str, ...]
     controls: tuple[str, ...]
@@ -276,7 +276,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
 
 
 class _Chain:
-    """The steps behind the choice of regressors: scalings, other transforms, and the regressor at the end."""
+    """The steps of a pipeline after the selection of regressors: scalings, other transforms, and the regressor."""
 
     def __init__(self, transforms: list, regressor: Any, n_regressors: int):
         self.regressor = regressor

@@ -1,4 +1,4 @@
-"""What acts on the aircraft at an instant, and how it moves."""
+"""Loads and accelerations of an aircraft at given states."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Air(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """What acts on the aircraft and what follows, at states (..., 13)."""
+    """Loads, accelerations and coefficients at states (..., 13)."""
 
     derivative: Array
     """Of the state, (..., 13)."""
@@ -78,10 +78,10 @@ class Instant(NamedTuple):
 
 
 class Motion:
-    """An aircraft with its aerodynamics and propulsion: `at` returns how it moves.
+    """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 
     ``model``, ``aircraft``, ``thrust``, ``gravity`` and ``density`` are those of `skdgp.dynamics.simulate`. With
-    ``lagged`` the implicit regressors are the guess that `at` is given, instead of the fixed point.
+    ``lagged`` the implicit regressors are the guess passed to `at`, instead of the fixed point.
 
     Attributes
     ----------

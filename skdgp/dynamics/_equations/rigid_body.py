@@ -1,6 +1,6 @@
 """The rigid body: Newton and Euler in body axes over a flat earth, and their integration in time.
 
-One state vector, last axis of length 13, named in `STATE_NAMES`: position NED [m], velocity relative to the
+The state has a last axis of length 13, named in `STATE_NAMES`: position NED [m], velocity relative to the
 ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
 """
 

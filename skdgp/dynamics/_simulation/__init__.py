@@ -1,1 +1,1 @@
-"""Simulation of learned aircraft."""
+"""Simulation of an aircraft with a learned model."""

@@ -1,4 +1,4 @@
-"""What a simulation is given: starts, controls, wind."""
+"""Inputs of a simulation: initial states, controls, wind."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ AirAt: TypeAlias = "Callable[[Any, Array], Air | None]"
 
 
 class Clock(NamedTuple):
-    """The steps of a simulation, and its stages: the beginning, middle and end of each step."""
+    """Times of the steps of a simulation and of their stages: the beginning, middle and end of each step."""
 
     dt: float
     n_steps: int
@@ -249,7 +249,7 @@ def control_schedule(
 
 
 class _Law:
-    """Controls as a function (t, state) to values by name."""
+    """Controls as a function of (t, state) that returns values by name."""
 
     def __init__(self, law: Callable, clock: Clock, hold: bool):
         self.law, self.times, self.hold = law, clock.stages, hold

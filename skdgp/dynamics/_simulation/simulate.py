@@ -175,7 +175,7 @@ def simulate(
 
 
 class Record(NamedTuple):
-    """Trajectories as flown: arrays (n_steps + 1, ...) over time, NaN where a trajectory had ended."""
+    """Simulated trajectories: arrays (n_steps + 1, ...) over time, NaN after the end of a trajectory."""
 
     time: np.ndarray
     """Since the start, (n_steps + 1,)."""

@@ -1,4 +1,4 @@
-"""A simulator that goes step by step, for controllers and reinforcement learning."""
+"""Step-by-step simulation, for controllers and reinforcement learning."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from skdgp.dynamics._vehicle.loads import Thrust
 
 
 class Simulator:
-    """A learned aircraft in the loop with a controller: ``reset``, then ``step`` by ``step``.
+    """Step-by-step simulation of an aircraft with a controller: call ``reset``, then ``step`` repeatedly.
 
-    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4). Several starts fly side by
-    side; with a seed, each flies a function of its own, drawn from the posterior.
+    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4). Several starts are
+    simulated as one batch. With a seed, each uses another function drawn from the posterior.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ REASONS = {
 
 
 class SimulationWarning(UserWarning):
-    """A trajectory ended early, or left what the model was learned from."""
+    """A trajectory ended early, or left the range of the training data."""
 
 
 def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:

@@ -1,4 +1,4 @@
-"""The aircraft: mass, inertia, geometry and propulsion, validated once."""
+"""The aircraft: mass, inertia, geometry and propulsion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, as_floats
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Aircraft:
-    """Mass, inertia and reference lengths of an aircraft, and where its thrust acts.
+    """Mass, inertia, reference lengths and thrust line of an aircraft.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class Propeller:
 
         T = rho n^2 D^4 C_T(J),   Q = rho n^2 D^5 C_Q(J),   C(J) = c_0 + c_1 J + c_2 J^2.
 
-    Both stay finite when the propeller stands still.
+    Both are finite when the propeller does not turn.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _check_bench(speed: Array, airspeed: Array, density: Array, thrust: Array) -
 
 @dataclass(frozen=True, eq=False)
 class ThrustLine:
-    """Where thrust acts and where it points, in body axes about the centre of gravity.
+    """Position and direction of the thrust, in body axes relative to the centre of gravity.
 
     Parameters
     ----------
@@ -276,9 +276,9 @@ class ThrustLine:
 
 
 class ThrustTable:
-    """The thrust of any engine, linear between the points of a table: for ``simulate(thrust=...)``.
+    """Thrust of an engine, interpolated linearly in a table: for ``simulate(thrust=...)``.
 
-    T = T(throttle, V) rho / rho_0, held beyond the edges of the table, with rho_0 the density of the bench.
+    T = T(throttle, V) rho / rho_0, constant beyond the edges of the table, with rho_0 the density at the bench.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Loads on the aircraft: from coefficients, a flight table, or controls."""
+"""Loads on the aircraft, computed from coefficients, a flight table, or controls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs of autopilots as flight tables: read, one clock, rules, flights."""
+"""Conversion of autopilot logs to flight tables."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Part:
 
 @dataclass(frozen=True)
 class FlightLog:
-    """A log on one clock: its parts, the origin of each column, and remarks."""
+    """A log resampled to one clock: its parts, the origin of each column, and remarks."""
 
     log: Log
     parts: list[Part]

@@ -1,6 +1,6 @@
-"""One clock for all topics: wrong time stamps left out, restarts found, channels resampled, gaps kept.
+"""Resampling of all topics to one clock: removes wrong time stamps, detects restarts, keeps gaps.
 
-Single stamps may be wrong; the median of the messages that stand together in the file hardly ever is.
+Single time stamps may be wrong; the median of neighbouring messages in the file hardly ever is.
 """
 
 from __future__ import annotations

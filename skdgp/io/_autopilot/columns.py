@@ -1,4 +1,4 @@
-"""Columns of a flight table on one clock, from topics by the table of rules."""
+"""Columns of a flight table, computed from topics by rules."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ HIGHEST_RATE = 50.0
 
 
 class Origin(NamedTuple):
-    """The source of a column, in words, and its sampling rate [Hz]."""
+    """The description of the source of a column, and its sampling rate [Hz]."""
 
     words: str
     rate: float
 
 
 class Source(NamedTuple):
-    """Where columns come from, and the valid samples."""
+    """The source of columns, and its valid samples."""
 
     columns: tuple[str, ...]
     name: str

@@ -1,7 +1,8 @@
-"""Logs of ArduPilot (DataFlash): messages behind two fixed bytes and a type, whose formats are messages.
+"""Reader of ArduPilot logs (DataFlash).
 
-The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. No length in the file
-is trusted: where no message begins, reading goes on at the next two fixed bytes. The messages are those of
+The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. A
+message begins with two fixed bytes and a type; the formats of the types are messages too. Every length is checked:
+where no message begins, reading continues at the next two fixed bytes. The messages are those of
 https://ardupilot.org/plane/docs/logmessages.html.
 """
 
@@ -134,7 +135,7 @@ def read_dataflash(path: Path) -> Log:
 
 
 class _Format:
-    """Layout of one type of message, and the places of its messages."""
+    """Layout of one type of message, and the positions of its messages."""
 
     def __init__(self, name, length, codes, columns):
         self.name, self.length = name, length

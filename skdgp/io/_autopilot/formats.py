@@ -1,4 +1,4 @@
-"""What a reader of logs returns: topics with their clocks, rules that say which field is which column, parameters."""
+"""Data that a log reader returns: topics with their clocks, rules from fields to columns, parameters."""
 
 from __future__ import annotations
 
@@ -97,9 +97,9 @@ class Topic:
 
 
 class Rule(NamedTuple):
-    """Which fields of a topic some columns of the flight table come from.
+    """A rule: the fields of a topic that give columns of the flight table.
 
-    Of several rules for the same columns the first is used whose topic is there, valid, and not slower than 5 Hz.
+    Of several rules for the same columns the first one is used whose topic is logged, valid, and not slower than 5 Hz.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Rule(NamedTuple):
 
 
 class ServoChannel(NamedTuple):
-    """Channel that moves a surface, its values at both ends and at trim, and whether more turns against our sign."""
+    """Channel that moves a surface, its values at both ends and at trim, and whether its sign is reversed."""
 
     channel: str
     low: float

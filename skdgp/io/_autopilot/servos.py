@@ -1,4 +1,4 @@
-"""Servo calibration: from pulse widths to surface angles, by files in TOML, and templates of such files."""
+"""Servo files (TOML): conversion of pulse widths to surface angles, and templates."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TEMPLATE = """\
 
 
 class Servo(NamedTuple):
-    """The channel that moves a surface, and the surface's angle at some values of it.
+    """The channel that moves a surface, and the angles of the surface at some values of the channel.
 
     Attributes
     ----------

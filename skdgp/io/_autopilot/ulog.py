@@ -1,7 +1,8 @@
-"""Logs of PX4 (ULog): header, definitions, messages, little-endian, each behind its length and type.
+"""Reader of PX4 logs (ULog).
 
-The format is that of https://docs.px4.io/main/en/dev_log/ulog_file_format. No length in the file is trusted: what does
-not fit is skipped, and reading goes on at the next place where three messages in a row make sense. The topics are those
+The format is that of https://docs.px4.io/main/en/dev_log/ulog_file_format. A file
+has a header, definitions and messages, little-endian, each after its length and type. Every length is checked: invalid
+bytes are skipped, and reading continues at the next position with three valid messages in a row. The topics are those
 of https://docs.px4.io/main/en/msg_docs.
 """
 
@@ -127,7 +128,7 @@ def read_ulog(path: Path) -> Log:
 
 
 class _Subscription:
-    """Layout of one topic, and the places of its messages."""
+    """Layout of one topic, and the positions of its messages."""
 
     def __init__(self, name, instance, layout):
         self.name, self.instance = name, instance

@@ -361,6 +361,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if self.structure == "joint" or no_choice:
             return "joint", None
         if self.structure == "auto":
+            options = options | {"input_noise": None}  # which costs time and changes both errors alike
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
             for name, kernel in (("trend", self._make_trend()), ("joint", self._make_kernel(n_latent))):
                 errors, found = held_out_errors(name, kernel, X, Z, **options)

@@ -94,8 +94,8 @@ def choose_kernel(
 
 
 BLOCKS = 4  # blocks of the log, held out in turn
-BLOCK_VALUES = 1200  # largest number of observed values for a comparison by blocks
-BLOCK_ITERATIONS = 20  # largest number of iterations of each fit
+BLOCK_VALUES = 800  # largest number of observed values for a comparison by blocks
+BLOCK_ITERATIONS = 15  # largest number of iterations of each fit
 GAP = 0.1  # rows left out on either side of a held-out block, over its length: neighbours are correlated
 FEWEST_ROWS = 40  # rows below which blocks are too short for a comparison
 

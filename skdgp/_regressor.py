@@ -232,6 +232,15 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         tags.target_tags.single_output = True
         return tags
 
+    def __setstate__(self, state):
+        """Restore a model; one of version 0.1 has white noise and no choice of structure."""
+        state = {"structure": "joint"} | state
+        if "_scale" in state:
+            white = np.zeros(len(state["_scale"]))
+            fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0}
+            state = fitted | {"drift_variance_": white, "drift_memory_": white} | state
+        super().__setstate__(state)
+
     # -- fitting ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
@@ -361,10 +370,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if self.structure == "joint" or no_choice:
             return "joint", None
         if self.structure == "auto":
-            options = options | {"input_noise": None}  # which costs time and changes both errors alike
+            blocks = options | {"input_noise": None}  # exact regressors: faster, and the same for both structures
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
             for name, kernel in (("trend", self._make_trend()), ("joint", self._make_kernel(n_latent))):
-                errors, found = held_out_errors(name, kernel, X, Z, **options)
+                errors, found = held_out_errors(name, kernel, X, Z, **blocks)
+                if found is not None and not isinstance(options["input_noise"], str):
+                    found = found._replace(root=options["input_noise"])
                 if errors is None:
                     return ("joint" if found is None else name), found
                 self.structure_errors_[name] = errors
@@ -448,7 +459,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     def _update_clock(self, time, flight, n):
         """Return the clock of further samples, or None for white noise, and the drift of the fit."""
-        if not getattr(self, "_n_flights", 0):
+        if self._n_flights == 0:
             return None, (None, None)
         clock = check_clock(time, flight, n)
         if clock is None:  # a separate flight for each sample

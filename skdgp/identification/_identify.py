@@ -595,7 +595,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     facts = {
         "inference": regressor.inference_,
-        "structure": getattr(regressor, "structure_", "joint"),
+        "structure": regressor.structure_,
         "regressors": names,
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
@@ -605,7 +605,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
         "paths_reconstructed": _missing_for_reconstruction(pipeline) == [],
     }
-    if getattr(regressor, "structure_errors_", None):
+    if regressor.structure_errors_:
         facts["structure_errors"] = {
             name: [float(value) for value in errors] for name, errors in regressor.structure_errors_.items()
         }
@@ -622,7 +622,7 @@ def _settings(pipeline, reconstruction, horizons) -> dict:
     regressor, _ = regressor_and_scale(pipeline)
     settings = {
         "inference": regressor.inference,
-        "structure": getattr(regressor, "structure", "joint"),
+        "structure": regressor.structure,
         "regressors": pipeline["regressorselector"].regressors,
         "reconstruction": "none" if reconstruction in (None, "passthrough") else reconstruction,
         "input_noise": "none" if regressor.input_noise is None else regressor.input_noise,

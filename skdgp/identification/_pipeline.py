@@ -130,7 +130,7 @@ def make_identification_pipeline(
 
 
 def default_regressor(**options) -> DependentGPRegressor:
-    """Return the regressor of identification: noise of the regressors is learned, and processes earn their place."""
+    """Return the default regressor: it learns the noise of the regressors, and held-out blocks choose its structure."""
     return DependentGPRegressor(structure="auto", input_noise="learned", **options)
 
 
@@ -227,7 +227,8 @@ class FlightPipeline(Pipeline):
             Flights.
         **params : keywords
             Of ``predict`` of the last step. ``return_std=True`` returns the standard deviation of the coefficients,
-            with ``include_noise=True`` of new measurements. ``include_input_noise`` other than True counts as given.
+            with ``include_noise=True`` of new measurements. ``include_input_noise`` replaces the ratio of this flight,
+            unless it is True.
 
         Returns
         -------
@@ -244,7 +245,7 @@ class FlightPipeline(Pipeline):
 
 
 def _predict(last, regressors, ratio, params):
-    """Return what the last step predicts, with noise of regressors so many times that of the fit, where it can."""
+    """Return the prediction of the last step; ``ratio`` (n,) multiplies the variance of noisy regressors."""
     if isinstance(last, CalibratedRegressor):
         return last.predict(regressors, **{"include_noise": False} | params)
     if isinstance(last, DependentGPRegressor):

@@ -31,6 +31,7 @@ from skdgp.inference import (
     held_out_errors,
     input_noise_loading,
     output_correlation,
+    residual_drift,
 )
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
@@ -106,6 +107,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Noise of the regressors, independent between samples: standard deviations or a covariance S in the units of X,
         or "learned" for one learned standard deviation for each regressor. With the slopes J of the mean it adds
         J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None: exact regressors.
+    drift : {"residuals", "likelihood"}
+        Use of ``time`` in ``fit``. Errors of neighbouring samples are correlated: each output has a drift with the
+        covariance ``tau^2 exp(-|t - t'| / T)`` within a flight. "residuals": the fit is that of white noise, and
+        tau and T are estimated from its residuals, for the bands of simulated flights. "likelihood": the drift is part of the likelihood and
+        of the posterior (generalised least squares). This is efficient if errors come from the outputs alone; errors
+        of the regressors make it worse than "residuals".
     optimizer : "fmin_l_bfgs_b", callable or None
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values.
     n_restarts_optimizer : int
@@ -127,7 +134,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, drift included, in squared units of the outputs.
     drift_variance_, drift_memory_ : ndarray (P,)
-        Variance tau^2 of the drift, and its memory T in the unit of ``time``; zero without ``time``.
+        Variance tau^2 of the drift, and its memory T in the unit of ``time``; zero without ``time``. With
+        ``drift="residuals"`` it holds the effect of errors of the regressors, too.
     input_covariance_ : ndarray (d, d)
         Covariance of the regressors' noise; zero for exact regressors.
     log_marginal_likelihood_value_ : float
@@ -182,6 +190,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
         "input_noise": [StrOptions({"learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
+        "drift": [StrOptions({"residuals", "likelihood"})],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
         "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
@@ -203,6 +212,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         inference: str = "auto",
         n_inducing: int = 100,
         input_noise: Any = None,
+        drift: str = "residuals",
         optimizer: Any = "fmin_l_bfgs_b",
         n_restarts_optimizer: int = 0,
         max_iter: int = 60,
@@ -220,6 +230,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.inference = inference
         self.n_inducing = n_inducing
         self.input_noise = input_noise
+        self.drift = drift
         self.optimizer = optimizer
         self.n_restarts_optimizer = n_restarts_optimizer
         self.max_iter = max_iter
@@ -234,7 +245,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     def __setstate__(self, state):
         """Restore a model; one of version 0.1 has white noise and no choice of structure."""
-        state = {"structure": "joint"} | state
+        state = {"structure": "joint", "drift": "residuals"} | state
         if "_scale" in state:
             white = np.zeros(len(state["_scale"]))
             fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0}
@@ -254,10 +265,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time : array (n,) or None
-            Time of each sample, in any unit. The noise of each output then has a second part, a drift with the
-            covariance ``tau^2 exp(-|t - t'| / T)`` within a flight, whose tau and T are learned. Use it if errors of
-            neighbouring samples are correlated: without it bands are too narrow. In a pipeline, pass it as
-            ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing. None: white noise.
+            Time of each sample, in any unit, of rows in the order of the log. Use it if errors of neighbouring samples
+            are correlated: without it bands are too narrow. ``drift`` describes its effect. In a pipeline, pass it as
+            ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;
+            ``skdgp.identification.FlightPipeline`` does it itself. None: white noise.
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None: one flight.
 
@@ -304,15 +315,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         else:
             warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = standardize(Y, self.trend is not None, self.normalize_y)
-        best = task.run(self._search, X, Z, clock)
+        modelled = clock if self.drift == "likelihood" else None
+        best = task.run(self._search, X, Z, modelled)
         warn_of_search(best, self.max_iter)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
         self.noise_variance_ = best.noise * self._scale**2
         variance, memory = np.zeros((2, len(self._scale))) if best.drift is None else best.drift
+        if clock is not None and modelled is None:
+            _, variance, memory = residual_drift(best.posterior, X, Z, clock)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
-        self._n_flights = 0 if clock is None else int(clock[:, 1].max()) + 1
+        self._n_flights = 0 if modelled is None else int(clock[:, 1].max()) + 1
         self._root = best.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood

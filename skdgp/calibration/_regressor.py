@@ -133,7 +133,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         return tags
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X: Any, y: Any, groups: Any = None) -> Self:
+    def fit(self, X: Any, y: Any, groups: Any = None, **fit_params: Any) -> Self:
         """Score held-out flights, then fit on all flights.
 
         Parameters
@@ -145,6 +145,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             Targets; NaN where an output was not observed.
         groups : array-like (n,), optional
             Exchangeable units in place of the column ``flight``, such as the day.
+        **fit_params : array-like (n,)
+            Of the estimator's ``fit``, a value for each row, such as ``time``.
 
         Raises
         ------
@@ -170,9 +172,9 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             all_scores = conformal.conformity_scores(self.estimator, X, Y)
             scores = [all_scores[test] for _, test in splits]
         else:
-            fits = (delayed(conformal.fit_and_score)(self.estimator, X, y, Y, *rows) for rows in splits)
+            fits = (delayed(conformal.fit_and_score)(self.estimator, X, y, Y, *rows, fit_params) for rows in splits)
             scores = Parallel(n_jobs=self.n_jobs)(fits)
-            self.estimator_ = clone(self.estimator).fit(X, y)
+            self.estimator_ = clone(self.estimator).fit(X, y, **fit_params)
         self.unit_, units = conformal.units_of([test for _, test in splits], flights["flight"].to_numpy())
         self._calibrate(np.concatenate(scores), units)
         return self
@@ -274,6 +276,17 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         regressor = unwrap(self.estimator_)
         return ScaledPaths(regressor.sample_paths(n_paths, random_state), regressor, self._scale)
+
+    @property
+    def drift_variance_(self) -> Array:
+        """Variance of the estimator's drift in time, (P,), scaled; zero if it has none."""
+        variance = getattr(unwrap(self.estimator_), "drift_variance_", np.zeros(len(self.std_scale_)))
+        return variance * self.std_scale_**2
+
+    @property
+    def drift_memory_(self) -> Array:
+        """Memory of the estimator's drift, (P,)."""
+        return getattr(unwrap(self.estimator_), "drift_memory_", np.zeros(len(self.std_scale_)))
 
     @property
     def _scale(self):

@@ -33,6 +33,7 @@ from skdgp.identification._flights import Flights
 from skdgp.identification._pipeline import (
     calibrate_noise,
     check_aircraft,
+    clock_of,
     default_regressor,
     make_identification_pipeline,
     regressor_and_scale,
@@ -193,7 +194,7 @@ def identify(
         began = time.monotonic()
         groups = {"groups": table["flight"]} if calibrate else {}
         X = pipeline[:-1].fit_transform(table, targets)
-        pipeline[-1].fit(X, targets, **groups)
+        pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
         seconds = time.monotonic() - began
 
         _announce("calibration")

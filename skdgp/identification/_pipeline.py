@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
+from sklearn import get_config
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -196,6 +197,15 @@ def regressor_and_scale(pipeline: Pipeline) -> tuple[DependentGPRegressor, Array
     return (last.estimator_, last.std_scale_) if isinstance(last, CalibratedRegressor) else (last, 1.0)
 
 
+def clock_of(regressor: Any, table: pd.DataFrame) -> dict[str, Any]:
+    """Return ``time`` and ``flight`` of the rows of a table for ``fit`` of the regressor, if it uses them."""
+    inner = regressor.estimator if isinstance(regressor, CalibratedRegressor) else regressor
+    if not isinstance(inner, DependentGPRegressor) or "time" not in table:
+        return {}
+    flight = {"flight": np.asarray(table["flight"])} if "flight" in table else {}
+    return {"time": table["time"].to_numpy(float), **flight}
+
+
 class FlightPipeline(Pipeline):
     """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 
@@ -217,6 +227,31 @@ class FlightPipeline(Pipeline):
     >>> mean.shape, std.shape
     ((40, 2), (40, 2))
     """
+
+    def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
+        """Fit all steps to flights at their full rate.
+
+        A :class:`skdgp.DependentGPRegressor` at the end also gets ``time`` and ``flight`` of each row, unless metadata
+        routing is enabled: request them there.
+
+        Parameters
+        ----------
+        X : DataFrame (n, ...)
+            Flights.
+        y : DataFrame or array (n, P)
+            Coefficients; NaN where they are not to be learned from.
+        **params : keywords
+            As of scikit-learn's ``Pipeline``.
+
+        Returns
+        -------
+        FlightPipeline
+            The fitted pipeline.
+        """
+        if not get_config()["enable_metadata_routing"]:
+            name = self.steps[-1][0]
+            params = {f"{name}__{key}": value for key, value in clock_of(self[-1], X).items()} | params
+        return super().fit(X, y, **params)
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients of one or more flights at their full rate.

@@ -3,7 +3,7 @@
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, autocorrelation_time, fit_exact, fit_sparse, input_noise_loading
+from skdgp.inference._fit import Fit, autocorrelation_time, fit_exact, fit_sparse, input_noise_loading, residual_drift
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._selection import Choice, choose_kernel, held_out_errors
@@ -31,5 +31,6 @@ __all__ = [
     "maximize",
     "output_correlation",
     "reach_of",
+    "residual_drift",
     "shares_of",
 ]

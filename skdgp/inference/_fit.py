@@ -202,7 +202,7 @@ def fit_sparse(
         noise = posterior.noise
         hyperparameters = learned._replace(noise=noise / inflation)
         if clock is not None:
-            hyperparameters = _learn_drift(hyperparameters, posterior, X, Y, clock, least)
+            hyperparameters = _learn_drift(hyperparameters, posterior, X, Y, clock)
     if hyperparameters.interrupted:
         return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value)
     features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
@@ -235,19 +235,22 @@ def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, m
     return hyperparameters._replace(noise=noise, drift=drift).fit(posterior, value, more)
 
 
-def _learn_drift(hyperparameters, posterior, X, Y, clock, least):
+def _learn_drift(hyperparameters, posterior, X, Y, clock):
     """Return the hyperparameters with white noise and drift estimated from the residuals of all samples."""
-    residual, total = Y - posterior.predict(X), hyperparameters.noise
-    noise, drift = np.array(total), np.ones((2, len(total)))
+    white, variance, memory = residual_drift(posterior, X, Y, clock)
+    scale = hyperparameters.noise / (white + variance)  # the residuals neglect the uncertainty of the function
+    return hyperparameters._replace(noise=white * scale, drift=(variance * scale, memory))
+
+
+def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
+    """Return sigma^2, tau^2 and T of white noise plus drift, (3, P), estimated from the residuals of a posterior."""
+    residual, least = Y - posterior.predict(X), NOISE_BOUNDS[0] * output_scale(Y) ** 2
+    found = np.stack([least, least, np.ones(len(least))])
     for i, e in enumerate(residual.T):
         observed = np.isfinite(e)
         if observed.sum() > 2:
-            white, variance, drift[1, i] = fit_drift(e[observed], clock[observed], least[i])
-            scale = total[i] / (white + variance)  # the residual variance neglects the uncertainty of the function
-            noise[i], drift[0, i] = white * scale, variance * scale
-        else:
-            drift[0, i] = least[i]
-    return hyperparameters._replace(noise=noise, drift=tuple(drift))
+            found[:, i] = fit_drift(e[observed], clock[observed], least[i])
+    return found
 
 
 def _learn_features(features, kernel, noise, X, Y, step):

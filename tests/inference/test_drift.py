@@ -142,7 +142,7 @@ class TestRegressor:
         return np.sqrt(np.linalg.inv(A.T @ np.linalg.solve(N, A))[1, 1])
 
     def model(self, **options):
-        return DependentGPRegressor(structure="trend", random_state=0, **options)
+        return DependentGPRegressor(structure="trend", drift="likelihood", random_state=0, **options)
 
     def test_the_band_of_a_slope_is_right(self, line):
         time, x, y = line

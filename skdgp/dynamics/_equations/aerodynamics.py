@@ -8,10 +8,12 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array
@@ -56,6 +58,29 @@ class Mixing(NamedTuple):
     matrix: Array
 
 
+class Drift(NamedTuple):
+    """Errors of the coefficients along a flight: tau^2 exp(-|t - t'| / T), independent of the regressors."""
+
+    variance: Array
+    """tau^2 of each coefficient, (6,)."""
+    memory: Array
+    """T [s], (6,)."""
+
+    def covariance(self, time: Array) -> Array:
+        """Return the covariance (6 n, 6 n) at times (n,), all n of the first coefficient first."""
+        lag = np.abs(np.subtract.outer(time, time))
+        return block_diag(*(v * np.exp(-lag / T) for v, T in zip(*self, strict=True)))
+
+    def draw(self, time: Array, shape: tuple[int, ...], random_state: Any) -> Array:
+        """Return draws (n, *shape, 6) at times (n,) that increase."""
+        rho = np.exp(-np.diff(time)[:, None] / self.memory)
+        seed = check_random_state(random_state).randint(2**31 - 1, size=4)  # other numbers than those of the paths
+        drawn = np.random.default_rng(seed).standard_normal((len(time), *shape, 6)) * np.sqrt(self.variance)
+        for k, r in enumerate(rho, start=1):
+            drawn[k] = r * drawn[k - 1] + np.sqrt(1 - r**2) * drawn[k]
+        return drawn
+
+
 class Aerodynamics:
     """The six coefficients of an aircraft as a function of named regressors.
 
@@ -73,6 +98,8 @@ class Aerodynamics:
         slopes (n_paths, n, 6, d), of functions drawn from the posterior. Without it the model has no uncertainty.
     covariance : callable, optional
         Regressors (n, d) to the joint posterior covariance (6 n, 6 n), all n of the first coefficient first.
+    drift : Drift, optional
+        Errors along a flight: what regressors and posterior leave unexplained.
     limits : array-like of shape (2, d), optional
         Smallest and largest value of each regressor that the model was learned from.
     span, chord : float, optional
@@ -105,6 +132,7 @@ class Aerodynamics:
         gradient: Callable | None = None,
         sampler: Callable | None = None,
         covariance: Callable | None = None,
+        drift: Drift | None = None,
         limits: ArrayLike | None = None,
         span: float | None = None,
         chord: float | None = None,
@@ -116,7 +144,7 @@ class Aerodynamics:
         self.limits = None if limits is None else np.asarray(limits, dtype=float)
         if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
             raise ValueError(f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)}).")
-        self.span, self.chord, self.mixing = span, chord, mixing
+        self.span, self.chord, self.mixing, self.drift = span, chord, mixing, drift
         self.n_paths: int | None = None
         self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
 
@@ -218,7 +246,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
     - "measurements": treats measurements, and is left out. So is a step without the attribute.
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by ``transform``. The
-    regressor at the end may have ``predict_gradient`` (`HasGradient`) and ``sample_paths`` (`HasPosterior`). A
+    regressor at the end may have ``predict_gradient`` (`HasGradient`), ``sample_paths`` (`HasPosterior`), and a drift in
+    time, ``drift_variance_`` and ``drift_memory_`` (P,). A
     meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
 
     Examples
@@ -268,6 +297,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         gradient=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
         covariance=chain.covariance if chain.can_sample else None,
+        drift=chain.drift(),
         limits=None if limits[0] is None else np.array(limits),
         span=None if rates is None else rates.span,
         chord=None if rates is None else rates.chord,
@@ -305,6 +335,14 @@ class _Chain:
         covariance = self.regressor.predict((X - self.shift) / self.scale, return_cov=True)[1]
         blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
         return blocks[self.order][:, :, self.order].reshape(6 * len(X), 6 * len(X))
+
+    def drift(self) -> Drift | None:
+        """Return the drift of the regressor, or None if it has none."""
+        variance = np.asarray(getattr(self.regressor, "drift_variance_", 0.0))
+        if not np.any(variance > 0):
+            return None
+        memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
+        return Drift(variance[self.order], memory[self.order])
 
     def sample(self, n_paths: int, random_state: Any) -> tuple[Callable, Callable]:
         """Return values and slopes of functions drawn from the posterior."""

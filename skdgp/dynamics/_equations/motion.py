@@ -166,10 +166,18 @@ class Motion:
         check_names(self.controls, controls, "controls")
         return controls
 
-    def at(self, state: Array, controls: Mapping, air: Air | None = None, implicit: Array | None = None) -> Instant:
+    def at(
+        self,
+        state: Array,
+        controls: Mapping,
+        air: Air | None = None,
+        implicit: Array | None = None,
+        drift: Array | float = 0.0,
+    ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
-        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best those of the last call.
+        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best those of the last call. ``drift`` (..., 6)
+        is added to the coefficients.
         """
         velocity = state[..., VELOCITY]
         wind = None
@@ -182,12 +190,12 @@ class Motion:
         X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
         others = propulsion_loads(self.aircraft, self.thrust, controls, airspeed, density)
         if not self._implicit:
-            return self._loaded(state, X, airspeed, alpha, beta, density, others)
+            return self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
         tried: list[tuple[Array, Array]] = []
         for _ in range(MOST_ITERATIONS):
             self._insert(X, guess, airspeed)
-            now = self._loaded(state, X, airspeed, alpha, beta, density, others)
+            now = self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
             found = self._follow(state, now, velocity, wind, air)
             if self.lagged:
                 return now._replace(implicit=found)
@@ -226,9 +234,9 @@ class Motion:
             value = implicit[..., IMPLICIT.index(name)]
             X[..., k] = value * rate_factor(name, length, airspeed) if length else value
 
-    def _loaded(self, state, X, airspeed, alpha, beta, density, others) -> Instant:
+    def _loaded(self, state, X, airspeed, alpha, beta, density, others, drift) -> Instant:
         """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
-        C = self._coefficients(X)
+        C = self._coefficients(X) + drift
         force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
         force, moment = force + others[0], moment + others[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)

@@ -58,6 +58,7 @@ def simulate(
     wind: Any = None,
     n_paths: int | None = None,
     random_state: Seed = 0,
+    drift: bool = True,
     return_std: bool = False,
     initial_std: Mapping[str, float] | None = None,
     thrust: Thrust = "auto",
@@ -95,6 +96,10 @@ def simulate(
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
         is the uncertainty of the trajectory.
+    drift : bool, default=True
+        Whether each path, and ``return_std``, also has a drift of its own flight: errors of the coefficients that
+        change slowly, as the residuals of the training flights did (gusts, missing regressors). False: the uncertainty
+        of the aircraft alone, such as in calmer air.
     random_state : int or RandomState, default=0
         Of the paths.
     return_std : bool, default=False
@@ -168,9 +173,11 @@ def simulate(
         raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
     elif len(states) == 1:
         states = states[0]
-    record = fly_record(motion, commands, air, clock, states)
+    drifting = motion.aerodynamics.drift if drift and n_paths is not None else None
+    drifts = None if drifting is None else drifting.draw(clock.stages, states.shape[:-1], random_state)
+    record = fly_record(motion, commands, air, clock, states, drifts)
     warn_of(record, motion)
-    std = linear_std(record, motion, initial_std) if return_std else {}
+    std = linear_std(record, motion, initial_std, drift) if return_std else {}
     return trajectory_table(record, motion, _first_times(controls, len(starts)), std)
 
 
@@ -199,11 +206,13 @@ class Record(NamedTuple):
         return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
 
 
-def fly_record(motion: Motion, commands: Callable, air: AirAt, clock: Clock, state: Array) -> Record:
+def fly_record(
+    motion: Motion, commands: Callable, air: AirAt, clock: Clock, state: Array, drifts: Array | None = None
+) -> Record:
     """Return what is flown from states (..., 13): the loop over time.
 
     ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
-    :func:`wind_schedule`; a step has two stages.
+    :func:`wind_schedule`; a step has two stages. ``drifts`` (n_stages, ..., 6) are added to the coefficients.
     """
     start, n = state, clock.n_steps + 1
     ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
@@ -214,7 +223,8 @@ def fly_record(motion: Motion, commands: Callable, air: AirAt, clock: Clock, sta
         here = air(stage, state)
         wind = None if here is None else here.wind
         controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
-        return motion.at(state, controls, here, None if last is None else last.implicit), controls, wind
+        drift = 0.0 if drifts is None else drifts[stage]
+        return motion.at(state, controls, here, None if last is None else last.implicit, drift), controls, wind
 
     now = None
     with np.errstate(all="ignore"):  # what diverges is ended
@@ -286,22 +296,24 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     return {reason: where for reason, where in found.items() if np.any(where)}
 
 
-def linear_std(record: Record, motion: Motion, initial_std: Mapping[str, float] | None) -> dict[str, Array]:
+def linear_std(
+    record: Record, motion: Motion, initial_std: Mapping[str, float] | None, drift: bool
+) -> dict[str, Array]:
     """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order.
 
-    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance.
+    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance, and that of its drift.
     """
     start, shape = checked_std(initial_std), record.ended.shape
     found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)}
     for place in np.ndindex(shape):
         n = int(record.end[place])
         if n > 1:
-            for name, std in zip(found, _std_along(record, motion, start, place, n).T, strict=True):
+            for name, std in zip(found, _std_along(record, motion, start, drift, place, n).T, strict=True):
                 found[name][(slice(n), *place)] = std
     return found
 
 
-def _std_along(record: Record, motion: Motion, start: Mapping[str, float], place: Any, n: int) -> Array:
+def _std_along(record: Record, motion: Motion, start: Mapping[str, float], drift: bool, place: Any, n: int) -> Array:
     """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory."""
     states = record.states[(slice(n), *place)]
     knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
@@ -310,7 +322,10 @@ def _std_along(record: Record, motion: Motion, start: Mapping[str, float], place
     slopes = jacobian(
         motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind
     )
-    root = semidefinite_root(motion.aerodynamics.covariance(record.regressors[at]))  # (6 k, m), output by output
+    covariance = motion.aerodynamics.covariance(record.regressors[at])
+    if drift and motion.aerodynamics.drift is not None:
+        covariance = covariance + motion.aerodynamics.drift.covariance(record.time[knots])
+    root = semidefinite_root(covariance)  # (6 k, m), output by output
     errors = np.moveaxis(root.reshape(6, len(knots), -1), 1, 0)
     left = np.clip(np.searchsorted(knots, np.arange(n), side="right") - 1, 0, len(knots) - 2)
     share = (np.arange(n) - knots[left]) / np.diff(knots)[left]

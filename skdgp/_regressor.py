@@ -117,6 +117,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values.
     n_restarts_optimizer : int
         Number of further starting points; the best result is kept. ``n_jobs`` runs them in parallel.
+    early_stopping : bool
+        Whether the search stops when the error of held-out blocks of rows no longer falls, so that hyperparameters do
+        not fit what is particular to the log. They are then learned from at most 1800 other values. Rows must be in the
+        order of the log. The posterior uses all values.
     max_iter : int
         Iterations of the joint search. The preceding fits of single outputs use at most twice as many each.
     normalize_y : bool
@@ -193,6 +197,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "drift": [StrOptions({"residuals", "likelihood"})],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
         "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
+        "early_stopping": ["boolean"],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
         "normalize_y": ["boolean"],
         "n_jobs": [Integral, None],
@@ -215,6 +220,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         drift: str = "residuals",
         optimizer: Any = "fmin_l_bfgs_b",
         n_restarts_optimizer: int = 0,
+        early_stopping: bool = False,
         max_iter: int = 60,
         normalize_y: bool = True,
         n_jobs: int | None = None,
@@ -233,6 +239,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.drift = drift
         self.optimizer = optimizer
         self.n_restarts_optimizer = n_restarts_optimizer
+        self.early_stopping = early_stopping
         self.max_iter = max_iter
         self.normalize_y = normalize_y
         self.n_jobs = n_jobs
@@ -245,7 +252,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     def __setstate__(self, state):
         """Restore a model; one of version 0.1 has white noise and no choice of structure."""
-        state = {"structure": "joint", "drift": "residuals"} | state
+        state = {"structure": "joint", "drift": "residuals", "early_stopping": False} | state
         if "_scale" in state:
             white = np.zeros(len(state["_scale"]))
             fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0}
@@ -346,7 +353,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         kernel, known = self._choose_kernel(X, Z, options | {"random_state": int(seeds[0]), "record": record})
         names = [f"start-{k}" for k in range(len(seeds) if known is None else 1)]
         starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
-        start = partial(run_recorded, record, function=partial(search, kernel, X, Z, found=known, **options))
+        search = partial(search, kernel, X, Z, found=known, early_stopping=self.early_stopping, **options)
+        start = partial(run_recorded, record, function=search)
         fits = fit_map(start, starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.value)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))

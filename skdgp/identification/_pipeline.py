@@ -77,7 +77,7 @@ def make_identification_pipeline(
         What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
         elevator or an aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor(structure="auto", input_noise="learned")``. It is cloned. Any regressor of
+        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``. It is cloned. Any regressor of
         several outputs will do: a linear model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
@@ -132,7 +132,7 @@ def make_identification_pipeline(
 
 def default_regressor(**options) -> DependentGPRegressor:
     """Return the default regressor: it learns the noise of the regressors, and held-out blocks choose its structure."""
-    return DependentGPRegressor(structure="auto", input_noise="learned", **options)
+    return DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True, **options)
 
 
 def check_aircraft(aircraft) -> Aircraft:

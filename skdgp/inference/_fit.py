@@ -13,7 +13,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
 from skdgp._compute.threads import thread_map
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import fit_drift
@@ -21,8 +21,12 @@ from skdgp.inference._optimize import maximize
 from skdgp.inference._sparse import SparsePosterior, maximize_features
 from skdgp.inference._sums import shares_of
 
-SUBSET = 2400  # values from which sparse inference learns hyperparameters
-FEATURE_ITERATIONS = 12  # iterations that move and scale the inducing variables on the bound
+SUBSET = 1800  # values from which sparse inference learns hyperparameters
+BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
+GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
+HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
+FEWEST_VALUES = 20  # values of each output below which nothing is held out
+FEATURE_ITERATIONS = 4  # iterations that move and scale the inducing variables on the bound
 NOISE_STEPS = 10  # largest number of steps of expectation maximisation for the noise
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
@@ -107,6 +111,7 @@ def fit_exact(
     spread: float = 0.0,
     found: Any = None,
     clock: Matrix | None = None,
+    early_stopping: bool = False,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
 
@@ -130,6 +135,8 @@ def fit_exact(
         Hyperparameters to use without a search.
     clock : ndarray (n, 2) or None
         Time and flight number of each sample. None: white noise. Otherwise the noise has a drift, see ``Drift``.
+    early_stopping : bool
+        Whether hyperparameters are learned from a subset only until the error of held-out blocks no longer falls.
 
     Returns
     -------
@@ -139,7 +146,8 @@ def fit_exact(
     hyperparameters = found
     if hyperparameters is None:
         options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
-        hyperparameters = _learn(kernel.prepared(X), X, Y, clock, slice(None), *options)
+        rows, held = held_out_rows(Y, options[2]) if early_stopping else (slice(None), None)
+        hyperparameters = _learn(kernel.prepared(X), X, Y, clock, rows, *options, held)
     data = hyperparameters.data(X, Y, clock)
     return hyperparameters.fit(ExactPosterior(hyperparameters.kernel, hyperparameters.noise, data))
 
@@ -157,6 +165,7 @@ def fit_sparse(
     spread: float = 0.0,
     found: Any = None,
     clock: Matrix | None = None,
+    early_stopping: bool = False,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
 
@@ -166,7 +175,7 @@ def fit_sparse(
         As for ``fit_exact``.
     n_inducing : int
         Inducing inputs of each latent process. They start at the centres of k-means and are then optimised.
-    optimizer, max_iter, random_state, input_noise, spread, found, clock
+    optimizer, max_iter, random_state, input_noise, spread, found, clock, early_stopping
         As for ``fit_exact``.
 
     Returns
@@ -185,8 +194,8 @@ def fit_sparse(
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
     learned = found
     if learned is None:
-        rows = some_rows(Y, random_state)
-        learned = _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread)
+        rows, held = held_out_rows(Y, random_state) if early_stopping else (some_rows(Y, random_state), None)
+        learned = _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held)
     kernel, features = learned.kernel, learned.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
@@ -295,9 +304,18 @@ def _initial_noise(residual, scale, clock):
     return np.concatenate([0.5 * noise, 0.5 * noise, memory]), np.concatenate([bounds, bounds, span])
 
 
-def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread) -> Hyperparameters:
-    """Return hyperparameters, learned from each output separately and then from the rows of all outputs jointly."""
-    P = Y.shape[1]
+def _learn(
+    kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held=None
+) -> Hyperparameters:
+    """Return hyperparameters, learned from each output separately and then from the rows of all outputs jointly.
+
+    The joint search stops when the error of the rows ``held`` no longer falls.
+    """
+    P, held_out = Y.shape[1], None
+    if held is not None:
+        some = stratified(held, HELD_OUT_ROWS, random_state)
+        held_out, Y = Data.from_table(X[some], Y[some]), np.array(Y)
+        Y[held] = np.nan
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
     noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y), clock)
     stop = Event()
@@ -319,14 +337,16 @@ def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_n
     def optimize(name, kernel, noise, bounds, max_iter, data, spread=0.0):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
+        objective = Objective(kernel, data, len(noise), held_out)
         best = maximize(
-            make_objective(kernel, data, len(noise)),
+            objective,
             theta,
             theta_bounds(kernel, bounds),
             optimizer=optimizer,
             max_iter=max_iter,
             name=name,
             stop=stop,
+            held_out_error=None if held_out is None else objective.held_out_error,
         )
         theta, noise = np.split(best.theta, [-len(noise)])
         return kernel.clone_with_theta(theta), np.exp(noise), best
@@ -390,6 +410,26 @@ def some_rows(Y: Matrix, random_state: Seed):
     return np.sort(rows)
 
 
+def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None]:
+    """Return rows to learn from and rows to hold out, for a stop of the search by held-out errors.
+
+    Held out is one block of rows at a random place in each of BLOCKS parts of the log, with a gap on either side. None
+    is held out where an output would have too few values.
+    """
+    observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
+    edges = np.linspace(0, len(observed), BLOCKS + 1)
+    length = HELD_OUT * len(observed) / BLOCKS
+    gap = GAP * length
+    starts = edges[:-1] + gap + (np.diff(edges) - length - 2 * gap) * random_state.uniform(size=BLOCKS)
+    place = np.arange(len(observed))
+    inside = (place >= starts[:, None]) & (place < starts[:, None] + length)
+    near = (place >= starts[:, None] - gap) & (place < starts[:, None] + length + gap)
+    held, rest = observed[inside.any(axis=0)], observed[~near.any(axis=0)]
+    if min(np.isfinite(Y[held]).sum(axis=0).min(), np.isfinite(Y[rest]).sum(axis=0).min()) < FEWEST_VALUES:
+        return some_rows(Y, random_state), None
+    return rest[some_rows(Y[rest], random_state)], held
+
+
 def _centres(X, n_inducing, random_state):
     """Return at most n_inducing centres of the samples, (k, d)."""
     distinct = np.unique(X, axis=0)
@@ -402,9 +442,9 @@ def _centres(X, n_inducing, random_state):
 # -- fits of single outputs: the starting point of the joint search -----------------------------------------
 
 
-SINGLE_VALUES, SINGLE_ITERATIONS = 800, 100  # largest numbers for each output
+SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
 WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
-TRIAL_VALUES, TRIAL_ITERATIONS = 250, 40  # largest numbers for each trial
+TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
 
 
 class Singles(NamedTuple):
@@ -428,9 +468,8 @@ class _SingleFit:
     def optimize(self, kernel, theta, step, max_iter, name=None):
         """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
         clock = None if self.clock is None else self.clock[::step]
-        likelihood = make_objective(
-            kernel, Data.from_table(self.x[::step], self.y[::step], None, clock), len(self.noise)
-        )
+        data = Data.from_table(self.x[::step], self.y[::step], None, clock)
+        likelihood = Objective(kernel, data, len(self.noise))
         bounds = theta_bounds(kernel, self.noise_bounds)
         return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
 
@@ -482,18 +521,40 @@ def fit_singles(
     )
 
 
-def make_objective(kernel: Any, data: Any, n_noise):
-    """Return the function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient."""
-    workspace = np.empty((data.n_values, data.n_values))
+class Objective:
+    """The function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient.
 
-    def evaluate(theta):
-        candidate, noise = kernel.clone_with_theta(theta[:-n_noise]), np.exp(theta[-n_noise:])
-        value, gradient = log_likelihood(candidate, noise, data, eval_gradient=True, workspace=workspace)
+    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know.
+    """
+
+    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Data | None = None) -> None:
+        self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
+        self.workspace = np.empty((data.n_values, data.n_values))
+        self.theta, self.weights = np.empty(0), np.empty(data.n_values)
+
+    def __call__(self, theta):
+        candidate, noise = self._split(theta)
+        value, gradient = log_likelihood(candidate, noise, self.data, True, self.workspace, self.weights)
+        self.theta = np.array(theta)
         prior, slope = candidate.log_prior(eval_gradient=True)
         gradient[: len(slope)] += slope
         return value + prior, gradient
 
-    return evaluate
+    def held_out_error(self, theta: Vector) -> float:
+        """Return the mean squared error of the held-out values, averaged over the outputs."""
+        if not np.array_equal(theta, self.theta):  # not the last point that was evaluated
+            self(theta)
+        kernel, held_out = self._split(theta)[0], self.held_out
+        weights = np.split(self.weights, np.cumsum([len(y) for y in self.data.y])[:-1])
+        errors = []
+        for i, (X, y) in enumerate(zip(held_out.X, held_out.y, strict=True)):
+            pairs = [(j, Xj, w) for j, (Xj, w) in enumerate(zip(self.data.X, weights, strict=True))]
+            mean = sum(kernel.block(i, j, X, Xj) @ w for j, Xj, w in pairs if kernel.couples(i, j))
+            errors.append(np.mean((y - mean) ** 2) if len(y) else 0.0)
+        return float(np.mean(errors))
+
+    def _split(self, theta):
+        return self.kernel.clone_with_theta(theta[: -self.n_noise]), np.exp(theta[-self.n_noise :])
 
 
 def theta_bounds(kernel: Any, noise_bounds):

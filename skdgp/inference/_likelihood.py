@@ -133,7 +133,12 @@ def all_coupled(kernel: Any) -> bool:
 
 
 def log_likelihood(
-    kernel: Any, noise: Vector, data: Data, eval_gradient: bool = False, workspace: Matrix | None = None
+    kernel: Any,
+    noise: Vector,
+    data: Data,
+    eval_gradient: bool = False,
+    workspace: Matrix | None = None,
+    weights: Vector | None = None,
 ) -> Any:
     """Return the log marginal likelihood (equation 20) and its gradient by [theta, log noise].
 
@@ -151,6 +156,8 @@ def log_likelihood(
         Whether to return the gradient too.
     workspace : ndarray (N, N), C order, or None
         Memory for the covariance, its factor and its inverse in turn. Repeated evaluations save its allocation.
+    weights : ndarray (N,) or None
+        With ``eval_gradient``, alpha = K^-1 y is written to it.
 
     Returns
     -------
@@ -164,12 +171,14 @@ def log_likelihood(
         L = jittered_cholesky(lambda: covariance(kernel, noise, data, workspace))
         white = triangular_solve(L, y)
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
-        return (value, _gradient(kernel, noise, data, y, L)) if eval_gradient else value
+        return (value, _gradient(kernel, noise, data, y, L, weights)) if eval_gradient else value
 
 
-def _gradient(kernel, noise, data, y, L):
+def _gradient(kernel, noise, data, y, L, weights):
     inverse = cholesky_inverse(L)
     alpha = dsymv(1.0, inverse, y, lower=1)
+    if weights is not None:
+        weights[:] = alpha
     # -W: only one triangle is computed and read, the upper one in C order.
     minus_W = dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
 

@@ -13,6 +13,11 @@ from skdgp._compute.progress import notify
 from skdgp._compute.typing import Vector
 
 
+PATIENCE = 5  # iterations over which the held-out error must fall
+LEAST_GAIN = 0.01  # by this fraction
+STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
+
+
 class Optimum(NamedTuple):
     """The result of a maximisation."""
 
@@ -22,7 +27,7 @@ class Optimum(NamedTuple):
     n_evaluations: int
     interrupted: bool
     rising: bool  # stopped at max_iter, and the likelihood rose by more than 5 % in the last few evaluations
-    converged: bool  # stopped because the likelihood no longer rose
+    converged: bool  # stopped because the likelihood no longer rose, or the held-out error no longer fell
 
 
 class _Objective:
@@ -69,6 +74,7 @@ def maximize(
     stage: str = "fit",
     name: str | None = None,
     stop: Any = None,
+    held_out_error: Callable | None = None,
 ) -> Optimum:
     """Return the best point of a search that starts at ``theta``.
 
@@ -90,6 +96,9 @@ def maximize(
         Name of this maximisation in a checkpoint, unique within one part of a fit. None: ``stage``.
     stop : threading.Event or None
         Stops the search before the next evaluation when it is set. Ctrl-C sets it.
+    held_out_error : callable or None
+        theta (n,) -> error at data that ``log_likelihood`` does not know. The search stops when it has not fallen by
+        1 % over 5 iterations. It is not called for an ``optimizer`` of the user.
 
     Returns
     -------
@@ -101,7 +110,13 @@ def maximize(
     if stop is not None and stop.is_set():
         return Optimum(theta, -np.inf, 0, 0, True, False, False)
     objective = _Objective(log_likelihood, theta, stage, stop, record)
-    n_iter, interrupted, converged = 0, False, False
+    n_iter, interrupted, converged, errors = 0, False, False, []
+
+    def watch(theta):
+        errors.append(held_out_error(theta))
+        if len(errors) > PATIENCE and min(errors[-PATIENCE:]) > (1 - LEAST_GAIN) * min(errors[:-PATIENCE]):
+            raise StopIteration
+
     try:
         if callable(optimizer):
             optimizer(objective, theta, bounds)
@@ -115,8 +130,9 @@ def maximize(
                 method="L-BFGS-B",
                 bounds=bounds,
                 options=options,
+                callback=None if held_out_error is None else watch,
             )
-            n_iter, converged = end.nit, bool(end.success)
+            n_iter, converged = end.nit, bool(end.success) or end.status == STOPPED
     except KeyboardInterrupt:
         interrupted = True
         if stop is not None:

@@ -57,7 +57,7 @@ def choose_kernel(
         Without values, ordered by increasing number of hyperparameters.
     X : ndarray (n, d)
     Y : ndarray (n, P)
-        NaN where an output was not observed. Above 2400 observed values, a subset spread over the rows is used.
+        NaN where an output was not observed. Above 1800 observed values, a subset spread over the rows is used.
     optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
     record : FitRecord or None
@@ -95,7 +95,7 @@ def choose_kernel(
 
 BLOCKS = 4  # blocks of the log, held out in turn
 BLOCK_VALUES = 800  # largest number of observed values for a comparison by blocks
-BLOCK_ITERATIONS = 15  # largest number of iterations of each fit
+BLOCK_ITERATIONS = 10  # largest number of iterations of each fit
 GAP = 0.1  # rows left out on either side of a held-out block, over its length: neighbours are correlated
 FEWEST_ROWS = 40  # rows below which blocks are too short for a comparison
 

@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import Data, log_likelihood
-from skdgp.inference._fit import make_objective
+from skdgp.inference._fit import Objective
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 PRIOR = [[2.0, 0.7], [5.0, 1.3]]
@@ -75,7 +75,7 @@ class TestFit:
         noise = np.array([0.1, 0.2, 0.3])
         value, gradient = log_likelihood(kernel, noise, values, eval_gradient=True)
         prior, slope = kernel.log_prior(eval_gradient=True)
-        got, got_gradient = make_objective(kernel, values, 3)(np.concatenate([kernel.theta, np.log(noise)]))
+        got, got_gradient = Objective(kernel, values, 3)(np.concatenate([kernel.theta, np.log(noise)]))
         np.testing.assert_allclose(got, value + prior)
         np.testing.assert_allclose(got_gradient, gradient + np.concatenate([slope, np.zeros(3)]))
 

@@ -189,7 +189,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
         "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
-        "structure": [StrOptions({"joint", "trend", "auto"})],
+        "structure": [StrOptions({"joint", "additive", "trend", "auto"})],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
@@ -389,12 +389,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected kernel=None "
                 "and a trend such as 'linear'."
             )
-        if self.structure == "joint" or no_choice:
-            return "joint", None
+        if self.structure in ("joint", "additive") or no_choice:
+            return "joint" if no_choice else self.structure, None
         if self.structure == "auto":
             blocks = options | {"input_noise": None}  # exact regressors: faster, and the same for both structures
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
-            for name, kernel in (("trend", self._make_trend()), ("joint", self._make_kernel(n_latent))):
+            for name, kernel in (("trend", self._make_trend()), ("joint", self._make_kernel(n_latent, "joint"))):
                 errors, found = held_out_errors(name, kernel, X, Z, **blocks)
                 if found is not None and not isinstance(options["input_noise"], str):
                     found = found._replace(root=options["input_noise"])
@@ -405,14 +405,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 return "joint", None
         return "trend", None
 
-    def _make_kernel(self, n_latent):
+    def _make_kernel(self, n_latent, structure=None):
+        structure = structure or self.structure_
         options = {
             "private_latents": self.private_latents,
             "covariance_type": self.covariance_type,
             "length_scale_prior": self.length_scale_prior,
         }
         trend = None if self.trend in ("constant", None) else self._make_trend()
-        kernel = ConvolvedGaussian(n_latent, **options) if self.kernel is None else clone(self.kernel)
+        kernel: Any = ConvolvedGaussian(n_latent, **options) if self.kernel is None else clone(self.kernel)
+        if structure == "additive":
+            for k in range(self.n_features_in_):
+                kernel = ConvolvedGaussian(0, regressors=[k], length_scale_prior=self.length_scale_prior) + kernel
         return kernel if trend is None else trend + kernel
 
     def _make_trend(self):

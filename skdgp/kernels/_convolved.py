@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from skdgp._compute.linalg import column_scale, constant_columns
+from skdgp._compute.linalg import cluster_centres, column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures, rank_parts
@@ -20,6 +20,9 @@ from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
 MAX_SCALE_RATIO = 1e5  # largest over smallest standard deviation of regressors with a common length scale
+CONSTANT_LENGTH = 1e6  # length scale over the standard deviation of a regressor that has no effect
+ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regressors
+ADDITIVE_AMPLITUDE = 0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 NOISE_AMPLITUDE = 0.1  # below this fraction of its starting amplitude an output was explained as noise
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
@@ -50,6 +53,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         Widths of the filters: "spherical" one number, "diag" one width for each regressor, "full" a full matrix,
         "tied" one width for each regressor, equal for all outputs of a latent (with zero shifts this is the linear
         model of coregionalisation).
+    regressors : sequence of int or None
+        Columns of X that the outputs depend on, for additive models: a sum of kernels of few regressors each. Length
+        scales of the others are fixed at a million times their standard deviation. None: all columns.
     feeds : array (M, P) of bool or None
         Whether latent m contributes to output i, for example one latent for the lateral outputs only. It replaces
         ``n_latent`` and ``private_latents``.
@@ -86,12 +92,15 @@ class ConvolvedGaussian(MultiOutputKernel):
            [-2.,  4.]])
     """
 
+    regressors: Sequence[int] | None = None  # kernels of version 0.1 lack it
+
     def __init__(
         self,
         n_latent: Any = 1,
         *,
         private_latents: bool = True,
         covariance_type: str = "diag",
+        regressors: Sequence[int] | None = None,
         feeds: Any = None,
         amplitude: Any = None,
         length_scale: Any = None,
@@ -106,6 +115,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.n_latent = n_latent
         self.private_latents = private_latents
         self.covariance_type = covariance_type
+        self.regressors = regressors
         self.feeds = feeds
         self.amplitude = amplitude
         self.length_scale = length_scale
@@ -150,6 +160,21 @@ class ConvolvedGaussian(MultiOutputKernel):
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
 
+    def _without_effect(self, d):
+        """Return the mask (d,) of regressors that the outputs do not depend on."""
+        others = np.zeros(d, dtype=bool)
+        if self.regressors is not None:
+            columns = np.asarray(self.regressors)
+            if columns.ndim != 1 or columns.dtype.kind not in "iu" or not set(columns) <= set(range(d)) or not len(columns):
+                raise ValueError(f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}.")
+            if self.covariance_type not in ("diag", "tied"):
+                raise ValueError(
+                    f"Got regressors with covariance_type={self.covariance_type!r}, but expected 'diag' or 'tied'."
+                )
+            others[:] = True
+            others[columns] = False
+        return others
+
     def _feed_matrix(self, P):
         return feed_matrix(self.feeds, self.n_latent, self.private_latents, P)
 
@@ -178,6 +203,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         coarse: Any = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
+        others = self._without_effect(X.shape[1])
         params = self.prepared(X).get_params()
         feeds = self._feed_matrix(Y.shape[1])
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
@@ -193,6 +219,10 @@ class ConvolvedGaussian(MultiOutputKernel):
             start |= {name: common_scale(start[name], X) for name in ("length_scale", "length_scale_bounds")}
         elif axis is not None:
             start["length_scale"] = _geometric_mean(start["length_scale"], axis)
+        if others.any() and not singles and not coarse:
+            start["amplitude"] *= ADDITIVE_AMPLITUDE
+            start["length_scale"][..., ~others] *= np.sqrt(np.mean(~others))
+            start["length_scale"][..., others] = CONSTANT_LENGTH * column_scale(X)[others]
         for name, value in start.items():
             if params[name] is None:
                 params[name] = value
@@ -235,6 +265,7 @@ class ConvolvedGaussian(MultiOutputKernel):
                 self.n_latent,
                 private_latents=self.private_latents,
                 covariance_type="tied",
+                regressors=self.regressors,
                 feeds=self.feeds,
                 amplitude=self.amplitude,
                 amplitude_bounds=self.amplitude_bounds,
@@ -244,7 +275,9 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def single_output(self) -> MultiOutputKernel:
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
-        return ConvolvedGaussian(0, covariance_type=kind, length_scale_prior=self.length_scale_prior)
+        return ConvolvedGaussian(
+            0, covariance_type=kind, regressors=self.regressors, length_scale_prior=self.length_scale_prior
+        )
 
     def stationary_part(self) -> Any:
         return self
@@ -263,7 +296,20 @@ class ConvolvedGaussian(MultiOutputKernel):
         weight = np.maximum(w**2, 1e-12) * self._value("feeds")
         weight /= weight.sum(axis=1, keepdims=True)
         width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
-        return LatentFeatures(self, range(len(w)), [Z] * len(w), width)
+        return LatentFeatures(self, range(len(w)), [self._inducing(Z)] * len(w), width)
+
+    def _inducing(self, Z):
+        """Return inducing inputs for functions of few regressors: fewer than the given ones."""
+        others = self._without_effect(Z.shape[1])
+        n = ADDITIVE_POINTS * int((~others).sum())
+        if not others.any() or n >= len(Z):
+            return Z
+        chosen = np.tile(Z.mean(axis=0), (n, 1))
+        if others.sum() == Z.shape[1] - 1:
+            chosen[:, ~others] = np.linspace(Z[:, ~others].min(axis=0), Z[:, ~others].max(axis=0), n)
+        else:
+            chosen[:, ~others] = cluster_centres(Z[:, ~others], column_scale(Z)[~others], n, 0)
+        return chosen
 
     def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable:
         return rank_parts(self, X, scale, random_state)
@@ -287,13 +333,14 @@ class ConvolvedGaussian(MultiOutputKernel):
         filters = latent * P + output
         width = latent if self.covariance_type == "tied" else filters
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
+        varies = feeds[..., None] & ~self._without_effect(d)
         shifted = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
         amplitude_bounds = or_default(self.amplitude_bounds, (-1e3, 1e3))
         free = [
             FreeParameter("amplitude", renumber(filters, feeds), False, amplitude_bounds),
             FreeParameter(
                 "length_scale",
-                renumber(width[..., None] * d + per_feature, feeds[..., None]),
+                renumber(width[..., None] * d + per_feature, varies),
                 True,
                 or_default(self.length_scale_bounds, (1e-3, 1e3)),
             ),

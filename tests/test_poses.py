@@ -1,80 +1,89 @@
 """Motion from noisy positions: the smoother is that of its equations, and bends nothing at the ends."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from skdgp._flight.poses import Record, minus_log_likelihood, smooth_motion, smooth_rotation
+from skdgp._flight.poses import ROUGHEST, SMOOTHEST, Record, minus_log_likelihood, smooth_motion, smooth_rotation
 
 LOG_K = np.array([-1.0, -3.0, 0.5])
-COVARIANCE = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
-"""Of (x, v, f) after one second of integrated white noise."""
 
 
-def turning(time, rate=(0.3, -0.2, 0.5)):
-    return Rotation.from_rotvec(np.outer(time, rate))
+def turning(time):
+    return Rotation.from_rotvec(np.outer(time, [0.3, -0.2, 0.5]))
 
 
-def record(n=12, *, gravity=0.0, seed=0, axes=None):
-    rng = np.random.default_rng(seed)
+def still(time):
+    return Rotation.identity(len(time))
+
+
+def record(axes, n=14, *, gravity=0.0):
+    rng = np.random.default_rng(0)
     time = np.cumsum(rng.uniform(0.7, 1.3, n))
-    return Record(time, rng.normal(0, 1, (n, 3)), turning(time) if axes is None else axes(time), gravity)
+    return Record(time, rng.normal(0, 1, (n, 3)), axes(time), gravity)
 
 
-def dense(record, log_k):
-    """Rows of white residuals of all states, typed from x' = v, v' = C f + g, f' = w; and what they should be."""
-    n, rows, right = len(record.x), [], []
-    for k in range(n):
-        row = np.zeros((3, n, 3, 3))
-        row[:, k, 0] = np.eye(3)
-        rows.append(row)
-        right.append(record.x[k])
-    for k, h in enumerate(np.diff(record.time)):
-        C = (
-            record.axes[k] * Rotation.from_rotvec((record.axes[k].inv() * record.axes[k + 1]).as_rotvec() / 2)
-        ).as_matrix()
-        flow = np.eye(9)
-        flow[:3, 3:6], flow[:3, 6:], flow[3:6, 6:] = h * np.eye(3), h**2 / 2 * C, h * C
-        turn = np.kron(np.diag([1.0, 1, 0]), C) + np.kron(np.diag([0.0, 0, 1]), np.eye(3))
-        size = h ** np.array([2.5, 1.5, 0.5])
-        covariance = turn @ np.kron(COVARIANCE * np.outer(size, size), np.diag(np.exp(log_k))) @ turn.T
-        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        row = np.zeros((9, n, 9))
-        row[:, k + 1], row[:, k] = whiten, -whiten @ flow
-        fall = record.gravity * np.r_[0, 0, h**2 / 2, 0, 0, h, 0, 0, 0]
-        rows.append(row.reshape(9, n, 3, 3))
-        right.append(whiten @ fall)
-    return np.concatenate(rows).reshape(-1, 9 * n), np.concatenate(right)
+def splines(record):
+    """B-splines of the samples (n, K)."""
+    n_splines = len(record.knots) - 6
+    elements = [BSpline.basis_element(record.knots[j : j + 7], extrapolate=False) for j in range(n_splines)]
+    return np.nan_to_num(np.stack([element(record.time) for element in elements], axis=-1))
 
 
 @pytest.mark.parametrize("gravity", [0.0, 9.8])
-def test_states_are_those_of_least_squares(gravity):
-    given = record(gravity=gravity)
-    rows, right = dense(given, LOG_K)
+def test_coefficients_are_those_of_least_squares(gravity):
+    given = record(turning, gravity=gravity)
+    basis = splines(given)
+    K = basis.shape[1]
+    rows, right = [np.kron(basis, np.eye(3))], [given.x.ravel()]
+    knots = np.clip(given.knots[4:], given.time[0], given.time[-1])
+    C = turning(knots).as_matrix()
+    for j in range(K - 4):
+        row, known = np.zeros((3, K, 3)), np.zeros(3)
+        for i, difference in enumerate((1, -2, 1)):
+            row[:, j + i : j + i + 3] += difference * np.multiply.outer((1, -2, 1), C[j + i].T).swapaxes(0, 1)
+            known += difference * C[j + i].T @ [0, 0, gravity * given.step**2]
+        weight = np.exp(-0.5 * LOG_K) / given.step**2
+        rows.append(weight[:, None] * row.reshape(3, 3 * K))
+        right.append(weight * known)
+    rows, right = np.concatenate(rows), np.concatenate(right)
     expected = np.linalg.lstsq(rows, right, rcond=None)[0]
-    states, misfit, log_determinant = given.solve(LOG_K)
-    np.testing.assert_allclose(states.ravel(), expected, atol=1e-8)
-    np.testing.assert_allclose(misfit, np.sum((rows @ expected - right) ** 2), rtol=1e-8)
-    np.testing.assert_allclose(log_determinant, np.linalg.slogdet(rows.T @ rows)[1], rtol=1e-10)
+    fit = given.fit(LOG_K)
+    np.testing.assert_allclose(fit.coefficients.ravel(), expected, atol=1e-8)
+    np.testing.assert_allclose(fit.misfit, np.sum((rows @ expected - right) ** 2), rtol=1e-8)
+    np.testing.assert_allclose(fit.log_determinant, np.linalg.slogdet(rows.T @ rows)[1], rtol=1e-10)
 
 
-def test_likelihood_is_that_of_the_third_differences_of_the_samples():
-    """What is left of three independent random processes when their starts are projected out."""
-    n, log_ratios = 9, []
-    given = Record(np.arange(n, dtype=float), np.random.default_rng(1).normal(0, 1, (n, 3)), Rotation.identity(n), 0.0)
-    third = np.diff(np.eye(n), 3, axis=0)
+def test_likelihood_is_that_of_the_samples_without_their_cubics():
+    """The coefficients are random with white fourth differences, and any cubic; the normal density is scipy's."""
+    given, offsets = record(still), []
+    basis = splines(given)
+    inverse = np.linalg.pinv(np.diff(np.eye(basis.shape[1]), 4, axis=0) / given.step**2)
+    cubics = np.vander(given.time - given.time.mean(), 4)
+    left = np.linalg.qr(cubics, mode="complete")[0][:, 4:]
     for log_k in (np.zeros(3), LOG_K):
-        time = np.arange(n, dtype=float)[:, None]
-        early, late = np.minimum(time, time.T), np.maximum(time, time.T)
-        integrated = early**5 / 20 - early**4 * (early - late) / 8 + early**3 * (late - early) ** 2 / 12
-        parts = [third @ (np.exp(k) * integrated + np.eye(n)) @ third.T for k in log_k]
-        values = third @ given.x
-        degrees = values.size
+        spread = left.T @ basis @ inverse
+        parts = [np.exp(k) * spread @ spread.T + np.eye(len(spread)) for k in log_k]
+        values = left.T @ given.x
         misfit = sum(y @ np.linalg.solve(part, y) for y, part in zip(values.T, parts, strict=True))
-        reference = -2 * sum(stats.multivariate_normal(cov=part).logpdf(0 * values[:, 0]) for part in parts)
-        log_ratios.append(minus_log_likelihood([given], log_k) - degrees * np.log(misfit) - reference)
-    np.testing.assert_allclose(log_ratios[0], log_ratios[1], atol=1e-8)
+        density = sum(stats.multivariate_normal(cov=part).logpdf(0 * values[:, 0]) for part in parts)
+        expected = values.size * np.log(misfit) - 2 * density
+        offsets.append(minus_log_likelihood([given], log_k) - expected)
+    np.testing.assert_allclose(offsets[0], offsets[1], atol=1e-8)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.95])
+def test_the_corners_of_the_search_can_be_solved(jitter):
+    rng = np.random.default_rng(0)
+    time = np.cumsum(1 + rng.uniform(-jitter, jitter, 2000))
+    path = np.cumsum(np.cumsum(rng.normal(0, 1e-4, (2000, 3)), axis=0), axis=0)
+    given = Record(time, path, turning(0.05 * time), 1e-3)
+    for log_k in product((SMOOTHEST, ROUGHEST), repeat=3):
+        assert np.isfinite(given.fit(np.array(log_k)).coefficients).all()
 
 
 @pytest.mark.parametrize("start", [0.0, 5e6])

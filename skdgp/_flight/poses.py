@@ -1,15 +1,14 @@
-"""Motion from noisy poses: velocity, acceleration and angular rates by a Kalman smoother of integrated white noise.
+"""Motion from noisy poses: velocity, acceleration and angular rates by penalised splines.
 
-Three coordinates x of a body are measured with white noise of variance s^2. Their acceleration is a random walk in
-axes C that may turn, so
+Three coordinates x (n, 3) of a body are measured with white noise of variance s^2. They are splines of degree 5 with a
+knot at each step of the clock. Their acceleration is C f + g, with axes C that may turn. The coefficients of x'' are
+second differences of those of x, and give f at the knots,
 
-    x' = v,    v' = C f + g,    f' = w,    w white with intensities k_i s^2, i = 1, 2, 3.
+    f_j = C_j^T ((c_j - 2 c_j+1 + c_j+2) - g),        f_j - 2 f_j+1 + f_j+2 ~ N(0, s^2 diag(k_1, k_2, k_3)).
 
-The estimate of least mean squared error is that of Rauch, Tung & Striebel (1965); where C is constant it is a smoothing
-spline of degree 5 (Wahba 1978). Nothing is assumed of the start, so nothing is bent at the ends of a record. The k_i
-maximise the likelihood in which s^2 and the start are integrated out, over all records together.
-
-The states of all samples are solved for at once: their precision is block tridiagonal, and its Cholesky factor banded.
+For constant C this is the P-spline of Eilers & Marx (1996) with fourth differences. Nothing is assumed of the start and
+the end of a record, so nothing is bent there. The k_i maximise the likelihood of all records together, in which s^2 and
+all that no difference restrains are integrated out (Wahba 1985).
 """
 
 from __future__ import annotations
@@ -17,20 +16,18 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import linalg, optimize
-from scipy.spatial.transform import Rotation
+from scipy import linalg, optimize, sparse
+from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation, Slerp
 
 LEAST_SAMPLES = 10
 """Records with fewer samples are not differentiated."""
-SMOOTHEST, ROUGHEST = np.log(1e-9), np.log(1e3)
-"""Bounds of log k where a step is the unit of time: some 30 steps are averaged at most, a third of one at least."""
-MOST_LEARNED = 4000
-"""Samples that the intensities are learned from, about."""
-
-
-PRECISION = np.array([[720.0, -360.0, 60.0], [-360.0, 192.0, -36.0], [60.0, -36.0, 9.0]])
-"""Inverse of the covariance of (x, v, f) after a unit of time of white noise of unit intensity in f'."""
-
+DEGREE = 5
+BANDS = 3 * (DEGREE + 1)
+SMOOTHEST, ROUGHEST = np.log(1e-12), np.log(1e2)
+"""Bounds of log k: noise is averaged over about 30 steps at most, and hardly at all at least."""
+MOST_LEARNED = 10000
+"""Samples that k is learned from, about."""
 DIFFERENCE = 1e-3
 """Relative steps of the differences that the search for log k takes; the likelihood is rough in its last digits."""
 
@@ -81,93 +78,99 @@ def smooth_motion(
     axes = Rotation.identity(len(time)) if axes is None else axes
     records = [Record(time[each] / step, x[each], axes[each], gravity * step**2) for each in segments]
     log_k = _likeliest(records)
-    states, misfits, _ = zip(*(record.solve(log_k) for record in records), strict=True)
-    noise = np.sqrt(sum(misfits) / sum(record.degrees for record in records))
-    position, velocity, force = np.moveaxis(np.concatenate(states), 1, 0)
+    fits = [record.fit(log_k) for record in records]
+    noise = np.sqrt(sum(fit.misfit for fit in fits) / sum(record.degrees for record in records))
+    motions = [record.motion(fit.coefficients) for record, fit in zip(records, fits, strict=True)]
+    position, velocity, force = (np.concatenate(parts) for parts in zip(*motions, strict=True))
     return Motion(position, velocity / step, force / step**2, float(noise))
 
 
 def _likeliest(records: list[Record]) -> np.ndarray:
-    """Return the log k (3,) of the largest likelihood, learned from records spread over all."""
-    parts = [part for record in records for part in record.parts(MOST_LEARNED // 4)]
-    every = max(1, sum(len(part.x) for part in parts) // MOST_LEARNED)
-    parts = parts[::every]
+    """Return the log k (3,) of the largest likelihood, learned from parts spread over all records."""
+    parts = [part for record in records for part in record.parts(MOST_LEARNED // 10)]
+    parts = parts[:: max(1, sum(len(part.x) for part in parts) // MOST_LEARNED)]
 
     def cost(log_k: np.ndarray) -> float:
         return minus_log_likelihood(parts, log_k)
 
     start = min((np.full(3, level) for level in np.linspace(SMOOTHEST, ROUGHEST, 9)), key=cost)
     bounds = [(SMOOTHEST, ROUGHEST)] * 3
-    options: Any = {"finite_diff_rel_step": DIFFERENCE, "ftol": 1e-7}
+    options: Any = {"finite_diff_rel_step": DIFFERENCE, "ftol": 1e-10}
     return optimize.minimize(cost, start, method="L-BFGS-B", jac="3-point", bounds=bounds, options=options).x
 
 
 def minus_log_likelihood(records: list[Record], log_k: np.ndarray) -> float:
-    """Return minus twice the log likelihood of log k (3,), s^2 and the starts integrated out, but for a constant."""
-    _, misfits, log_determinants = zip(*(record.solve(log_k) for record in records), strict=True)
+    """Return minus twice the log likelihood of log k (3,) but for a constant."""
+    fits = [record.fit(log_k) for record in records]
     degrees = sum(record.degrees for record in records)
-    steps = sum(len(record.x) - 1 for record in records)
-    tiny = np.finfo(float).tiny
-    return float(degrees * np.log(sum(misfits) + tiny) + sum(log_determinants) + 3 * steps * np.sum(log_k))
+    misfit = sum(fit.misfit for fit in fits) + np.finfo(float).tiny
+    differences = sum(len(record.expected[0]) for record in records)
+    return float(degrees * np.log(misfit) + sum(fit.log_determinant for fit in fits) + differences * np.sum(log_k))
+
+
+class Fit(NamedTuple):
+    """Coefficients of a record (K, 3), their misfit over s^2, and the log determinant of their precision times s^2."""
+
+    coefficients: np.ndarray
+    misfit: float
+    log_determinant: float
 
 
 class Record:
-    """Samples x (n, 3) at times (n,) in steps, and the axes of f; states are (x, v, f)."""
+    """Samples x (n, 3) at times (n,) in steps, and the axes of f."""
 
     def __init__(self, time: np.ndarray, x: np.ndarray, axes: Rotation, gravity: float) -> None:
         self.time, self.x, self.axes, self.gravity = time, x, axes, gravity
-        self.degrees = x.size - 9
-        h = np.diff(time)
-        turn = (axes[:-1] * Rotation.from_rotvec((axes[:-1].inv() * axes[1:]).as_rotvec() / 2)).as_matrix()
-        self._turns = np.stack([turn, turn, np.broadcast_to(np.eye(3), turn.shape)], axis=1)
-        """Axes halfway through each step, in those of x, v and f: (n - 1, 3, 3, 3)."""
-        self._fall = gravity * np.stack([h**2 / 2, h, 0 * h], axis=1)[:, :, None] * [0.0, 0.0, 1.0]
-        flow = np.eye(3) + h[:, None, None] * np.eye(3, k=1) + h[:, None, None] ** 2 / 2 * np.eye(3, k=2)
-        scale = h[:, None] ** [-2.5, -1.5, -0.5]
-        self._flow, self._precision = flow, PRECISION * scale[:, :, None] * scale[:, None, :]
+        self.degrees = x.size - 12
+        intervals = int(np.ceil(time[-1] - time[0] - 1e-6))
+        self.step = (time[-1] - time[0]) / intervals
+        self.knots = time[0] + self.step * np.arange(-DEGREE, intervals + DEGREE + 1)
+        inside = np.clip(time, *self.knots[[DEGREE, -DEGREE - 1]])
+        self.basis = sparse.kron(BSpline.design_matrix(inside, self.knots, DEGREE), sparse.eye(3), "csr")
+        at_knots = Slerp(time, axes)(np.clip(self.knots[4:-4], time[0], time[-1]))
+        turns = sparse.block_diag(list(at_knots.inv().as_matrix()), "csr")
+        size = len(self.knots) - DEGREE - 1
+        force = turns @ _second_differences(size) / self.step**2
+        differences = _second_differences(size - 2)
+        fall = differences @ (turns @ np.tile([0.0, 0.0, gravity], size - 2))
+        self.penalties = [(differences @ force)[axis::3] for axis in range(3)]
+        self.expected = [fall[axis::3] for axis in range(3)]
+        self._bands = [_bands(each.T @ each) for each in (self.basis, *self.penalties)]
 
     def parts(self, longest: int) -> list[Record]:
         """Return the record cut into parts of at most ``longest`` samples."""
         cuts = np.array_split(np.arange(len(self.x)), -(-len(self.x) // longest))
+        if len(cuts) == 1:
+            return [self]
         return [Record(self.time[rows], self.x[rows], self.axes[rows], self.gravity) for rows in cuts]
 
-    def solve(self, log_k: np.ndarray) -> tuple[np.ndarray, float, float]:
-        """Return the states (n, 3, 3), the misfit over s^2, and the log determinant of the states' precision."""
-        n, k = len(self.x), np.exp(log_k)
-        turns = (self._turns / np.sqrt(k)).reshape(n - 1, 9, 3)
-        turned = turns @ np.swapaxes(turns, 1, 2)
-        across = -self._precision @ self._flow
-        before = -np.swapaxes(self._flow, 1, 2) @ across
-        # Weights of the next state, of the next with this one, and of this one, in the misfit of each step.
-        after, across, before = (
-            each.repeat(3, axis=1).repeat(3, axis=2) * turned for each in (self._precision, across, before)
-        )
-        diagonal = np.zeros((n, 9, 9))
-        diagonal[1:] += after
-        diagonal[:-1] += before
-        diagonal[:, range(3), range(3)] += 1.0
-        fall = self._fall.reshape(n - 1, 9, 1)
-        target = np.zeros((n, 9))
-        target[:, :3] = self.x - self.x[0]
-        target[1:] += (after @ fall)[:, :, 0]
-        target[:-1] += (np.swapaxes(across, 1, 2) @ fall)[:, :, 0]
-        factor = linalg.cholesky_banded(_banded(diagonal, across), lower=True, check_finite=False)
-        state = linalg.cho_solve_banded((factor, True), target.ravel(), check_finite=False).reshape(n, 3, 3)
-        jumps = np.einsum("nsai,nsa->nsi", self._turns, state[1:] - self._fall) - self._flow @ np.einsum(
-            "nsai,nsa->nsi", self._turns, state[:-1]
-        )
-        state[:, 0] += self.x[0]
-        misfit = np.sum((state[:, 0] - self.x) ** 2) + np.einsum(
-            "nsi,nst,nti,i->", jumps, self._precision, jumps, 1 / k
-        )
-        return state, float(misfit), float(2 * np.sum(np.log(factor[0])))
+    def fit(self, log_k: np.ndarray) -> Fit:
+        """Return the coefficients of the least misfit |x - B c|^2 + sum_i |D_i c - d_i|^2 / k_i."""
+        weights = [1.0, *np.exp(-np.asarray(log_k))]
+        rows, values = [self.basis, *self.penalties], [(self.x - self.x[0]).ravel(), *self.expected]
+        precision = sum(weight * bands for weight, bands in zip(weights, self._bands, strict=True))
+        factor = linalg.cholesky_banded(precision, lower=True, overwrite_ab=True, check_finite=False)
+        found, left = np.zeros(self.basis.shape[1]), values
+        for _ in range(3):  # refined, as the precision may be ill-conditioned
+            target = sum(w * (row.T @ value) for w, row, value in zip(weights, rows, left, strict=True))
+            found = found + linalg.cho_solve_banded((factor, True), target, check_finite=False)
+            left = [value - row @ found for row, value in zip(rows, values, strict=True)]
+        misfit = sum(w * np.sum(value**2) for w, value in zip(weights, left, strict=True))
+        return Fit(found.reshape(-1, 3) + self.x[0], float(misfit), float(2 * np.sum(np.log(factor[0]))))
+
+    def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x, v and f at the samples."""
+        spline = BSpline(self.knots, coefficients, DEGREE)
+        acceleration = spline(self.time, 2) - [0.0, 0.0, self.gravity]
+        return spline(self.time), spline(self.time, 1), self.axes.inv().apply(acceleration)
 
 
-def _banded(diagonal: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return a symmetric matrix of blocks (n, 9, 9) and (n - 1, 9, 9) below them as `scipy.linalg` stores its bands."""
-    n = len(diagonal)
-    bands = np.zeros((18, n, 9))
-    for column in range(9):
-        bands[: 9 - column, :, column] = diagonal[:, column:, column].T
-        bands[9 - column : 18 - column, :-1, column] = below[:, :, column].T
-    return bands.reshape(18, 9 * n)
+def _second_differences(size: int) -> sparse.csr_matrix:
+    """Return the matrix of second differences of ``size`` vectors of three components."""
+    each = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(size - 2, size))
+    return sparse.kron(each, sparse.eye(3), "csr")
+
+
+def _bands(symmetric: sparse.csr_matrix) -> np.ndarray:
+    """Return a banded symmetric matrix as `scipy.linalg` stores it, its lower part."""
+    return np.array([np.pad(symmetric.diagonal(-band), (0, band)) for band in range(BANDS)])

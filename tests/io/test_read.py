@@ -103,7 +103,7 @@ class TestUnitsThatNumbersGiveAway:
         degrees = np.linspace(300, 420, 50) % 360
         with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):
             read_flight(write("log.csv", table(psi=degrees)))
-        unwrapped = read_flight(write("log.csv", table(psi=np.linspace(0, 40, 50))))  # six orbits in radians
+        unwrapped = read_flight(write("log.csv", table(4500, psi=np.linspace(0, 40, 4500))))  # six orbits in radians
         assert unwrapped.psi.iloc[-1] == 40
 
     def test_one_bad_sample_is_not_a_unit(self, write):

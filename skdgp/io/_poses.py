@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from skdgp._flight.atmosphere import GRAVITY, standard_density
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES, SPECIFIC_FORCE, WIND
 from skdgp._flight.clock import flight_segments
+from skdgp._flight.faults import NOT_MEASURED, faults_message, find_faults
 from skdgp._flight.frames import air_data, quaternion_to_euler
 from skdgp._flight.poses import LEAST_SAMPLES, smooth_motion, smooth_rotation
 from skdgp.io._units import check_magnitudes
@@ -27,8 +28,10 @@ FRAMES = {
 GRAVITY_NED = np.array([0.0, 0.0, GRAVITY])
 UNIT = 1e-2
 """Quaternions are of length 1 but for this."""
+MOST_REPEATS = 0.3
+"""Share of rows that repeat the one before, from which poses are those of a slower sensor."""
 LARGEST_FORCE = 300.0
-"""Root mean square of specific force [m/s^2] beyond which positions are not in metres."""
+"""Median of specific force [m/s^2] beyond which positions are not in metres."""
 UNEXPLAINED, CLEARLY = 0.5, 0.5
 """A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
 
@@ -88,9 +91,9 @@ def flight_from_poses(
     ------
     ValueError
         If shapes do not match, a value is not finite, time does not increase, quaternions are not of length 1, a
-        flight has fewer than 10 samples between gaps, positions are not in metres, or the motion contradicts the
-        frame: lift does not act upward, the aircraft does not fly forward, or it does not turn to the side to which
-        it banks.
+        flight has fewer than 10 samples between gaps, poses repeat or leap as where markers are hidden, positions are
+        not in metres, or the motion contradicts the frame: lift does not act upward, the aircraft does not fly forward,
+        or it does not turn to the side to which it banks.
 
     Examples
     --------
@@ -116,13 +119,15 @@ def flight_from_poses(
     segments = _long_enough(flight_segments(time, names), time, names)
 
     earth, body = FRAMES[frame]
-    rotation = smooth_rotation(time, earth * Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]) * body, segments)
+    position, attitude = earth.apply(position), earth * Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]) * body
+    _check_faults(time, names, position, attitude)
+    rotation = smooth_rotation(time, attitude, segments)
     attitude = rotation.attitude
-    motion = smooth_motion(time, earth.apply(position), segments, axes=attitude, gravity=GRAVITY)
-    size = np.sqrt(np.mean(np.sum(motion.f**2, axis=1)))
+    motion = smooth_motion(time, position, segments, axes=attitude, gravity=GRAVITY)
+    size = np.median(np.linalg.norm(motion.f, axis=1))
     if size > LARGEST_FORCE:
         raise ValueError(
-            f"Got positions whose specific force is {size:.3g} m/s^2 (root mean square), but expected about 9.8: "
+            f"Got positions whose specific force is {size:.3g} m/s^2 (median), but expected about 9.8: "
             "divide positions in millimetres by 1000, and give time in seconds."
         )
     air = np.zeros(3) if wind is None else np.asarray(wind, dtype=float)
@@ -130,7 +135,6 @@ def flight_from_poses(
         raise ValueError(f"Got wind={wind!r}, but expected three numbers: north, east and down [m/s].")
     _check_frame(frame, attitude, motion.v - air, attitude.apply(motion.f))
 
-    euler = quaternion_to_euler(attitude.as_quat()[:, [3, 0, 1, 2]])
     above = altitude - motion.x[:, 2]
     vectors = {
         AIR_DATA: np.stack(air_data(attitude.inv().apply(motion.v - air)), axis=-1),
@@ -138,7 +142,7 @@ def flight_from_poses(
         tuple(f"{name}_dot" for name in RATES): rotation.accelerations,
         SPECIFIC_FORCE: motion.f,
         BODY_VELOCITY: attitude.inv().apply(motion.v),
-        EULER: euler,
+        EULER: _euler(attitude),
         POSITION: motion.x,
         EARTH_VELOCITY: motion.v,
     }
@@ -201,6 +205,26 @@ def _long_enough(segments: list[slice], time: np.ndarray, flight: np.ndarray) ->
     if not segments:
         raise ValueError(f"Got no samples, but expected at least {LEAST_SAMPLES}.")
     return segments
+
+
+def _check_faults(time: np.ndarray, flight: np.ndarray, position: np.ndarray, attitude: Rotation) -> None:
+    """Raise ValueError if poses were not measured: repeated, or far from their neighbours."""
+    for what, values in (("position", position), ("quaternion", attitude.as_matrix().reshape(-1, 9))):
+        repeats = np.mean(np.diff(values, axis=0) == 0, axis=0).min()
+        if repeats > MOST_REPEATS:
+            raise ValueError(
+                f"Got {what} that repeats the row before in {100 * repeats:.0f} % of the rows, but expected each row "
+                "measured: keep the rows in which it changes."
+            )
+    columns = dict(zip((*POSITION, *EULER), np.column_stack([position, _euler(attitude)]).T, strict=True))
+    poses = pd.DataFrame({"time": time, "flight": flight} | columns)
+    faults = [fault for fault in find_faults(poses) if fault.kind in NOT_MEASURED]
+    if faults:
+        raise ValueError(faults_message(faults, "Drop these rows from time, position, quaternion and controls."))
+
+
+def _euler(attitude: Rotation) -> np.ndarray:
+    return quaternion_to_euler(attitude.as_quat()[:, [3, 0, 1, 2]])
 
 
 def _check_frame(frame: str, attitude: Rotation, velocity: np.ndarray, force: np.ndarray) -> None:

@@ -1,5 +1,7 @@
 """Flight tables of poses: the truth that the poses were made of comes back, and other frames are found out."""
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,6 +15,7 @@ G = 9.80665
 SPEED = 12.0
 
 
+@cache
 def flown(seconds=3.0, rate=100, *, heading=0.0, bank=0.6):
     """Return the truth of an aircraft whose lift n g turns it where it banks, and makes it climb and sink."""
     t = np.arange(0, seconds + 0.2, 0.001)
@@ -177,6 +180,14 @@ def test_a_gap_is_not_differentiated_across():
     np.testing.assert_allclose(table.v_north, truth.v_north[rows], atol=0.05)
 
 
+def test_poses_that_were_not_measured_are_named():
+    time, position, attitude, _ = flown()
+    position, attitude = noisy(position, attitude)
+    position[100:160] = position[100]
+    with pytest.raises(ValueError, match=r"north is stuck .* east is stuck .* Drop these rows"):
+        flight_from_poses(time, position, scalar_first(attitude), frame="NED/FRD")
+
+
 def edit(name, change):
     time, position, attitude, _ = flown(1.0)
     poses = {"time": time, "position": position.copy(), "quaternion": scalar_first(attitude), "frame": "NED/FRD"}
@@ -200,6 +211,12 @@ def put(array, row, value):
         ("time", lambda t: t[:5], r"position of shape \(100, 3\), but expected \(5, 3\)"),
         ("position", lambda x: put(x, 7, np.nan), "position that is not finite in 1 of 100 rows .the first is row 7"),
         ("position", lambda x: x[:, :2], r"position of shape \(100, 2\)"),
+        (
+            "position",
+            lambda x: np.repeat(x[::5], 5, axis=0),
+            "position that repeats the row before in 81 % of the rows",
+        ),
+        ("quaternion", lambda q: np.repeat(q[::2], 2, axis=0), "quaternion that repeats the row before in 51 %"),
         ("position", lambda x: 1000 * x, "divide positions in millimetres by 1000"),
         ("quaternion", lambda q: put(q, slice(3), 0.0), "quaternion of length 0 at row 0 .3 such rows"),
         ("quaternion", lambda q: 2 * q, "length 2 at row 0 .100 such rows., but expected length 1"),

@@ -86,9 +86,11 @@ def smooth_motion(
 
 
 def _likeliest(records: list[Record]) -> np.ndarray:
-    """Return the log k (3,) of the largest likelihood, learned from parts spread over all records."""
+    """Return the log k (3,) of the largest likelihood, learned from parts of all records drawn by chance."""
     parts = [part for record in records for part in record.parts(MOST_LEARNED // 10)]
-    parts = parts[:: max(1, sum(len(part.x) for part in parts) // MOST_LEARNED)]
+    share = min(1.0, MOST_LEARNED / sum(len(part.x) for part in parts))
+    drawn = np.random.default_rng(0).permutation(len(parts))[: int(np.ceil(share * len(parts)))]
+    parts = [parts[i] for i in np.sort(drawn)]
 
     def cost(log_k: np.ndarray) -> float:
         return minus_log_likelihood(parts, log_k)

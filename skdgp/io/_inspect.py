@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._flight.clock import flight_rows
-from skdgp._flight.faults import SENSORS, find_faults
+from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp.io._autopilot.autopilot import AUTOPILOTS, no_flight_because, on_one_clock, read_log
 from skdgp.io._autopilot.clock import gaps, sampling_rate
 from skdgp.io._autopilot.formats import Topic
@@ -270,9 +270,18 @@ def _of_table(path, table) -> LogSummary:
         no_flight="",
         remarks=(
             *(f"column {name!r} is not of the vocabulary" for name in table.attrs["unknown_columns"]),
-            *(f"flight {each.flight}: {each.message}" for each in find_faults(table)),
+            *_faults(table),
         ),
     )
+
+
+def _faults(table) -> Iterator[str]:
+    """Yield a line for each kind of fault of each channel, with the first of several."""
+    found: dict[tuple[str, str], list[Finding]] = {}
+    for each in find_faults(table):
+        found.setdefault((each.channel, each.kind), []).append(each)
+    for first, *others in found.values():
+        yield f"flight {first.flight}: {first.message}" + f"; and {len(others)} more like it" * bool(others)
 
 
 def _flight(table) -> FlightSummary:

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from skdgp.identification._flights import named_flights
 from skdgp.io import FlightReadError, read_flight, read_flights
 from skdgp.preprocessing import FlightSmoother
 
@@ -110,6 +111,10 @@ class TestAirData:
         u, v, w = np.array([20.0, 1, 2]) - turn.inv().apply([3.0, -4, 0])
         expected = np.sqrt(u * u + v * v + w * w), np.arctan2(w, u), np.arcsin(v / np.sqrt(u * u + v * v + w * w))
         np.testing.assert_allclose(flight[["airspeed", "alpha", "beta"]], np.tile(expected, (50, 1)))
+
+    def test_in_tables_of_identify(self):
+        table = pd.DataFrame({"time": 0.02 * np.arange(50)} | self.velocity | self.attitude | self.wind)
+        assert {"airspeed", "alpha", "beta"} <= set(named_flights(table)["flight 1"].columns)
 
     @pytest.mark.parametrize(
         "columns", [velocity | {"airspeed": np.full(50, 20.0)}, velocity | wind, {"u": velocity["u"]}]

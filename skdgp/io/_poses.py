@@ -15,7 +15,7 @@ from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULE
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import NOT_MEASURED, faults_message, find_faults
 from skdgp._flight.frames import air_data, quaternion_to_euler
-from skdgp._flight.poses import LEAST_SAMPLES, smooth_motion, smooth_rotation
+from skdgp._flight.poses import LEAST_SAMPLES, Motion, Rotations, smooth_motion, smooth_rotation
 from skdgp.io._units import check_magnitudes
 
 UPRIGHT, TURNED = Rotation.identity(), Rotation.from_euler("x", np.pi)
@@ -32,6 +32,8 @@ MOST_REPEATS = 0.3
 """Share of rows that repeat the one before, from which poses are those of a slower sensor."""
 LARGEST_FORCE = 300.0
 """Median of specific force [m/s^2] beyond which positions are not in metres."""
+SLOW = 1.0
+"""Mean speed [m/s] below which nothing flies."""
 UNEXPLAINED, CLEARLY = 0.5, 0.5
 """A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
 
@@ -111,52 +113,51 @@ def flight_from_poses(
     [5.0, 0.0, 0.472, 0.454, 0.891, 0.0, 11.008]
     """
     time, position, quaternion = _checked(time, position, quaternion)
-    n = len(time)
     if frame not in FRAMES:
         raise ValueError(f"Got frame={frame!r}, but expected one of {list(FRAMES)}: earth axes, then body axes.")
-    names = np.broadcast_to(np.asarray(flight, dtype=object), n)
-    columns = _columns(controls, n)
+    names, columns, air = _names(flight, len(time)), _columns(controls, len(time)), _wind(wind)
     segments = _long_enough(flight_segments(time, names), time, names)
 
     earth, body = FRAMES[frame]
     position, attitude = earth.apply(position), earth * Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]) * body
     _check_faults(time, names, position, attitude)
     rotation = smooth_rotation(time, attitude, segments)
-    attitude = rotation.attitude
-    motion = smooth_motion(time, position, segments, axes=attitude, gravity=GRAVITY)
+    motion = smooth_motion(time, position, segments, axes=rotation.attitude, gravity=GRAVITY)
     size = np.median(np.linalg.norm(motion.f, axis=1))
     if size > LARGEST_FORCE:
         raise ValueError(
             f"Got positions whose specific force is {size:.3g} m/s^2 (median), but expected about 9.8: "
             "divide positions in millimetres by 1000, and give time in seconds."
         )
-    air = np.zeros(3) if wind is None else np.asarray(wind, dtype=float)
-    if air.shape != (3,) or not np.isfinite(air).all():
-        raise ValueError(f"Got wind={wind!r}, but expected three numbers: north, east and down [m/s].")
-    _check_frame(frame, attitude, motion.v - air, attitude.apply(motion.f))
+    _check_frame(frame, rotation.attitude, motion.v - air, rotation.attitude.apply(motion.f))
 
-    above = altitude - motion.x[:, 2]
-    vectors = {
-        AIR_DATA: np.stack(air_data(attitude.inv().apply(motion.v - air)), axis=-1),
-        RATES: rotation.rates,
-        tuple(f"{name}_dot" for name in RATES): rotation.accelerations,
-        SPECIFIC_FORCE: motion.f,
-        BODY_VELOCITY: attitude.inv().apply(motion.v),
-        EULER: _euler(attitude),
-        POSITION: motion.x,
-        EARTH_VELOCITY: motion.v,
-    }
-    if wind is not None:
-        vectors[WIND] = np.broadcast_to(air, (n, 3))
-    values = {name: column for some, block in vectors.items() for name, column in zip(some, block.T, strict=True)}
-    values |= {"altitude": above, "density": standard_density(above)}
+    values = _derived(rotation, motion, air) | dict(zip(WIND, air, strict=True) if wind is not None else ())
+    values["altitude"] = altitude - motion.x[:, 2]
+    values["density"] = standard_density(values["altitude"])
+    values = {"time": time, "flight": names} | values
     twice = sorted(values.keys() & columns.keys())
     if twice:
         raise ValueError(f"Got controls with the columns {twice}, which the poses give: leave them out.")
-    table = pd.DataFrame({"time": time, "flight": names} | values | columns)
+    table = pd.DataFrame(values | columns)
     check_magnitudes(table)
     table.attrs["pose_noise"] = (motion.noise, rotation.noise)
     return table
+
+
+def _derived(rotation: Rotations, motion: Motion, air: np.ndarray) -> dict[str, Any]:
+    """Return the columns that follow from the motion."""
+    to_body = rotation.attitude.inv()
+    blocks = (
+        (AIR_DATA, np.stack(air_data(to_body.apply(motion.v - air)), axis=-1)),
+        (RATES, rotation.rates),
+        ([f"{name}_dot" for name in RATES], rotation.accelerations),
+        (SPECIFIC_FORCE, motion.f),
+        (BODY_VELOCITY, to_body.apply(motion.v)),
+        (EULER, _euler(rotation.attitude)),
+        (POSITION, motion.x),
+        (EARTH_VELOCITY, motion.v),
+    )
+    return {name: column for names, block in blocks for name, column in zip(names, block.T, strict=True)}
 
 
 def _checked(time: ArrayLike, position: ArrayLike, quaternion: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -191,6 +192,22 @@ def _columns(controls: Mapping[str, ArrayLike] | pd.DataFrame | None, n: int) ->
         if columns[name].shape != (n,):
             raise ValueError(f"Got controls[{name!r}] of shape {columns[name].shape}, but expected {(n,)}.")
     return columns
+
+
+def _names(flight: ArrayLike | str, n: int) -> np.ndarray:
+    """Return the flight of each row, (n,)."""
+    names = np.asarray(flight, dtype=object)
+    if names.shape not in ((), (n,)):
+        raise ValueError(f"Got flight of shape {names.shape}, but expected one name or {(n,)}.")
+    return np.broadcast_to(names, n)
+
+
+def _wind(wind: ArrayLike | None) -> np.ndarray:
+    """Return the velocity of the air, (3,)."""
+    air = np.zeros(3) if wind is None else np.asarray(wind, dtype=float)
+    if air.shape != (3,) or not np.isfinite(air).all():
+        raise ValueError(f"Got wind={wind!r}, but expected three numbers: north, east and down [m/s].")
+    return air
 
 
 def _long_enough(segments: list[slice], time: np.ndarray, flight: np.ndarray) -> list[slice]:
@@ -245,7 +262,7 @@ def _check_frame(frame: str, attitude: Rotation, velocity: np.ndarray, force: np
     least = min((fit[2] for fit in fits.values()), default=np.inf)
     if lift <= 0:
         reason = f"a mean specific force of {-lift:+.3g} m/s^2 along the body's z axis, but expected about -9.8"
-    elif forward <= 0:
+    elif forward <= 0 and np.linalg.norm(velocity, axis=1).mean() > SLOW:
         reason = f"a mean velocity of {forward:.3g} m/s along the nose, but expected flight forward"
     elif side_force > UNEXPLAINED and least < CLEARLY * side_force:
         reason = (

@@ -224,6 +224,8 @@ def put(array, row, value):
         ("controls", lambda _: {"elevator": np.zeros(3)}, r"controls\['elevator'\] of shape \(3,\)"),
         ("controls", lambda _: {"p": np.zeros(100)}, r"controls with the columns \['p'\]"),
         ("controls", lambda _: {"elevator": np.full(100, 10.0)}, "these look like degrees"),
+        ("controls", lambda _: {"time": np.zeros(100)}, r"controls with the columns \['time'\]"),
+        ("flight", lambda _: ["a", "b"], r"flight of shape \(2,\), but expected one name or \(100,\)"),
         ("wind", lambda _: 3.0, "wind=3.0, but expected three numbers"),
     ],
 )

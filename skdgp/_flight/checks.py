@@ -16,6 +16,18 @@ from skdgp._flight.clock import flight_codes, flight_segments
 LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
 ANGLE_NOISE = 0.05
 """Noise that may carry an angle over its largest value [rad]."""
+GYROS = {"phi": RATES, "psi": ("q", "r")}
+"""Angles that go round, and the rates that turn them."""
+CLEARLY_FASTER = 57.3**0.5
+"""An angle that changes by so many times what the gyros turn is in degrees."""
+NO_TURN = 0.1
+"""Change in a second [rad] that needs no turn."""
+FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}
+"""Largest rate of nine tenths of a flight [rad/s]: gyros that turn faster are in degrees, too."""
+SLOW_TURN, MOST_TURNS = 1.0, 10.0
+"""Largest rate [rad/s] of nine tenths of a flight, and largest angle [turns], of an unwrapped angle without gyros."""
+ENOUGH = 5
+"""Least number of changes from which an angle is judged."""
 FASTEST_RATE = 50.0
 """Rates beyond this [rad/s], eight turns a second, are in other units."""
 
@@ -65,21 +77,50 @@ def _lacking(needed: Iterable[str], have: list[str]) -> str:
 
 
 def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
-    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass."""
+    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass.
+
+    Roll and heading may be unwrapped: see `is_unwrapped`.
+    """
     for name in names:
         values = np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
         top = np.max(values, initial=0.0, where=np.isfinite(values))
-        if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + ANGLE_NOISE:
+        if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + ANGLE_NOISE and not is_unwrapped(table, name):
             raise degrees_error(
-                f"{name} up to {top:g}", f"radians, at most {LARGEST_ANGLE[name]:.3f}", f"flight[{name!r}]"
+                f"{name} up to {top:g}", f"radians, at most {LARGEST_ANGLE[name]:.3f}", f"flight[{name!r}]", name
             )
         if name in RATES and top > FASTEST_RATE:
             raise degrees_error(f"{name} up to {top:g}", f"rad/s, at most {FASTEST_RATE:g}", f"flight[{name!r}]")
 
 
-def degrees_error(got: str, expected: str, name: str) -> ValueError:
+def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
+    """Return whether roll or heading beyond a turn is in radians without jumps, and not in degrees.
+
+    It does not jump by 360, and changes over a second by no more than the gyros turn; degrees change 57 times as fast.
+    Without gyros, it begins within a turn, as unwrapping leaves it, turns slowly, and a few times only. A tenth of the
+    seconds may be faster, so spikes do not count.
+    """
+    if name not in GYROS or "time" not in table:
+        return False
+    angle = _values(table, name)
+    known = np.isfinite(angle)
+    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table), int)
+    steps = np.abs(np.diff(angle[known]))[np.diff(codes[known]) == 0]
+    change = np.abs(_over_a_second(table, angle))
+    if np.isfinite(change).sum() < ENOUGH or ((steps > 300) & (steps < 361)).any():
+        return False
+    fastest = float(np.nanquantile(change, 0.9))
+    turned = np.hypot.reduce([_over_a_second(table, _values(table, rate), rate=True) for rate in GYROS[name]])
+    if _any_finite(turned) and fastest > 0:
+        return fastest <= min(max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN), FASTEST_TURN[name])
+    begins = np.abs(angle[known][np.r_[0, 1 + np.flatnonzero(np.diff(codes[known]))]])
+    turns = np.quantile(np.abs(angle[known]), 0.99) / (2 * np.pi)
+    return bool(begins.max() <= 2 * np.pi + ANGLE_NOISE and fastest <= SLOW_TURN and turns <= MOST_TURNS)
+
+
+def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueError:
     """Return the error of an angle or a rate that is too large for radians."""
-    return ValueError(f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).")
+    wrap = f" If it is unwrapped, use numpy.angle(numpy.exp(1j * {name}))." if angle in GYROS else ""
+    return ValueError(f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).{wrap}")
 
 
 def _named(table: pd.DataFrame, what: str) -> str:
@@ -174,19 +215,26 @@ def _rates(flight: pd.DataFrame) -> None:
 
 def _roll_over_a_second(flight: pd.DataFrame) -> tuple[float, float]:
     """Return the root mean squares of the change of phi in a second, and of p integrated over it."""
-    phi, p, time = (_values(flight, name) for name in ("phi", "p", "time"))
-    if not (_any_finite(phi) and _any_finite(p) and len(flight) > 2):
-        return 0.0, 0.0
-    step = np.nanmedian(np.diff(time))
-    lag = int(min(max(round(1.0 / step), 1), len(flight) - 1))
-    codes = flight_codes(flight["flight"])[0] if "flight" in flight else np.zeros(len(flight))
-    whole = (codes[lag:] == codes[:-lag]) & (np.abs(time[lag:] - time[:-lag] - lag * step) < step)
-    change = np.angle(np.exp(1j * (phi[lag:] - phi[:-lag])))[whole]
-    integral = np.convolve(p, np.ones(lag), mode="valid")[: len(phi) - lag][whole] * step
+    change = np.angle(np.exp(1j * _over_a_second(flight, _values(flight, "phi"))))
+    integral = _over_a_second(flight, _values(flight, "p"), rate=True)
     good = np.isfinite(change) & np.isfinite(integral)
     if not good.any():
         return 0.0, 0.0
     return float(np.sqrt(np.mean(change[good] ** 2))), float(np.sqrt(np.mean(integral[good] ** 2)))
+
+
+def _over_a_second(flight: pd.DataFrame, values: np.ndarray, *, rate: bool = False) -> np.ndarray:
+    """Return by how much values change over about a second of a flight, or of a rate its integral; NaN in gaps."""
+    time = _values(flight, "time")
+    codes = flight_codes(flight["flight"])[0] if "flight" in flight else np.zeros(len(time), int)
+    longest = int(np.bincount(codes).max())
+    if longest < 3:
+        return np.full(len(time), np.nan)
+    step = np.nanmedian(np.diff(time))
+    lag = min(max(round(1.0 / step), 1), longest // 2)
+    whole = (codes[lag:] == codes[:-lag]) & (np.abs(time[lag:] - time[:-lag] - lag * step) < step)
+    sums = np.convolve(values, np.ones(lag), mode="valid")[: len(time) - lag] * step
+    return np.where(whole, sums if rate else values[lag:] - values[:-lag], np.nan)
 
 
 def _accelerations(flight: pd.DataFrame) -> None:

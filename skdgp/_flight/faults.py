@@ -60,6 +60,12 @@ LEAST_HOLD = 0.3
 """Shorter holds [s] are no fault."""
 LEAST_STOP = 0.5
 """Seconds at the extreme value from which a surface is at its stop."""
+STANDS = 3.0
+"""A surface stands still where a run of equal values is so many times as long as usual."""
+FEWEST_LEVELS = 20
+"""A surface with fewer values between its extremes is a command in steps."""
+MOST_HELD = 4.0
+"""A surface that is so many times as long at its extremes as it moves between them is not stopped, but switched."""
 SPIKE = 8.0
 """A spike stands out from its neighbours by so many times what all but 0.5 % of samples do."""
 WIDEST_SPIKE = 3
@@ -166,7 +172,7 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
                 yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
         elif name in SURFACES:
             for rows in saturated_rows(values, step):
-                text = f"stands at its extreme value {values[rows[0]]:.4g} {_times(rows)}, as at a stop"
+                text = f"stands at its extreme value {values[rows[0]] + 0.0:.4g} {_times(rows)}, as at a stop"
                 yield name, "saturated", rows, text
     yield from _dead(channels, len(time))
 
@@ -275,22 +281,29 @@ def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
 
 
 def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
-    """Return the rows at the smallest and the largest value, each where a surface that else moves is held there."""
+    """Return the rows at the smallest and the largest value, each where a surface that else moves is held there.
+
+    A command in steps, or a stick, is also held elsewhere or hardly moves between its levels: that is no stop.
+    """
     rows = np.flatnonzero(np.isfinite(values))
     seen = values[rows]
     if len(rows) < ENOUGH or np.ptp(seen) == 0:
         return []
     runs = equal_runs(seen)
     level = seen[runs.start]
-    long = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_STOP)
     ends = (level == seen.min()) | (level == seen.max())
-    if np.sum(long & ~ends) * 2 > np.sum(long & ends):  # a stick that is held elsewhere is held there too
+    long = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_STOP)
+    moves = ~ends & (runs.length < STANDS * np.median(runs.length))
+    held, elsewhere, moving = (int(runs.length[part].sum()) for part in (long & ends, ~ends, moves))
+    if len(np.unique(level[moves])) < FEWEST_LEVELS or moving < max(elsewhere / 2, held / MOST_HELD):
+        return []
+    if np.sum(long & ~ends) * 2 > np.sum(long & ends):
         return []
     found = []
     for extreme in (seen.min(), seen.max()):
-        held = long & (level == extreme)
-        if held.any():
-            parts = zip(runs.start[held], runs.length[held], strict=True)
+        at = long & (level == extreme)
+        if at.any():
+            parts = zip(runs.start[at], runs.length[at], strict=True)
             found.append(np.concatenate([rows[first : first + n] for first, n in parts]))
     return found
 

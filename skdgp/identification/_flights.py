@@ -13,6 +13,7 @@ import pandas as pd
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.frames import with_air_data
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
@@ -78,6 +79,7 @@ def _is_autopilot(path) -> bool:
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:
+    table = with_air_data(table)
     try:
         check_columns(table, needed)
     except ValueError as error:

@@ -7,6 +7,7 @@ from skdgp.io._autopilot.autopilot import AUTOPILOTS
 from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
 from skdgp.io._errors import FlightReadError
 from skdgp.io._inspect import LogSummary, inspect_log, servo_template
+from skdgp.io._poses import flight_from_poses
 from skdgp.io._read import read_flight, read_flights
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "Rule",
     "ServoChannel",
     "Topic",
+    "flight_from_poses",
     "inspect_log",
     "read_flight",
     "read_flights",

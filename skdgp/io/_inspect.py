@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any
 
 import numpy as np
 
 from skdgp._flight.clock import flight_rows
-from skdgp._flight.faults import SENSORS
+from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp.io._autopilot.autopilot import AUTOPILOTS, no_flight_because, on_one_clock, read_log
 from skdgp.io._autopilot.clock import gaps, sampling_rate
 from skdgp.io._autopilot.formats import Topic
@@ -40,6 +40,8 @@ ADVICE = {
 }
 STEADY, SHORT = 0.5, 1.0
 """A topic with fewer messages than this share of rate times duration, or of fewer seconds, has no rate."""
+MOST_FLIGHTS = 6
+"""More flights are summed up in one line."""
 WIDTH = 110
 
 
@@ -94,7 +96,8 @@ class LogSummary:
     no_flight : str
         Why there are none; empty if there are some.
     remarks : tuple of str
-        Damage, gaps, faults of the clock, channels of no use.
+        Damage, gaps, faults of the clock, channels of no use; of a table, the faults of its channels, as from
+        :func:`skdgp.preprocessing.inspect_flight`.
     """
 
     path: str
@@ -132,14 +135,21 @@ class LogSummary:
     def _flight_lines(self):
         if not self.flights:
             yield f"  no flight: {self.no_flight}"
+        elif len(self.flights) > MOST_FLIGHTS:
+            seconds = [each.end - each.begin for each in self.flights]
+            speeds = [each.airspeed for each in self.flights if np.isfinite(each.airspeed)]
+            speed = f" at {min(speeds):.1f} to {max(speeds):.1f} m/s" if speeds else ""
+            yield f"  {len(self.flights)} flights of {min(seconds):.1f} to {max(seconds):.1f} s{speed}"
+            return
         for each in self.flights:
             speed = f" at {each.airspeed:.1f} m/s" if np.isfinite(each.airspeed) else ""
             yield f"  flight from {each.begin:.1f} s to {each.end:.1f} s{speed}"
 
     def _column_lines(self):
         for (source, rate, constant), columns in groupby(self.columns, key=lambda c: (c.source, c.rate, c.constant)):
-            names = " ".join(column.name for column in columns)
-            yield f"  {names:<22}{rate:>6.3g} Hz  {source}{' (never changes)' * constant}"
+            *above, names = wrap(" ".join(column.name for column in columns), WIDTH - 40, break_long_words=False)
+            yield from (f"  {line}" for line in above)
+            yield f"  {names:<21} {rate:>6.3g} Hz  {source}{' (never changes)' * constant}"
 
     def _advice(self):
         lacking = {name for names in self.missing.values() for name in names}
@@ -240,7 +250,7 @@ def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
 
 
 def _of_table(path, table) -> LogSummary:
-    rate = sampling_rate(np.unique(table["time"]))
+    rate = 1 / float(table.groupby("flight", sort=False)["time"].diff().median())
     columns = [
         ColumnSummary(name, "column", rate * table[name].notna().mean(), _constant(table[name]))
         for name in table.columns
@@ -258,8 +268,20 @@ def _of_table(path, table) -> LogSummary:
         missing=missing_for(columns),
         flights=tuple(flights),
         no_flight="",
-        remarks=tuple(f"column {name!r} is not of the vocabulary" for name in table.attrs["unknown_columns"]),
+        remarks=(
+            *(f"column {name!r} is not of the vocabulary" for name in table.attrs["unknown_columns"]),
+            *_faults(table),
+        ),
     )
+
+
+def _faults(table) -> Iterator[str]:
+    """Yield a line for each kind of fault of each channel, with the first of several."""
+    found: dict[tuple[str, str], list[Finding]] = {}
+    for each in find_faults(table):
+        found.setdefault((each.channel, each.kind), []).append(each)
+    for first, *others in found.values():
+        yield f"flight {first.flight}: {first.message}" + f"; and {len(others)} more like it" * bool(others)
 
 
 def _flight(table) -> FlightSummary:

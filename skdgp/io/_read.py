@@ -15,6 +15,7 @@ import pandas as pd
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.clock import flight_codes, part_restarts, rows_back
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.frames import with_air_data
 from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
@@ -44,7 +45,8 @@ def read_flight(
 
     A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are converted. Columns that
     the vocabulary does not know are kept and listed in ``table.attrs["unknown_columns"]``, with a warning where one
-    looks misspelt.
+    looks misspelt. A table that has u, v, w but neither airspeed, alpha nor beta gets them: relative to the wind if it
+    has the wind and the attitude, else of still air, with a warning.
 
     Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where slower, NaN in gaps)
     and cut into flights; ``table.attrs["sources"]`` names the message of each column. :func:`inspect_log` shows what
@@ -203,6 +205,7 @@ def _as_flight(table, flight, *, overrides):
     table = _split_at_restarts(_without_repeats(table))
     _check_time(table)
     check_magnitudes(table)
+    table = with_air_data(table)
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
     table = table[order]
     table.attrs = {UNKNOWN: [name for name in order if base_name(name) not in CHANNELS]}

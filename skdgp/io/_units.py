@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
+from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped
 from skdgp.io._errors import FlightReadError
 
 TO_SI = {
@@ -31,7 +32,6 @@ SPELLINGS = {
 LIMITS = {
     **dict.fromkeys(["alpha", "beta", "theta"], 1.7),
     **dict.fromkeys(["elevator", "aileron", "rudder", "elevon_left", "elevon_right"], 1.6),
-    "phi": 6.4,
     **dict.fromkeys(["p", "q", "r"], 20.0),
 }
 LONGEST_STEP = 5.0  # s
@@ -91,14 +91,17 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
 
 def check_magnitudes(table: pd.DataFrame) -> None:
     """Raise FlightReadError if the numbers of a column are in degrees, per cent, g or milliseconds."""
-    large = {name: _typical_maximum(table, name) for name in LIMITS if name in table}
-    degrees = {name: round(value, 1) for name, value in large.items() if value > LIMITS[name]}
-    if "psi" in table and _jumps_by_degrees(table):
-        degrees["psi"] = round(_typical_maximum(table, "psi"), 1)
+    large = {name: _typical_maximum(table, name) for name in (*LIMITS, *GYROS) if name in table}
+    degrees = {name: round(large[name], 1) for name in LIMITS if name in table and large[name] > LIMITS[name]}
+    for name in GYROS:
+        if name in table and large[name] > LARGEST_ANGLE[name] + ANGLE_NOISE and not is_unwrapped(table, name):
+            degrees[name] = round(large[name], 1)
     if degrees:
         raise FlightReadError(
             f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians per second: these "
             "look like degrees. Convert them with numpy.deg2rad, or say the unit in the header, as in 'alpha [deg]'."
+            + " Roll and heading in radians can be wrapped by numpy.angle(numpy.exp(1j * psi))."
+            * bool(degrees.keys() & GYROS)
         )
     if "throttle" in table and _typical_maximum(table, "throttle") > 1.5:
         raise FlightReadError(
@@ -125,10 +128,3 @@ def _typical_maximum(table, name) -> float:
     values = np.abs(table[name].to_numpy(float))
     values = values[np.isfinite(values)]
     return float(np.percentile(values, 99)) if values.size else 0.0
-
-
-def _jumps_by_degrees(table) -> bool:
-    """Whether heading jumps by about 360: an unwrapped heading in radians may be large but does not jump."""
-    psi = table["psi"].to_numpy(float)
-    jumps = np.abs(np.diff(psi[np.isfinite(psi)]))
-    return bool(((jumps > 300) & (jumps < 361)).any())

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from skdgp._cli import main
@@ -119,6 +120,35 @@ class TestSummary:
         assert summary.columns[0].rate == pytest.approx(2.0)
         assert summary.remarks == ("column 'my' is not of the vocabulary",)
         assert "airspeed" in str(summary)
+
+    def test_a_table_of_many_short_records(self, tmp_path):
+        time = 0.01 * np.arange(150)
+        records = [
+            pd.DataFrame(
+                {"time": 0.003 * k + time, "flight": f"run {k}", "airspeed": 5 + np.sin(time), "p": np.cos(time)}
+            )
+            for k in range(9)
+        ]
+        table = pd.concat(records).assign(**dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1))
+        table.to_csv(tmp_path / "runs.csv", index=False)
+        summary = inspect_log(tmp_path / "runs.csv")
+        assert len(summary.flights) == 9
+        assert [column.rate for column in summary.columns] == pytest.approx([100.0] * len(summary.columns))
+        text = str(summary)
+        assert "9 flights of 1.5 to 1.5 s at 5." in text
+        assert "flight from" not in text
+        assert all(len(line) <= 110 for line in text.splitlines() if " Hz " in line)
+        assert len(summary.remarks) == 2  # of q and r in each record
+        assert all("and 8 more like it" in remark for remark in summary.remarks)
+
+    def test_the_faults_of_a_table(self, tmp_path):
+        rng = np.random.default_rng(0)
+        table = pd.DataFrame({"time": 0.02 * np.arange(500), "flight": "a", "alpha": rng.normal(0.1, 0.01, 500)})
+        table.loc[200:260, "alpha"] = table.alpha[200]
+        table.to_csv(tmp_path / "a.csv", index=False)
+        (remark,) = inspect_log(tmp_path / "a.csv").remarks
+        assert remark.startswith("flight a: alpha is stuck at")
+        assert "alpha is stuck at" in str(inspect_log(tmp_path / "a.csv"))
 
 
 class TestCommand:

@@ -5,7 +5,9 @@ import builtins
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
+from skdgp.identification._flights import named_flights
 from skdgp.io import FlightReadError, read_flight, read_flights
 from skdgp.preprocessing import FlightSmoother
 
@@ -87,6 +89,40 @@ def test_unit_that_does_not_fit(write, unit):
         read_flight(write("log.csv", f"time,airspeed [{unit}]\n0,1\n1,2\n"))
 
 
+class TestAirData:
+    """Airspeed, alpha and beta of velocities, for tables without any air data."""
+
+    velocity = {"u": np.full(50, 20.0), "v": np.full(50, 1.0), "w": np.full(50, 2.0)}
+    attitude = {"phi": np.full(50, 0.3), "theta": np.full(50, 0.1), "psi": np.full(50, 2.0)}
+    wind = {"wind_north": np.full(50, 3.0), "wind_east": np.full(50, -4.0), "wind_down": np.zeros(50)}
+
+    def write(self, write, columns):
+        return write("log.csv", pd.DataFrame({"time": 0.02 * np.arange(50)} | columns).to_csv(index=False))
+
+    def test_of_still_air_with_a_warning(self, write):
+        with pytest.warns(UserWarning, match="u, v, w but neither air data nor wind, .* of still air"):
+            flight = read_flight(self.write(write, self.velocity))
+        expected = np.sqrt(405.0), np.arctan2(2, 20), np.arcsin(1 / np.sqrt(405))
+        np.testing.assert_allclose(flight[["airspeed", "alpha", "beta"]], np.tile(expected, (50, 1)))
+
+    def test_relative_to_the_wind(self, write):
+        flight = read_flight(self.write(write, self.velocity | self.attitude | self.wind))
+        turn = Rotation.from_euler("ZYX", [2.0, 0.1, 0.3])
+        u, v, w = np.array([20.0, 1, 2]) - turn.inv().apply([3.0, -4, 0])
+        expected = np.sqrt(u * u + v * v + w * w), np.arctan2(w, u), np.arcsin(v / np.sqrt(u * u + v * v + w * w))
+        np.testing.assert_allclose(flight[["airspeed", "alpha", "beta"]], np.tile(expected, (50, 1)))
+
+    def test_in_tables_of_identify(self):
+        table = pd.DataFrame({"time": 0.02 * np.arange(50)} | self.velocity | self.attitude | self.wind)
+        assert {"airspeed", "alpha", "beta"} <= set(named_flights(table)["flight 1"].columns)
+
+    @pytest.mark.parametrize(
+        "columns", [velocity | {"airspeed": np.full(50, 20.0)}, velocity | wind, {"u": velocity["u"]}]
+    )
+    def test_not_beside_measured_air_data_nor_without_what_they_need(self, write, columns):
+        assert set(read_flight(self.write(write, columns))) == {"time", "flight", *columns}
+
+
 class TestUnitsThatNumbersGiveAway:
     @pytest.mark.parametrize("name", ["alpha", "beta", "theta", "phi", "elevator", "aileron", "rudder", "elevon_left"])
     def test_degrees(self, write, name):
@@ -103,7 +139,7 @@ class TestUnitsThatNumbersGiveAway:
         degrees = np.linspace(300, 420, 50) % 360
         with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):
             read_flight(write("log.csv", table(psi=degrees)))
-        unwrapped = read_flight(write("log.csv", table(psi=np.linspace(0, 40, 50))))  # six orbits in radians
+        unwrapped = read_flight(write("log.csv", table(4500, psi=np.linspace(0, 40, 4500))))  # six orbits in radians
         assert unwrapped.psi.iloc[-1] == 40
 
     def test_one_bad_sample_is_not_a_unit(self, write):

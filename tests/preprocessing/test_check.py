@@ -8,6 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
+from skdgp._flight.faults import saturated_rows
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._flights import usable_flights
@@ -151,6 +152,48 @@ def test_a_surface_at_its_stop_is_told_and_kept():
     assert faults(table) == [("aileron", "saturated")]
     with pytest.warns(FlightDataWarning, match=r"aileron stands at its extreme value 0.2 .* as at a stop"):
         pd.testing.assert_frame_equal(FlightCheck().fit_transform(table), table)
+
+
+def squares(levels, rate, unit, ramp, lead):
+    """Return a command in steps of so many units [s] each, its edges ramps of so many samples."""
+    parts = [(0.0, lead), *((level, units * unit) for level, units in levels), (0.0, lead)]
+    command = np.concatenate([np.full(round(seconds * rate), level) for level, seconds in parts])
+    smooth = np.convolve(np.pad(command, ramp, mode="edge"), np.full(ramp + 1, 1 / (ramp + 1)), mode="same")
+    return 0.3 * smooth[ramp : len(smooth) - ramp]
+
+
+@pytest.mark.parametrize("rate", [25, 40, 100])
+@pytest.mark.parametrize("ramp", [0, 1, 2])
+@pytest.mark.parametrize(
+    "levels",
+    [[(1, 1), (-1, 1)], [(1, 3), (-1, 2), (1, 1), (-1, 1)], [(1, 3), (0, 2), (1, 1), (0, 1)]],
+    ids=["doublet", "3211", "one side"],
+)
+def test_doublets_and_3211_are_at_no_stop(levels, ramp, rate):
+    for unit in (0.3, 0.6, 1.0):
+        for lead in (0.0, 0.5, 2.0):
+            command = squares(levels, rate, unit, ramp, lead)
+            for trim, records in ((0.0, 1), (-0.02, 4)):
+                assert saturated_rows(np.tile(command, records) + trim, 1 / rate) == []
+
+
+def test_commands_of_few_values_are_at_no_stop():
+    """A stick that is let go for most of a record, and moved by hand, logged in a dozen values."""
+    stick = np.r_[
+        np.zeros(134), -0.1, -0.11, np.repeat([-0.09, -0.08, -0.1], 5), np.linspace(-0.1, -0.02, 8), -np.ones(40)
+    ]
+    assert saturated_rows(stick, 0.01) == []
+
+
+@pytest.mark.parametrize("rate", [25, 40, 100])
+@pytest.mark.parametrize("quantum", [0.0, 0.005])
+def test_a_servo_at_its_stop_is_found_in_short_and_slow_logs(rate, quantum):
+    time = np.arange(0, 6, 1 / rate)
+    servo = np.minimum(np.sin(1.3 * time) + 0.3 * np.sin(4.1 * time), 0.8)
+    servo = np.round(servo / quantum) * quantum if quantum else servo
+    (rows,) = saturated_rows(servo, 1 / rate)
+    assert len(rows) >= 0.5 * rate
+    assert (servo[rows] == servo.max()).all()
 
 
 class TestBridging:

@@ -1,0 +1,291 @@
+"""flight_from_poses: position and attitude, as of motion capture, to a flight table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from skdgp._flight.atmosphere import GRAVITY, standard_density
+from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES, SPECIFIC_FORCE, WIND
+from skdgp._flight.clock import flight_segments
+from skdgp._flight.faults import NOT_MEASURED, faults_message, find_faults
+from skdgp._flight.frames import air_data, quaternion_to_euler
+from skdgp._flight.poses import LEAST_SAMPLES, Motion, Rotations, smooth_motion, smooth_rotation
+from skdgp.io._units import check_magnitudes
+
+UPRIGHT, TURNED = Rotation.identity(), Rotation.from_euler("x", np.pi)
+FRAMES = {
+    "NED/FRD": (UPRIGHT, UPRIGHT),
+    "NWU/FLU": (TURNED, TURNED),
+    "ENU/FLU": (Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]]), TURNED),
+}
+"""Earth and body axes of the poses: their rotations to north-east-down and from forward-right-down."""
+GRAVITY_NED = np.array([0.0, 0.0, GRAVITY])
+UNIT = 1e-2
+"""Quaternions are of length 1 but for this."""
+MOST_REPEATS = 0.3
+"""Share of rows that repeat the one before, from which poses are those of a slower sensor."""
+LARGEST_FORCE = 300.0
+"""Median of specific force [m/s^2] beyond which positions are not in metres."""
+SLOW = 1.0
+"""Mean speed [m/s] below which nothing flies."""
+UNEXPLAINED, CLEARLY = 0.5, 0.5
+"""A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
+
+
+def flight_from_poses(
+    time: ArrayLike,
+    position: ArrayLike,
+    quaternion: ArrayLike,
+    *,
+    frame: str,
+    flight: ArrayLike | str = "flight",
+    controls: Mapping[str, ArrayLike] | pd.DataFrame | None = None,
+    wind: ArrayLike | None = None,
+    altitude: float = 0.0,
+) -> pd.DataFrame:
+    r"""Return a flight table of poses: positions and attitudes, such as those of motion capture.
+
+    A Kalman smoother without delay differentiates the poses. It learns the noise from them, by maximum likelihood
+    (Rauch, Tung & Striebel 1965; Wahba 1978). Body rates are those of the rotation from each attitude to the next, not
+    of Euler angles. With R from body to earth, gravity g, and wind W,
+
+    .. math:: f = R^T (\dot v - g), \qquad v_a = R^T (v - W),
+
+    f is the specific force, and the velocity through the air :math:`v_a` gives airspeed, alpha and beta. Each flight,
+    and each part between gaps, is differentiated by itself. The first and last 0.1 s are two to four times less
+    accurate than the rest.
+
+    Parameters
+    ----------
+    time : array-like of shape (n,)
+        Time [s], increasing within a flight.
+    position : array-like of shape (n, 3)
+        Position of the centre of gravity along the earth axes [m].
+    quaternion : array-like of shape (n, 4)
+        Attitude, body to earth, scalar first; of either sign. :func:`skdgp.dynamics.euler_to_quaternion` gives it
+        of Euler angles.
+    frame : {"NED/FRD", "NWU/FLU", "ENU/FLU"}
+        Earth and body axes of the poses: north, east, down, west, up; forward, right, down, left, up. Another
+        horizontal direction may stand for north.
+    flight : str or array-like of shape (n,), default="flight"
+        Identifiers of flights.
+    controls : mapping or DataFrame, optional
+        Further columns (n,): surfaces, throttle, propeller speed, in the units and signs of the vocabulary.
+    wind : array-like of 3 floats, optional
+        Velocity of the air, north, east, down [m/s]. By default the air is still, as in a hall.
+    altitude : float, default=0.0
+        Altitude of the origin of the positions above mean sea level [m], for the density.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``time``, ``flight``, air data, rates and angular accelerations, specific force, velocities, Euler
+        angles, position, altitude, density of the standard atmosphere, and those of ``controls``. In
+        ``attrs["pose_noise"]`` stand the standard deviations of the noise of position [m] and attitude [rad].
+
+    Raises
+    ------
+    ValueError
+        If shapes do not match, a value is not finite, time does not increase, quaternions are not of length 1, a
+        flight has fewer than 10 samples between gaps, poses repeat or leap as where markers are hidden, positions are
+        not in metres, or the motion contradicts the frame: lift does not act upward, the aircraft does not fly forward,
+        or it does not turn to the side to which it banks.
+
+    Examples
+    --------
+    A turn to the left, recorded by motion capture:
+
+    >>> import numpy as np
+    >>> from scipy.spatial.transform import Rotation
+    >>> time = np.arange(0.0, 2.0, 0.01)
+    >>> position = np.stack([5 * np.sin(time), 5 - 5 * np.cos(time), np.full(time.size, 1.5)], axis=-1)
+    >>> bank = np.full(time.size, -np.arctan(5 / 9.80665))
+    >>> attitude = Rotation.from_euler("ZX", np.stack([time, bank], axis=-1))
+    >>> quaternion = attitude.as_quat()[:, [3, 0, 1, 2]]
+    >>> flight = flight_from_poses(time, position, quaternion, frame="NWU/FLU")
+    >>> flight[["airspeed", "beta", "phi", "q", "r", "ay", "az"]].iloc[100].round(3).abs().tolist()
+    [5.0, 0.0, 0.472, 0.454, 0.891, 0.0, 11.008]
+    """
+    time, position, quaternion = _checked(time, position, quaternion)
+    if frame not in FRAMES:
+        raise ValueError(f"Got frame={frame!r}, but expected one of {list(FRAMES)}: earth axes, then body axes.")
+    names, columns, air = _names(flight, len(time)), _columns(controls, len(time)), _wind(wind)
+    segments = _long_enough(flight_segments(time, names), time, names)
+
+    earth, body = FRAMES[frame]
+    position, attitude = earth.apply(position), earth * Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]) * body
+    _check_faults(time, names, position, attitude)
+    rotation = smooth_rotation(time, attitude, segments)
+    motion = smooth_motion(time, position, segments, axes=rotation.attitude, gravity=GRAVITY)
+    size = np.median(np.linalg.norm(motion.f, axis=1))
+    if size > LARGEST_FORCE:
+        raise ValueError(
+            f"Got positions whose specific force is {size:.3g} m/s^2 (median), but expected about 9.8: "
+            "divide positions in millimetres by 1000, and give time in seconds."
+        )
+    _check_frame(frame, rotation.attitude, motion.v - air, rotation.attitude.apply(motion.f))
+
+    values = _derived(rotation, motion, air) | dict(zip(WIND, air, strict=True) if wind is not None else ())
+    values["altitude"] = altitude - motion.x[:, 2]
+    values["density"] = standard_density(values["altitude"])
+    values = {"time": time, "flight": names} | values
+    twice = sorted(values.keys() & columns.keys())
+    if twice:
+        raise ValueError(f"Got controls with the columns {twice}, which the poses give: leave them out.")
+    table = pd.DataFrame(values | columns)
+    check_magnitudes(table)
+    table.attrs["pose_noise"] = (motion.noise, rotation.noise)
+    return table
+
+
+def _derived(rotation: Rotations, motion: Motion, air: np.ndarray) -> dict[str, Any]:
+    """Return the columns that follow from the motion."""
+    to_body = rotation.attitude.inv()
+    blocks = (
+        (AIR_DATA, np.stack(air_data(to_body.apply(motion.v - air)), axis=-1)),
+        (RATES, rotation.rates),
+        ([f"{name}_dot" for name in RATES], rotation.accelerations),
+        (SPECIFIC_FORCE, motion.f),
+        (BODY_VELOCITY, to_body.apply(motion.v)),
+        (EULER, _euler(rotation.attitude)),
+        (POSITION, motion.x),
+        (EARTH_VELOCITY, motion.v),
+    )
+    return {name: column for names, block in blocks for name, column in zip(names, block.T, strict=True)}
+
+
+def _checked(time: ArrayLike, position: ArrayLike, quaternion: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return time (n,), position (n, 3) and unit quaternions (n, 4) as finite floats."""
+    arrays = [np.asarray(each, dtype=float) for each in (time, position, quaternion)]
+    n = arrays[0].size
+    for name, array, shape in zip(("time", "position", "quaternion"), arrays, ((n,), (n, 3), (n, 4)), strict=True):
+        if array.shape != shape:
+            raise ValueError(f"Got {name} of shape {array.shape}, but expected {shape}, one row per sample.")
+        lost = np.flatnonzero(~np.isfinite(array.reshape(n, -1)).all(axis=1))
+        if lost.size:
+            raise ValueError(
+                f"Got {name} that is not finite in {lost.size} of {n} rows (the first is row {lost[0]}), but expected "
+                "numbers: drop these rows from time, position, quaternion and controls."
+            )
+    length = np.linalg.norm(arrays[2], axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1) > UNIT)
+    if wrong.size:
+        raise ValueError(
+            f"Got a quaternion of length {length[wrong[0]]:.4g} at row {wrong[0]} ({wrong.size} such rows), but "
+            "expected length 1: choose the four columns of the quaternion, scalar first, and drop rows without an "
+            "attitude."
+        )
+    return arrays[0], arrays[1], arrays[2]
+
+
+def _columns(controls: Mapping[str, ArrayLike] | pd.DataFrame | None, n: int) -> dict[str, np.ndarray]:
+    """Return the further columns (n,)."""
+    columns: dict[str, Any] = {}
+    for name, values in dict(controls if controls is not None else {}).items():
+        columns[name] = np.asarray(values)
+        if columns[name].shape != (n,):
+            raise ValueError(f"Got controls[{name!r}] of shape {columns[name].shape}, but expected {(n,)}.")
+    return columns
+
+
+def _names(flight: ArrayLike | str, n: int) -> np.ndarray:
+    """Return the flight of each row, (n,)."""
+    names = np.asarray(flight, dtype=object)
+    if names.shape not in ((), (n,)):
+        raise ValueError(f"Got flight of shape {names.shape}, but expected one name or {(n,)}.")
+    return np.broadcast_to(names, n)
+
+
+def _wind(wind: ArrayLike | None) -> np.ndarray:
+    """Return the velocity of the air, (3,)."""
+    air = np.zeros(3) if wind is None else np.asarray(wind, dtype=float)
+    if air.shape != (3,) or not np.isfinite(air).all():
+        raise ValueError(f"Got wind={wind!r}, but expected three numbers: north, east and down [m/s].")
+    return air
+
+
+def _long_enough(segments: list[slice], time: np.ndarray, flight: np.ndarray) -> list[slice]:
+    """Return the segments, or raise ValueError if one is too short to differentiate, or a flight stands apart."""
+    for each in segments:
+        if each.stop - each.start < LEAST_SAMPLES:
+            raise ValueError(
+                f"Got {each.stop - each.start} samples of flight {str(flight[each.start])!r} from "
+                f"{time[each.start]:g} s on, without a gap, but expected at least {LEAST_SAMPLES} to differentiate: "
+                "drop these rows."
+            )
+    if not segments:
+        raise ValueError(f"Got no samples, but expected at least {LEAST_SAMPLES}.")
+    return segments
+
+
+def _check_faults(time: np.ndarray, flight: np.ndarray, position: np.ndarray, attitude: Rotation) -> None:
+    """Raise ValueError if poses were not measured: repeated, or far from their neighbours."""
+    for what, values in (("position", position), ("quaternion", attitude.as_matrix().reshape(-1, 9))):
+        repeats = np.mean(np.diff(values, axis=0) == 0, axis=0).min()
+        if repeats > MOST_REPEATS:
+            raise ValueError(
+                f"Got {what} that repeats the row before in {100 * repeats:.0f} % of the rows, but expected each row "
+                "measured: keep the rows in which it changes."
+            )
+    columns = dict(zip((*POSITION, *EULER), np.column_stack([position, _euler(attitude)]).T, strict=True))
+    poses = pd.DataFrame({"time": time, "flight": flight} | columns)
+    faults = [fault for fault in find_faults(poses) if fault.kind in NOT_MEASURED]
+    if faults:
+        raise ValueError(faults_message(faults, "Drop these rows from time, position, quaternion and controls."))
+
+
+def _euler(attitude: Rotation) -> np.ndarray:
+    return quaternion_to_euler(attitude.as_quat()[:, [3, 0, 1, 2]])
+
+
+def _check_frame(frame: str, attitude: Rotation, velocity: np.ndarray, force: np.ndarray) -> None:
+    """Raise ValueError if lift, the nose or banked turns contradict the frame.
+
+    Air velocity and specific force (n, 3) are along north, east, down if the frame is right.
+    """
+    earth, body = FRAMES[frame]
+    poses = earth.inv() * attitude * body.inv()
+    fits, conjugate = {}, {}
+    for name, (its_earth, its_body) in FRAMES.items():
+        turn = its_earth * earth.inv()
+        motion = turn.apply(velocity), turn.apply(force + GRAVITY_NED) - GRAVITY_NED
+        fits[f"frame={name!r}"] = _fit(its_earth * poses * its_body, *motion)
+        conjugate[f"frame={name!r} and conjugate quaternions"] = _fit(its_earth * poses.inv() * its_body, *motion)
+    lift, forward, side_force = fits[f"frame={frame!r}"]
+    fits = {words: fit for words, fit in fits.items() if min(fit[:2]) > 0}
+    least = min((fit[2] for fit in fits.values()), default=np.inf)
+    if lift <= 0:
+        reason = f"a mean specific force of {-lift:+.3g} m/s^2 along the body's z axis, but expected about -9.8"
+    elif forward <= 0 and np.linalg.norm(velocity, axis=1).mean() > SLOW:
+        reason = f"a mean velocity of {forward:.3g} m/s along the nose, but expected flight forward"
+    elif side_force > UNEXPLAINED and least < CLEARLY * side_force:
+        reason = (
+            f"a side force of which sideslip leaves {side_force:.3g} m/s^2 unexplained, but expected {least:.3g}, "
+            "as the aircraft turns to the side to which it banks"
+        )
+    else:
+        return
+    fits = fits or {words: fit for words, fit in conjugate.items() if min(fit[:2]) > 0}
+    least = min((fit[2] for fit in fits.values()), default=np.inf)
+    likely = [words for words, fit in fits.items() if fit[2] <= 1.01 * least + 1e-9]
+    remedy = f"try {' or '.join(likely)}" if likely else "quaternions must be scalar first, body to earth"
+    raise ValueError(f"Got frame={frame!r} and poses with {reason}: {remedy}.")
+
+
+def _fit(attitude: Rotation, velocity: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
+    """Return how well motion fits an attitude: mean lift, mean velocity along the nose, and unexplained side force.
+
+    The side force of an aircraft is near V^2 (c + k beta). If the vertical has the wrong sense, twice the side
+    component of gravity is added, which changes with bank.
+    """
+    velocity, force = attitude.inv().apply(velocity), attitude.inv().apply(force)
+    airspeed, _, beta = air_data(velocity)
+    shapes = np.stack([airspeed**2, airspeed**2 * beta], axis=-1)
+    left = force[:, 1] - shapes @ np.linalg.lstsq(shapes, force[:, 1], rcond=None)[0]
+    return -float(force[:, 2].mean()), float(velocity[:, 0].mean()), float(np.sqrt(np.mean(left**2)))

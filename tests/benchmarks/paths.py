@@ -147,7 +147,7 @@ def judged(damage, tables):
         used[name], check.used_ = check.used_, True
         ratios[name] = score(smoother.fit_transform(check.transform(table))) / score(smoother.fit_transform(table))
         losses.append((ratios[name] if used[name] else 1.0) / min(ratios[name], 1.0))
-    errors = " ".join(f"{ratio:.2f}" for ratio in ratios.values())
+    errors = " ".join(f"{ratio:.2f}" if ratio < 10 else "> 10" for ratio in ratios.values())
     return {"error": errors, "used": f"{sum(used.values())} of {len(used)}", "loss": max(losses)}
 
 

@@ -404,7 +404,7 @@ class TestInconsistent:
         ids=["attitude wanders", "velocity wanders", "air data without noise"],
     )
     def test_contradictions_are_named_and_the_flights_pass(self, damage, reason):
-        table = damage(flown(60.0, gusts=0.1))
+        table = damage(flown(40.0, gusts=0.1))
         reconstruction = FlightPathReconstruction(**self.DECIDES).fit(table)
         assert not reconstruction.used_
         assert reason in reconstruction.reason_

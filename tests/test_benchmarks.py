@@ -26,6 +26,7 @@ SCRIPTS = (
     "freeflight",
     "damage",
     "fuzz",
+    "paths",
 )
 
 

@@ -134,7 +134,7 @@ LEARNING = [
         "--reconstruction",
         ["auto", "none"],
         "auto reconstructs the path of each flight from all its sensors, where the log holds accelerations, attitude, "
-        "ground velocity and airspeed; none smooths channel by channel (default: auto)",
+        "ground velocity and airspeed that agree; none smooths channel by channel (default: auto)",
     ),
     opt.flag("--lags", "estimate and correct lags of air data, surfaces, attitude and GPS"),
     opt.choice("--input-noise", ["learned", "none"], "noise of the regressors (default: learned)"),

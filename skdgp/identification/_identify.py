@@ -41,6 +41,7 @@ from skdgp.identification._pipeline import (
 from skdgp.model_selection import thin_targets
 from skdgp.plotting import EnvelopeDisplay
 from skdgp.plotting._style import display_unit
+from skdgp.preprocessing import FlightPathReconstruction
 from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_report, write_report
 
 FORMAT = 1  # of the metrics
@@ -404,7 +405,9 @@ class Identification:
             lines += [f"{len(tested)} test flights together", *_score_table(tested), ""]
             for one in tested:
                 lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
-        return "\n".join([*lines, "", *_comparison(tested)]).rstrip()
+        paths = _reconstruction(self.pipeline)
+        facts = [f"flight paths {paths}"] if paths else []
+        return "\n".join([*lines, "", *facts, *_comparison(tested)]).rstrip()
 
     def evaluate(self, flight: Any) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
@@ -498,10 +501,9 @@ class Identification:
         fit, tables = self.fit, [*self.train.values(), *(one.table for one in self.evaluations)]
         sources = _thrust_sources(self.settings["thrust"], tables)
         remarks = {"Thrust": " or ".join(THRUSTS[name] for name in sources)}
-        missing = _missing_for_reconstruction(self.pipeline)
-        if missing is not None:
-            without = f"not reconstructed, the flights lack {', '.join(missing)}; smoothed channel by channel"
-            remarks["Flight paths"] = without if missing else "reconstructed from all sensors"
+        paths = _reconstruction(self.pipeline)
+        if paths:
+            remarks["Flight paths"] = paths
         lags = {name: row["applied"] for name, row in fit.get("lags", {}).items() if row["applied"]}
         if "lags" in fit:
             remarks["Lags"] = ", ".join(f"{name} {lag:.3g} s" for name, lag in lags.items()) or "none to correct"
@@ -604,7 +606,8 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "evaluations": int(regressor.n_evaluations_),
         "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
-        "paths_reconstructed": _missing_for_reconstruction(pipeline) == [],
+        "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),
+        "reconstruction": _reconstruction(pipeline),
     }
     if regressor.structure_errors_:
         facts["structure_errors"] = {
@@ -642,10 +645,12 @@ def _settings(pipeline, reconstruction, horizons) -> dict:
     return settings
 
 
-def _missing_for_reconstruction(pipeline) -> list[str] | None:
-    """Return which channels the reconstruction of flight paths lacked; None where it was not asked for."""
+def _reconstruction(pipeline) -> str | None:
+    """Return whether flight paths are reconstructed, and why; None where it was not asked for."""
     step = pipeline["flightpathreconstruction"]
-    return None if isinstance(step, str) else step.missing_
+    if not isinstance(step, FlightPathReconstruction):
+        return None
+    return f"{'reconstructed from all sensors' if step.used_ else 'not reconstructed, only smoothed'}: {step.reason_}"
 
 
 def _thrust_sources(thrust, tables) -> list[str]:

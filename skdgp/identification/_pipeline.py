@@ -69,8 +69,9 @@ def make_identification_pipeline(
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
-        "auto": ``FlightPathReconstruction(incomplete="pass")``, which reconstructs the flights if they hold all that
-        this needs, and else leaves them to the smoother.
+        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass")``, which reconstructs the flights if
+        they hold all that this needs, and if their air data become more accurate than by smoothing alone. Else it
+        leaves them to the smoother.
     cutoff : float, "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
@@ -112,7 +113,7 @@ def make_identification_pipeline(
     """
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
-        reconstruction = FlightPathReconstruction(incomplete="pass")
+        reconstruction = FlightPathReconstruction(incomplete="pass", inconsistent="pass")
     steps = make_pipeline(
         FlightCheck(),
         FlightPathReconstruction(),
@@ -184,7 +185,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
         if step in (None, "passthrough"):
             continue
         flight = step.transform(flight)
-        if isinstance(step, FlightPathReconstruction) and not step.missing_ and "gust" in flight:
+        if isinstance(step, FlightPathReconstruction) and step.used_ and "gust" in flight:
             ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (step.gust_std_**2 + SENSOR_GUST**2)
     if isinstance(pipeline[-1], CalibratedRegressor):
         ratio = np.ones(len(flight))

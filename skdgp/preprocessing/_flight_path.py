@@ -16,8 +16,10 @@ from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns, check_radians
+from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
+from skdgp.preprocessing._path_check import decision, expected_errors
 from skdgp.preprocessing._path_equations import (
     AIR,
     CONSTANTS,
@@ -37,10 +39,15 @@ from skdgp.preprocessing._path_equations import (
 )
 from skdgp.preprocessing._path_estimate import GUSTS, NOISE, Estimate, estimate
 from skdgp.preprocessing._smoother import FlightSmoother
-from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, has_values, with_columns, wrapped_near
 
 WINDS = ("wind_north", "wind_east", "wind_down")
 MADE = (*AIR, "alpha_dot", "beta_dot", *RATE, *FORCE, *EULER, *SPEED, *WINDS)
+KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
+KINEMATIC_SECONDS = 120.0
+"""Length of each flight [s] from which the lags of attitude and GPS are known to the millisecond."""
+MIN_SIGNIFICANCE = 3.0  # standard deviations
+MIN_LAG = 0.01  # lags below this [s] do not change a model
 OBSERVABLE = 0.5  # a constant is observable if its standard deviation is less than this share of the prior one
 
 Flights = list[tuple[Any, Indices, Log, Estimate]]
@@ -78,9 +85,21 @@ class FlightPathReconstruction(TableTransformer):
     incomplete : {"raise", "pass"}, default="raise"
         For flights without a needed channel: raise ValueError, or pass them on. If flights of ``fit`` lack one
         (``missing_``), all tables pass unchanged; if only flights of ``transform`` do, `FlightSmoother` smooths them.
+    inconsistent : {"use", "pass"}, default="use"
+        For flights whose sensors contradict each other: reconstruct them all the same; or let ``fit`` decide. "pass"
+        first removes clear lags of attitude and velocity against the inertial sensors. Then all tables pass unchanged
+        (``used_`` is False) if the expected errors of airspeed, alpha and beta are larger than those of
+        `FlightSmoother` (``errors_``). A log without alpha or beta is always reconstructed.
 
     Attributes
     ----------
+    used_ : bool
+        Whether ``transform`` reconstructs flights; False: they pass unchanged.
+    reason_ : str
+        Why, in words.
+    errors_ : DataFrame or None
+        Of ``inconsistent="pass"``, by sensor: ``noise`` (by the sensor itself), ``residual`` (noise learned with the
+        path), and of air data the expected errors of ``reconstruction`` and ``smoothing``, and their ``deviation``.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged; empty where they are reconstructed.
     noise_std_ : dict of str to float
@@ -130,6 +149,7 @@ class FlightPathReconstruction(TableTransformer):
         "gust_time": [Interval(Real, 0, None, closed="neither")],
         "gravity": [Interval(Real, 0, None, closed="neither")],
         "incomplete": [StrOptions({"raise", "pass"})],
+        "inconsistent": [StrOptions({"use", "pass"})],
     }
 
     def __init__(
@@ -140,12 +160,22 @@ class FlightPathReconstruction(TableTransformer):
         gust_time: float = 10.0,
         gravity: float = 9.80665,
         incomplete: str = "raise",
+        inconsistent: str = "use",
     ) -> None:
         self.calibrate = calibrate
         self.rates = rates
         self.gust_time = gust_time
         self.gravity = gravity
         self.incomplete = incomplete
+        self.inconsistent = inconsistent
+
+    def __setstate__(self, state):
+        """Restore a transformer; one of an earlier version makes no check."""
+        state = {"inconsistent": "use"} | state
+        if "missing_" in state:
+            used, reason = _of_missing(state["missing_"])
+            state = {"used_": used, "reason_": reason, "errors_": None} | state
+        super().__setstate__(state)
 
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone, and their observability.
@@ -173,24 +203,47 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_table(self, table):
         errors = self._error_names()
         self.missing_ = missing_channels(table) if self.incomplete == "pass" else []
+        (self.used_, self.reason_), self.errors_ = _of_missing(self.missing_), None
         if self.missing_:
             return
         self._check(table)
+        lags = self._clear_lags(table, errors) if self.inconsistent == "pass" else {}
         self.noise_std_ = dict(NOISE)
-        found = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors={})
+        found = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
         samples = [len(log.time) for _, _, log, _ in found]
         variances = {name: [each.noise[name] ** 2 for *_, each in found] for name in NOISE}
         self.noise_std_ = {name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()}
         self.gust_std_ = float(np.sqrt(np.average([_gust(each) ** 2 for *_, each in found], weights=samples)))
         left = np.sqrt(np.average([each.air_std**2 for *_, each in found], axis=0, weights=samples))
         self.error_std_ = dict(zip(AIR, left.tolist(), strict=True))
-        self.sensors_ = dict.fromkeys(SENSORS, 0.0) | _pooled(found, errors)
+        self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(found, errors)
         self.calibration_ = _calibration(found, errors)
         if not isinstance(self.calibrate, str):
             self._warn_unobservable()
+        if self.inconsistent == "pass":
+            self._decide(table, found, lags)
+
+    def _clear_lags(self, table: pd.DataFrame, errors: list[str]) -> dict[str, float]:
+        """Return the lags of attitude and velocity that are known, late and not negligible."""
+        found = kinematic_lags(table, gust_time=self.gust_time, gravity=self.gravity)
+        return {
+            name: lag
+            for name, (lag, std) in found.items()
+            if name not in errors and lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)
+        }
+
+    def _decide(self, table: pd.DataFrame, found: Flights, lags: dict[str, float]) -> None:
+        """Set whether the reconstruction is used, and why."""
+        if not all(name in table and has_values(table, name) for name in AIR):
+            self.reason_ = "the flights lack a vane of alpha or beta"
+        else:
+            self.errors_ = expected_errors(table, found, self.noise_std_)
+            self.used_, self.reason_ = decision(self.errors_)
+        late = [f"{name.removesuffix('_lag')} {lag:.2f} s late, corrected" for name, lag in lags.items()]
+        self.reason_ = "; ".join([self.reason_, *late])
 
     def _transform_table(self, table):
-        if self.missing_:
+        if not self.used_:
             return table
         missing = missing_channels(table) if self.incomplete == "pass" else []
         if missing:
@@ -213,7 +266,7 @@ class FlightPathReconstruction(TableTransformer):
         return with_columns(table, new)
 
     def _columns_out(self, names):
-        return names + [name for name in (*MADE, "gust") if name not in names and not self.missing_]
+        return names + [name for name in (*MADE, "gust") if name not in names and self.used_]
 
     def _error_names(self) -> list[str]:
         """Return the names of the sensors' errors to estimate."""
@@ -257,6 +310,27 @@ class FlightPathReconstruction(TableTransformer):
                 UserWarning,
                 stacklevel=4,
             )
+
+
+def kinematic_lags(table: pd.DataFrame, **options: Any) -> dict[str, tuple[float, float]]:
+    """Return the lags [s] of attitude and GPS velocity against gyros and accelerometers, with standard deviations.
+
+    ``options`` are gust_time and gravity of the reconstruction. Vanes are left out, as gusts would resemble a lag.
+    """
+    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
+    since = table["time"] - table.groupby(codes)["time"].transform("min")
+    inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of unobservable constants; their std shows it
+        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], **options)
+        path.fit(inertial)
+    precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
+    return {name: (path.sensors_[name], float(precision[name] ** -0.5)) for name in KINEMATIC_LAGS}
+
+
+def _of_missing(missing: list[str]) -> tuple[bool, str]:
+    """Return whether flights that lack these channels are reconstructed, and why."""
+    return not missing, f"the flights lack {', '.join(missing)}" if missing else "asked for, without a check"
 
 
 def _channels(path: Path, log: Log, rates: str) -> dict[str, Vector]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from numbers import Real
 from typing import Any, NamedTuple
@@ -16,9 +15,9 @@ from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
-from skdgp._flight.clock import check_clock, flight_codes, flight_segments, runs_by_flight, uniform_grid
+from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
 from skdgp.preprocessing._elevons import ELEVONS, MIXED
-from skdgp.preprocessing._flight_path import FlightPathReconstruction
+from skdgp.preprocessing._flight_path import MIN_LAG, MIN_SIGNIFICANCE, kinematic_lags
 from skdgp.preprocessing._path_equations import FORCE, NEEDED, RATE, SPEED
 from skdgp.preprocessing._table import (
     WRAPPED,
@@ -42,11 +41,7 @@ GROUPS = {
 CONTROLS = (*SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
-MIN_SIGNIFICANCE = 3.0  # standard deviations
-MIN_LAG = 0.01  # lags below this [s] do not change a model, and may be an error of the local linear model
 MIN_EXPLAINED = 0.8  # least share of the response that the local linear model must explain
-KINEMATIC_SECONDS = 120.0
-"""Length of each flight [s] from which the lags of attitude and GPS are known to the millisecond."""
 BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, between trim and noise
 STEADY = 0.2  # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
 EDGE = 1.5  # seconds at either end of a segment that the filter or a lag may distort
@@ -193,15 +188,8 @@ def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
 
 def _kinematic_lags(table: pd.DataFrame) -> dict[str, Lag]:
     """Return the lags of attitude and GPS against integrated gyros and accelerometers."""
-    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
-    since = table["time"] - table.groupby(codes)["time"].transform("min")
-    inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of unobservable constants; their std shows it
-        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC.values()]).fit(inertial)
-    precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
-    lags = {group: path.sensors_[constant] for group, constant in KINEMATIC.items()}
-    return {group: Lag(lag, float(precision[KINEMATIC[group]] ** -0.5), np.nan) for group, lag in lags.items()}
+    found = kinematic_lags(table)
+    return {group: Lag(*found[constant], np.nan) for group, constant in KINEMATIC.items()}
 
 
 def _applied(found: Lag) -> tuple[float, str]:

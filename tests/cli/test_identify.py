@@ -66,6 +66,7 @@ class TestIdentify:
         assert float(row[3]) == round(100 * of["measured"]["CZ"]["interval_coverage"], 1)
         assert float(row[-1]) == round(of["truth"]["CZ"]["normalized_rmse"], 3)
         assert all(str(output / name) in done.stdout for name in OUTPUTS)
+        assert f"flight paths {metrics['fit']['reconstruction']}" in done.stdout
 
     def test_metrics_say_how_they_came_about(self, identified, folder):
         _, _, metrics = identified
@@ -81,6 +82,7 @@ class TestIdentify:
     def test_metrics_say_how_the_fit_went(self, identified):
         fit = identified[2]["fit"]
         assert fit["paths_reconstructed"] is True
+        assert fit["reconstruction"].startswith("reconstructed from all sensors: expected errors airspeed")
         assert all(0 < fit["input_noise_std"][name] < 0.1 for name in ("alpha", "beta", "q_hat"))
         assert fit["samples"] == 40
         assert fit["samples_available"] == 1400

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
@@ -335,6 +336,100 @@ class TestIncomplete:
         assert error(flight, out, "alpha") < 0.7 * error(flight, flight, "alpha")
         assert "alpha_dot" in out
         assert "gust" not in out
+
+
+def late(table, names, seconds):
+    return table.assign(**{name: np.interp(table.time - seconds, table.time, table[name]) for name in names})
+
+
+def wandering(table, names, std, seconds=5.0):
+    """The table with errors of exponential correlation."""
+    rng, memory = np.random.default_rng(5), np.exp(-np.median(np.diff(table.time)) / seconds)
+    errors = lfilter(
+        [std * np.sqrt(1 - memory**2)], [1, -memory], rng.standard_normal((len(table), len(names))), axis=0
+    )
+    return table.assign(**{name: table[name] + error for name, error in zip(names, errors.T, strict=True)})
+
+
+class TestInconsistent:
+    """Whether the reconstruction is used: the truth, which the check does not see, says whether that is right."""
+
+    ANGLES = ("phi", "theta", "psi")
+    DECIDES = {"inconsistent": "pass"}
+
+    def test_consistent_flights_are_reconstructed_as_without_the_check(self):
+        table = flown(60.0, gusts=0.3)
+        checked, unchecked = FlightPathReconstruction(**self.DECIDES).fit(table), FlightPathReconstruction().fit(table)
+        assert checked.used_
+        assert checked.reason_.startswith("expected errors airspeed")
+        pd.testing.assert_frame_equal(checked.transform(table), unchecked.transform(table))
+        assert list(checked.get_feature_names_out()) == list(unchecked.get_feature_names_out())
+
+    @pytest.mark.parametrize("damage", [None, lambda table: wandering(table, ("phi", "theta", "psi"), 0.03)])
+    def test_expected_errors_are_those_against_the_truth(self, damage):
+        table = flown(gusts=0.3)
+        table = damage(table) if damage else table
+        errors = FlightPathReconstruction(**self.DECIDES).fit(table).errors_
+        out, smooth = (one.fit_transform(table) for one in (FlightPathReconstruction(), FlightSmoother()))
+        for name in AIR:
+            assert errors.noise[name] == pytest.approx(SHEET[name], rel=0.06)
+            assert errors.reconstruction[name] == pytest.approx(error(table, out, name), rel=0.3), name
+            assert errors.smoothing[name] == pytest.approx(error(table, smooth, name), rel=0.3), name
+
+    def test_lags_of_attitude_and_velocity_are_removed(self):
+        table = flown(60.0, gusts=0.3)
+        delayed = late(late(table, ["phi", "theta", "psi"], 0.2), ["v_north", "v_east", "v_down"], 0.3)
+        reconstruction = FlightPathReconstruction(**self.DECIDES).fit(delayed)
+        assert reconstruction.used_
+        assert reconstruction.sensors_["attitude_lag"] == pytest.approx(0.2, abs=0.01)
+        assert reconstruction.sensors_["velocity_lag"] == pytest.approx(0.3, abs=0.01)
+        assert "attitude 0.20 s late, corrected" in reconstruction.reason_
+        out, best = reconstruction.transform(delayed), FlightPathReconstruction().fit_transform(table)
+        for name in AIR:
+            assert error(table, out, name) < 1.1 * error(table, best, name), name
+
+    @pytest.mark.parametrize(
+        ("damage", "reason"),
+        [
+            (lambda table: wandering(table, ("phi", "theta", "psi"), 0.05), "the attitude does not follow the gyros"),
+            (
+                lambda table: wandering(table, ("v_north", "v_east", "v_down"), 2.0),
+                "does not follow the accelerometers",
+            ),
+            (
+                lambda table: table.assign(**{name: table[f"{name}_true"] for name in AIR}),
+                "alpha does not follow the motion",
+            ),
+        ],
+        ids=["attitude wanders", "velocity wanders", "air data without noise"],
+    )
+    def test_contradictions_are_named_and_the_flights_pass(self, damage, reason):
+        table = damage(flown(40.0, gusts=0.1))
+        reconstruction = FlightPathReconstruction(**self.DECIDES).fit(table)
+        assert not reconstruction.used_
+        assert reason in reconstruction.reason_
+        pd.testing.assert_frame_equal(reconstruction.transform(table), table)
+        assert "gust" not in reconstruction.get_feature_names_out()
+        out, smooth = (one.fit_transform(table) for one in (FlightPathReconstruction(), FlightSmoother()))
+        assert error(table, out, "alpha") > error(table, smooth, "alpha")
+
+    def test_without_a_vane_there_is_no_choice(self):
+        table = wandering(flown(20.0), self.ANGLES, 0.05).drop(columns="beta")
+        reconstruction = FlightPathReconstruction(**self.DECIDES).fit(table)
+        assert reconstruction.used_
+        assert reconstruction.errors_ is None
+        assert "the flights lack a vane" in reconstruction.reason_
+
+    @pytest.mark.parametrize("missing", [[], ["phi"]])
+    def test_one_of_an_earlier_version_decides_as_then(self, missing):
+        table = flown(20.0).drop(columns=missing)
+        new = FlightPathReconstruction(incomplete="pass").fit(table)
+        later = ("inconsistent", "used_", "reason_", "errors_")
+        old = FlightPathReconstruction.__new__(FlightPathReconstruction)
+        old.__setstate__({name: value for name, value in new.__getstate__().items() if name not in later})
+        assert old.get_params() == new.get_params()
+        assert (old.used_, old.reason_) == (not missing, new.reason_)
+        pd.testing.assert_frame_equal(old.transform(table), new.transform(table))
 
 
 def test_gusts_are_told():

@@ -1,0 +1,144 @@
+"""Flight-path reconstruction: whether it or smoothing has the smaller errors of air data, by the flights themselves."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._flight.frames import air_data
+from skdgp.preprocessing._path_equations import AIR, MIN_AIRSPEED, Log
+from skdgp.preprocessing._path_estimate import Estimate
+from skdgp.preprocessing._smoother import FlightSmoother
+from skdgp.preprocessing._table import numeric
+
+MAX_RATIO = 1.05
+"""Largest error of reconstruction, relative to that of smoothing, with which it is used."""
+MAX_AIR_NOISE = 1.4
+"""Residual of an air data sensor, relative to its own noise, above which the sensor counts as free of noise."""
+MAX_INERTIAL_NOISE = 4.0
+"""Residual of gyros and accelerometers, relative to their own noise, above which the reason names them."""
+DIFFERENCES = 3  # order of the differences that show noise; the sum of squares of their coefficients is 20
+PROBE = 0.3  # size of the random change that shows the slope of a smoother, in units of noise
+UNITS = {"airspeed": ("m/s", 1.0), "alpha": ("deg", 180 / np.pi), "beta": ("deg", 180 / np.pi)}
+FOLLOWS = {
+    "gyro": ("the attitude does not follow the gyros", "deg/s", 180 / np.pi),
+    "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
+}
+
+Flights = Sequence[tuple[Any, Indices, Log, Estimate]]
+
+
+def expected_errors(table: pd.DataFrame, found: Flights, noise: Mapping[str, float]) -> pd.DataFrame:
+    r"""Return noise, residual and expected errors of the sensors of a table, by the paths found from it.
+
+    An estimate x of a channel from samples y of white noise :math:`\sigma` has the mean squared error
+
+    .. math:: \overline{(y - x)^2} - \sigma^2 + 2 \sigma^2\, \overline{\partial x / \partial y}
+
+    without knowledge of the truth (Stein 1981). The mean slope of the path is its variance over that of the noise; the
+    slope of the smoother follows from a small random change of the samples (Ramani, Blu & Unser 2008). A constant
+    error of a sensor, or a lag, is not seen. Third differences contain a little motion, so the noise of a sensor that
+    is more exact than the path would be too large: where the residual exceeds 1.4 times the noise,
+    :math:`\sigma` is zero.
+
+    Returns
+    -------
+    DataFrame
+        By airspeed, alpha, beta, gyro, accelerometer: ``noise`` (of the sensor by itself, from third differences),
+        ``residual`` (noise learned with the path), and of air data ``reconstruction`` and ``smoothing``, expected
+        root mean square errors, and ``deviation`` (standard deviation of the channel).
+    """
+    raw = numeric(table, AIR)
+    path, slope = _path_air(raw.shape, found)
+    known = np.isfinite(raw) & np.isfinite(path)
+    squares = {kind: _noise_squares(kind, found) for kind in ("air", "rate", "force")}
+    stds = np.sqrt(squares["air"])
+    variance = np.where([noise[name] > MAX_AIR_NOISE * std for name, std in zip(AIR, stds, strict=True)], 0.0, stds**2)
+    smoothed, smoother_slope = _smoothed(table, raw, stds)
+    rows = {}
+    for row, name in enumerate(AIR):
+        here = known[:, row]
+        measured = raw[here, row]
+        errors = [
+            np.mean((measured - estimate[here, row]) ** 2) + variance[row] * (2 * gain[row] - 1)
+            for estimate, gain in ((path, slope), (smoothed, smoother_slope))
+        ]
+        rows[name] = (stds[row], noise[name], *np.sqrt(np.maximum(errors, 0.0)), measured.std())
+    for name, kind in (("gyro", "rate"), ("accelerometer", "force")):
+        rows[name] = (float(np.sqrt(np.mean(squares[kind]))), noise[name], np.nan, np.nan, np.nan)
+    columns = ["noise", "residual", "reconstruction", "smoothing", "deviation"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("sensor")
+
+
+def decision(errors: pd.DataFrame) -> tuple[bool, str]:
+    """Return whether the reconstruction is used, and why, in words.
+
+    It is, unless the root mean square over airspeed, alpha and beta of expected error / standard deviation of the
+    channel is more than 1.05 times that of smoothing.
+    """
+    air = errors.loc[list(AIR)]
+    weights = np.divide(1.0, air.deviation**2, out=np.zeros(len(air)), where=air.deviation.to_numpy() > 0)
+    path, smoothing = (float(np.sqrt(weights @ air[name] ** 2)) for name in ("reconstruction", "smoothing"))
+    used = path <= MAX_RATIO * smoothing
+    words = [f"expected errors {_listed(air.reconstruction)}; of smoothing {_listed(air.smoothing)}"]
+    if not used:
+        words += [
+            f"{what} (residual {factor * errors.residual[name]:.2g} {unit}, noise {factor * errors.noise[name]:.2g})"
+            for name, (what, unit, factor) in FOLLOWS.items()
+            if errors.residual[name] > MAX_INERTIAL_NOISE * errors.noise[name]
+        ]
+        words += [
+            f"{name} does not follow the motion (residual {factor * air.residual[name]:.2g} {unit}, noise "
+            f"{factor * air.noise[name]:.2g})"
+            for name, (unit, factor) in UNITS.items()
+            if air.residual[name] > MAX_AIR_NOISE * air.noise[name]
+        ]
+    return used, "; ".join(words)
+
+
+def _listed(errors: pd.Series) -> str:
+    return ", ".join(f"{name} {factor * errors[name]:.2g} {unit}" for name, (unit, factor) in UNITS.items())
+
+
+def _path_air(shape: tuple[int, ...], found: Flights) -> tuple[Matrix, Vector]:
+    """Return what airspeed and vanes should measure on the paths (n, 3), and the mean slope by their own samples."""
+    values, slope = np.full(shape, np.nan), np.zeros(3)
+    for _, rows, _, each in found:
+        air = np.column_stack(air_data(each.path.air_velocity()))
+        air[air[:, 0] < MIN_AIRSPEED] = np.nan
+        scale = 1 + each.path.constant("airspeed_scale", "alpha_scale", "beta_scale")
+        values[rows] = scale * air + [0.0, *each.path.constant("alpha_bias", "beta_bias")]
+        learned = np.array([each.noise[name] for name in AIR])
+        slope += len(rows) / shape[0] * (scale * each.air_std / learned) ** 2
+    return values, slope
+
+
+def _noise_squares(kind: str, found: Flights) -> Vector:
+    """Return the variance of white noise in the columns of each flight's log, from their third differences."""
+    total, count = np.zeros(3), np.zeros(3)
+    for _, _, log, _ in found:
+        for place, column in enumerate(getattr(log, kind).T):
+            rows = np.flatnonzero(np.isfinite(column))
+            if len(rows) > DIFFERENCES:
+                joined = log.segment[rows[DIFFERENCES:]] == log.segment[rows[:-DIFFERENCES]]
+                squares = np.diff(column[rows], DIFFERENCES)[joined] ** 2 / 20
+                total[place], count[place] = total[place] + squares.sum(), count[place] + len(squares)
+    return total / np.maximum(count, 1)
+
+
+def _smoothed(table: pd.DataFrame, raw: Matrix, noise: Vector) -> tuple[Matrix, Vector]:
+    """Return smoothed air data (n, 3), and their mean slope by their own samples."""
+    probe = np.random.default_rng(0).standard_normal(raw.shape)
+    moved = table.assign(**dict(zip(AIR, (raw + PROBE * noise * probe).T, strict=True)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of flights too short to smooth: the pipeline's smoother says it
+        before, after = (
+            numeric(FlightSmoother(columns=list(AIR), derivatives=[]).fit_transform(one), AIR) for one in (table, moved)
+        )
+    response = np.nanmean((after - before) * probe, axis=0)
+    return before, np.divide(response, PROBE * noise, out=np.ones(3), where=noise > 0)

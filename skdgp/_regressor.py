@@ -151,7 +151,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
-        Whether the search stopped because the likelihood no longer rose.
+        Whether the search stopped because the likelihood no longer rose, or is expected to rise by less than 0.05 nats
+        for each value. If not, ``fit`` warns.
     output_names_ : list of str
         Column names of Y, or y0, y1, ...
     n_features_in_ : int
@@ -280,7 +281,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             inputs than samples.
         ConvergenceWarning
             If the search for hyperparameters was interrupted (the best ones so far are kept) or stopped at
-            ``max_iter`` far from an optimum.
+            ``max_iter`` before it converged.
         """
         check_n_jobs(self.n_jobs)
         task, index = FitTask(self, X, y), getattr(X, "index", None)
@@ -1000,17 +1001,17 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
 
 
 def warn_of_search(best, max_iter: int) -> None:
-    """Warn if the search for hyperparameters was interrupted or stopped far from an optimum."""
+    """Warn if the search for hyperparameters was interrupted or has not converged."""
     if best.interrupted:
         _warn(
             f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
             "hyperparameters so far are kept. Fit again to continue.",
             ConvergenceWarning,
         )
-    elif best.rising:
+    elif not best.converged:
         _warn(
-            f"The fit stopped at max_iter={max_iter} while the log likelihood was still rising fast: the "
-            "hyperparameters are not good yet. Raise max_iter, or scale the regressors (StandardScaler).",
+            f"The fit stopped at max_iter={max_iter} before it converged: the log likelihood is expected to rise by "
+            f"about {best.remaining:.2g} nats more. Raise max_iter, or scale the regressors (StandardScaler).",
             ConvergenceWarning,
         )
 

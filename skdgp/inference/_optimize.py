@@ -21,7 +21,7 @@ class Optimum(NamedTuple):
     n_iter: int
     n_evaluations: int
     interrupted: bool
-    rising: bool  # stopped at max_iter, and the likelihood rose by more than 5 % in the last few evaluations
+    remaining: float  # expected further rise of the likelihood [nats]
     converged: bool  # stopped because the likelihood no longer rose
 
 
@@ -31,7 +31,6 @@ class _Objective:
     def __init__(self, log_likelihood, theta, stage, stop, record):
         self.log_likelihood, self.stage, self.stop, self.record = log_likelihood, stage, stop, record
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
-        self.values = []
 
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
@@ -44,7 +43,6 @@ class _Objective:
             value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
-        self.values.append(self.value)
         if recorded is None:
             notify(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
@@ -99,9 +97,9 @@ def maximize(
     record = stage_record(name or stage)
     theta = record.start(np.clip(theta, bounds[:, 0], bounds[:, 1]))
     if stop is not None and stop.is_set():
-        return Optimum(theta, -np.inf, 0, 0, True, False, False)
+        return Optimum(theta, -np.inf, 0, 0, True, np.inf, False)
     objective = _Objective(log_likelihood, theta, stage, stop, record)
-    n_iter, interrupted, converged = 0, False, False
+    n_iter, interrupted, remaining, converged = 0, False, 0.0, False
     try:
         if callable(optimizer):
             optimizer(objective, theta, bounds)
@@ -116,11 +114,17 @@ def maximize(
                 bounds=bounds,
                 options=options,
             )
-            n_iter, converged = end.nit, bool(end.success)
+            n_iter, converged, remaining = end.nit, bool(end.success), _expected_rise(end, bounds)
     except KeyboardInterrupt:
         interrupted = True
         if stop is not None:
             stop.set()
-    gain = objective.value - objective.values[-min(5, len(objective.values))] if objective.values else 0.0
-    rising = bool(n_iter >= max_iter and gain > 0.05 * abs(objective.value))
-    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising, converged)
+    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, remaining, converged)
+
+
+def _expected_rise(end: Any, bounds: Any) -> float:
+    """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement."""
+    downhill = -end.jac
+    blocked = ((end.x <= bounds[:, 0]) & (downhill < 0)) | ((end.x >= bounds[:, 1]) & (downhill > 0))
+    free = np.where(blocked, 0.0, downhill)
+    return float(0.5 * free @ end.hess_inv(free))

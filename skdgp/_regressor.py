@@ -151,8 +151,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
-        Whether the search stopped because the likelihood no longer rose, or is expected to rise by less than 0.05 nats
-        for each value. If not, ``fit`` warns.
+        Whether the search stopped because the likelihood no longer rose, or would rise by less than 0.05 nats for each
+        value in ``max_iter`` further iterations. If not, ``fit`` warns.
     output_names_ : list of str
         Column names of Y, or y0, y1, ...
     n_features_in_ : int
@@ -1010,8 +1010,9 @@ def warn_of_search(best, max_iter: int) -> None:
         )
     elif not best.converged:
         _warn(
-            f"The fit stopped at max_iter={max_iter} before it converged: the log likelihood is expected to rise by "
-            f"about {best.remaining:.2g} nats more. Raise max_iter, or scale the regressors (StandardScaler).",
+            f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations again the log "
+            f"likelihood is expected to rise by {best.remaining:.2g} nats. Raise max_iter, or scale the regressors "
+            "(StandardScaler).",
             ConvergenceWarning,
         )
 

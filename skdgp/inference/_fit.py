@@ -27,7 +27,7 @@ NOISE_STEPS = 10  # largest number of steps of expectation maximisation for the 
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
-IRRELEVANT_RISE = 0.05  # expected rise of the likelihood for each value [nats] below which a search has converged
+IRRELEVANT_RISE = 0.05  # expected rise of the likelihood for each value [nats] up to which a search has converged
 MEMORY_STEPS = 4  # starting memory of a drift, in sample intervals
 
 
@@ -355,7 +355,7 @@ def _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_n
         n_evaluations=n_evaluations + best.n_evaluations,
         interrupted=stop.is_set(),
         remaining=best.remaining,
-        converged=best.converged or best.remaining <= IRRELEVANT_RISE * data.n_values,
+        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * data.n_values),
     )
 
 

@@ -12,6 +12,8 @@ from skdgp._compute.checkpoint import stage_record
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Vector
 
+RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
+
 
 class Optimum(NamedTuple):
     """The result of a maximisation."""
@@ -21,7 +23,7 @@ class Optimum(NamedTuple):
     n_iter: int
     n_evaluations: int
     interrupted: bool
-    remaining: float  # expected further rise of the likelihood [nats]
+    remaining: float  # expected rise of the likelihood in as many iterations again [nats]
     converged: bool  # stopped because the likelihood no longer rose
 
 
@@ -31,6 +33,7 @@ class _Objective:
     def __init__(self, log_likelihood, theta, stage, stop, record):
         self.log_likelihood, self.stage, self.stop, self.record = log_likelihood, stage, stop, record
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
+        self.values: list[float] = []
 
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
@@ -43,9 +46,15 @@ class _Objective:
             value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
+        self.values.append(self.value)
         if recorded is None:
             notify(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
+
+    def rise_per_evaluation(self) -> float:
+        """Return the mean rise of the best value in the last evaluations, infinite if there is only one."""
+        last = [value for value in self.values[-RECENT:] if np.isfinite(value)]
+        return (last[-1] - last[0]) / (len(last) - 1) if len(last) > 1 else np.inf
 
     def _evaluate(self, theta):
         try:
@@ -114,7 +123,8 @@ def maximize(
                 bounds=bounds,
                 options=options,
             )
-            n_iter, converged, remaining = end.nit, bool(end.success), _expected_rise(end, bounds)
+            n_iter, converged = end.nit, bool(end.success)
+            remaining = min(_newton_rise(end, bounds), max(max_iter, 1) * objective.rise_per_evaluation())
     except KeyboardInterrupt:
         interrupted = True
         if stop is not None:
@@ -122,7 +132,7 @@ def maximize(
     return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, remaining, converged)
 
 
-def _expected_rise(end: Any, bounds: Any) -> float:
+def _newton_rise(end: Any, bounds: Any) -> float:
     """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement."""
     downhill = -end.jac
     blocked = ((end.x <= bounds[:, 0]) & (downhill < 0)) | ((end.x >= bounds[:, 1]) & (downhill > 0))

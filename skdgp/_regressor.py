@@ -109,10 +109,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None: exact regressors.
     drift : {"residuals", "likelihood"}
         Use of ``time`` in ``fit``. Errors of neighbouring samples are correlated: each output has a drift with the
-        covariance ``tau^2 exp(-|t - t'| / T)`` within a flight. "residuals": the fit is that of white noise, and
-        tau and T are estimated from its residuals, for the bands of simulated flights. "likelihood": the drift is part of the likelihood and
-        of the posterior (generalised least squares). This is efficient if errors come from the outputs alone; errors
-        of the regressors make it worse than "residuals".
+        covariance ``tau^2 exp(-|t - t'| / T)`` within a flight. "residuals": the fit is that of white noise, and tau
+        and T are estimated from its residuals, for the bands of simulated flights. "likelihood": the drift is part of
+        the likelihood and of the posterior (generalised least squares). This is efficient if errors come from the
+        outputs alone; errors of the regressors make it worse than "residuals".
     optimizer : "fmin_l_bfgs_b", callable or None
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values.
     n_restarts_optimizer : int
@@ -163,7 +163,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
-        Whether the search stopped because the likelihood no longer rose.
+        Whether the search stopped because the likelihood no longer rose, or would rise by less than 0.05 nats for each
+        value in ``max_iter`` further iterations. If not, ``fit`` warns.
     output_names_ : list of str
         Column names of Y, or y0, y1, ...
     n_features_in_ : int
@@ -298,7 +299,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             inputs than samples.
         ConvergenceWarning
             If the search for hyperparameters was interrupted (the best ones so far are kept) or stopped at
-            ``max_iter`` far from an optimum.
+            ``max_iter`` before it converged.
         """
         check_n_jobs(self.n_jobs)
         task, index = FitTask(self, X, y), getattr(X, "index", None)
@@ -1026,17 +1027,18 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
 
 
 def warn_of_search(best, max_iter: int) -> None:
-    """Warn if the search for hyperparameters was interrupted or stopped far from an optimum."""
+    """Warn if the search for hyperparameters was interrupted or has not converged."""
     if best.interrupted:
         _warn(
             f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
             "hyperparameters so far are kept. Fit again to continue.",
             ConvergenceWarning,
         )
-    elif best.rising:
+    elif not best.converged:
         _warn(
-            f"The fit stopped at max_iter={max_iter} while the log likelihood was still rising fast: the "
-            "hyperparameters are not good yet. Raise max_iter, or scale the regressors (StandardScaler).",
+            f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations again the log "
+            f"likelihood is expected to rise by {best.remaining:.2g} nats. Raise max_iter, or scale the regressors "
+            "(StandardScaler).",
             ConvergenceWarning,
         )
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 
 import joblib
 import numpy as np
@@ -23,7 +24,7 @@ from sklearn.utils import Bunch
 from skdgp import DependentGPRegressor, listening, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
-from skdgp.identification import ModelFileError, calibrate_noise, identify, load_model, save_model, validate
+from skdgp.identification import ModelFileError, identify, load_model, save_model, validate
 from skdgp.identification._model_file import CHECKSUM, END, MAGIC
 from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -79,9 +80,10 @@ class TestPipeline:
     def test_by_default_ends_in_the_dependent_process(self):
         model = make_identification_pipeline(AIRCRAFT)
         assert type(model[-1]) is DependentGPRegressor
-        assert model[-1].get_params() == DependentGPRegressor(
-            structure="auto", input_noise="learned", early_stopping=True
-        ).get_params()
+        assert (
+            model[-1].get_params()
+            == DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True).get_params()
+        )
         assert model.set_params(dependentgpregressor__n_latent=5)[-1].n_latent == 5
 
     def test_learns_what_elevons_and_rates_do(self, fitted):
@@ -161,47 +163,6 @@ class TestPipeline:
             make_identification_pipeline({"span": 2.6, "chord": 0.55})
 
 
-class TestCalibration:
-    def test_finds_the_noise_that_the_samples_did_not_show(self):
-        table, Y = flights()
-        rng = np.random.default_rng(1)
-        learned = thin_targets(Y, 100)
-        rough = Y + rng.normal(0, [0.04, 0.0], Y.shape)
-        model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=QUICK).fit(table, learned)
-        mean, std = model.predict(table, return_std=True)
-        before = model[-1].noise_variance_.copy()
-        rest = rough.mask(learned.notna())
-        factor = calibrate_noise(model, table, rest)
-        np.testing.assert_allclose(model[-1].noise_variance_, before * factor**2)
-        assert np.sqrt(model[-1].noise_variance_[0]) == pytest.approx(np.hypot(0.04, 0.01), rel=0.1)
-        assert factor[0] > 3
-        noisy = model.predict(table, return_std=True, include_noise=True)[1]
-        squares = ((rest - mean) / noisy) ** 2
-        assert squares["CZ"].mean() == pytest.approx(1, rel=1e-6)
-        again = model.predict(table, return_std=True)
-        np.testing.assert_array_equal(again[0], mean)
-        np.testing.assert_array_equal(again[1], std)
-
-    def test_never_narrows(self, fitted):
-        model, table, Y, _ = fitted
-        model = pickle.loads(pickle.dumps(model))
-        perfect = pd.DataFrame(model.predict(table), columns=Y.columns)
-        before = model[-1].noise_variance_.copy()
-        assert (calibrate_noise(model, table, perfect) == 1).all()
-        np.testing.assert_array_equal(model[-1].noise_variance_, before)
-
-    def test_nothing_left_to_compare_with_changes_nothing(self, fitted):
-        model, table, Y, _ = fitted
-        assert (calibrate_noise(pickle.loads(pickle.dumps(model)), table, Y * np.nan) == 1).all()
-
-    def test_an_output_that_was_not_measured_keeps_its_noise(self, fitted):
-        model, table, Y, _ = fitted
-        model = pickle.loads(pickle.dumps(model))
-        factor = calibrate_noise(model, table, pd.DataFrame({"CZ": Y["CZ"] + 1.0, "Cm": np.nan}))
-        assert factor[0] > 2
-        assert factor[1] == 1
-
-
 @pytest.fixture(scope="module")
 def example():
     """Return short example flights: two to learn from, one to test."""
@@ -236,6 +197,27 @@ class TestIdentify:
         assert result.fit["samples"] == result.settings["samples"] == 40
         assert result.fit["flights"] == {"lateral": 600, "latlon": 600}
         assert result.held_out is None
+
+    def test_says_if_the_fit_has_not_converged(self, result, tmp_path):
+        assert result.metrics["fit"]["converged"] is result.pipeline[-1].converged_
+        assert result.metrics["fit"]["converged"] == ("not converged" not in result.summary())
+        stopped = replace(result, fit=result.fit | {"converged": False})
+        words = f"not converged after {result.fit['iterations']} iterations: raise max_iter"
+        assert words in stopped.summary()
+        assert "not converged: raise max_iter" in stopped.report(tmp_path / "a.html").read_text(encoding="utf-8")
+
+    def test_calibrates_by_flight(self, example):
+        aircraft, train, test = example
+        quick = DependentGPRegressor(n_latent=0, max_iter=2, random_state=0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            warnings.filterwarnings("ignore", ".*2 flights guarantee no more than 0.667")
+            of_two = identify(train, aircraft, test=test, samples=40, regressor=quick, horizons=[1.0], calibrate=True)
+        calibrated = of_two.pipeline[-1]
+        assert calibrated.unit_ == "flight"
+        assert (calibrated.n_units_ == 2).all()
+        with pytest.raises(ValueError, match=r"Got one training flight \('latlon'\) to calibrate on"):
+            identify(train[train["flight"] == "latlon"], aircraft, test=test, calibrate=True)
 
     def test_evaluates_another_flight_as_its_test_flights(self, result, example):
         again = result.evaluate(example[2])
@@ -276,7 +258,7 @@ class TestIdentify:
         assert {" ".join(str(one.message).split()) for one in shown} == set(found.messages)
         assert any("No test flight was named" in message for message in found.messages)
         unique = list(dict.fromkeys(stage for stage in stages if not stage.startswith("output")))
-        assert unique == ["reading", "coefficients", "transforming", "fit", "calibration", "evaluating latlon"]
+        assert unique == ["reading", "coefficients", "transforming", "fit", "evaluating latlon"]
 
     @pytest.mark.parametrize(
         ("change", "error", "message"),

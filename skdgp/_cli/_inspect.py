@@ -18,8 +18,9 @@ from skdgp.preprocessing import LagCorrector
 def inspect(run: Run) -> None:
     """Print what a log holds: vehicle, firmware, topics with rates and gaps, columns of its flight table, flights.
 
-    And what is missing for coefficients, reconstruction, regressors, replay; and how late air data, surfaces, attitude
-    and GPS are against the inertial unit (identify --lags corrects them).
+    And what is missing for coefficients, reconstruction, regressors, replay; which channels contradict physics (a wrong
+    sign, unit or axis); and how late air data, surfaces, attitude and GPS are against the inertial unit (identify
+    --lags corrects them).
 
     LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
 

@@ -65,9 +65,7 @@ def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices,
     return list(BlockSplit(int(n_blocks), gap=gap).split(flights))
 
 
-def fit_and_score(
-    estimator: Any, X: Any, y: Any, Y: Matrix, train: Indices, test: Indices, fit_params: dict
-) -> Matrix:
+def fit_and_score(estimator: Any, X: Any, y: Any, Y: Matrix, train: Indices, test: Indices, fit_params: dict) -> Matrix:
     """Return the scores of held-out rows, by a model that did not learn from them."""
     params = {name: safe_indexing(values, train) for name, values in fit_params.items()}
     fitted = clone(estimator).fit(safe_indexing(X, train), safe_indexing(y, train), **params)

@@ -5,7 +5,6 @@ from skdgp.identification._identify import Identification, identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     FlightPipeline,
-    calibrate_noise,
     flight_regressors,
     make_identification_pipeline,
     predict_flight,
@@ -16,7 +15,6 @@ __all__ = [
     "FlightPipeline",
     "Identification",
     "ModelFileError",
-    "calibrate_noise",
     "flight_regressors",
     "identify",
     "load_model",

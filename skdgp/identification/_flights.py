@@ -14,6 +14,7 @@ from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
+from skdgp._flight.physics import find_contradictions
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
@@ -141,7 +142,9 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
 
 
 def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flights:
-    """Return flights without faults, and only rows that a model can learn from or predict; warn of the others.
+    """Return flights without faults, and only rows that a model can learn from or predict.
+
+    Warns of faults, of contradictions of physics, and of the rows that are left out.
 
     Raises
     ------
@@ -152,7 +155,14 @@ def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flig
         check_columns(table, [name for name in columns if name not in MIXED])
     check = FlightCheck(bridge=0)
     checked = {name: check.fit_transform(table) for name, table in flights.items()}
+    _warn_of_contradictions(checked)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
+
+
+def _warn_of_contradictions(flights: Flights) -> None:
+    if flights:
+        for each in find_contradictions(pd.concat(flights.values(), ignore_index=True)):
+            warnings.warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=4)
 
 
 def _complete_rows(flight, table, regressors) -> pd.DataFrame:

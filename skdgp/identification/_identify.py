@@ -31,7 +31,6 @@ from skdgp.identification import _flights, _model_file
 from skdgp.identification._evaluation import Evaluation, evaluate_flight, fit_least_squares, group_means, scores
 from skdgp.identification._flights import Flights
 from skdgp.identification._pipeline import (
-    calibrate_noise,
     check_aircraft,
     clock_of,
     default_regressor,
@@ -83,11 +82,10 @@ def identify(
     """Learn a model of the six coefficients from flights, and judge it on others.
 
     Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`) learns them from
-    the training flights; rows that it did not learn from show whether its noise is large enough (`calibrate_noise`).
-    The model then predicts the test flights, and its predictions are scored and replayed.
+    the training flights. The model then predicts the test flights, and its predictions are scored and replayed.
 
     Listeners of `skdgp.listening` are called at each stage too, with ``(stage, 0, nan)``: "reading", "coefficients",
-    "transforming", "calibration", "evaluating NAME". In a block of `skdgp.checkpointing` a killed fit resumes. Ctrl-C
+    "transforming", "evaluating NAME". In a block of `skdgp.checkpointing` a killed fit resumes. Ctrl-C
     during the fit keeps the best model so far.
 
     Parameters
@@ -198,10 +196,6 @@ def identify(
         pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
         seconds = time.monotonic() - began
 
-        _announce("calibration")
-        widened = np.ones(len(COEFFICIENTS))
-        if not calibrate:
-            widened = calibrate_noise(pipeline, table, Y.mask(targets.notna()))
         fit = {
             "samples": int(targets.notna().any(axis=1).sum()),
             "samples_available": int(Y.notna().any(axis=1).sum()),
@@ -209,7 +203,6 @@ def identify(
             "thrust": _thrust_sources(thrust, train.values()),
             **fit_facts(pipeline),
             "least_squares": fit_least_squares(pipeline, X, targets),
-            "noise_widened": _by_coefficient(widened),
             "seconds": round(seconds, 3),
             "interrupted": any(message.startswith("The fit was interrupted") for message in messages),
             "flights": {name: len(part) for name, part in train.items()},
@@ -398,7 +391,10 @@ class Identification:
         if "seconds" in fit:
             first += f"{'interrupted' if fit['interrupted'] else 'fitted'} in {fit['seconds']:.1f} s on "
             first += f"{fit['samples']} of {fit['samples_available']} samples, "
-        lines = [f"{first}log likelihood {fit['log_marginal_likelihood']:.1f}", ""]
+        lines = [f"{first}log likelihood {fit['log_marginal_likelihood']:.1f}"]
+        if not fit.get("converged", True):
+            lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
+        lines.append("")
         if len(tested) == 1:
             lines += [f"flight {tested[0].name}", *_score_table(tested), "", *_state_lines(tested[0])]
         else:
@@ -471,6 +467,7 @@ class Identification:
                 log_marginal_likelihood=fit["log_marginal_likelihood"],
                 n_iter=fit["iterations"],
                 max_iter=regressor.max_iter,
+                converged=fit.get("converged", True),
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,
                 correlation=regressor.output_correlation() if joint else None,
@@ -529,9 +526,6 @@ class Identification:
                 f"error, {100 * row.interval_coverage:.1f} % in the 95 % band"
                 for group, row in means.iterrows()
             )
-        widened = [f"{name} {factor:.2f}" for name, factor in fit.get("noise_widened", {}).items() if factor > 1.005]
-        if widened:
-            remarks["Noise"] = f"widened to what rows not learned from show: {', '.join(widened)} times"
         if "std_scale" in fit:
             factors = ", ".join(f"{name} {factor:.2f}" for name, factor in fit["std_scale"].items())
             remarks["Calibration"] = f"standard deviations scaled to flights held out in turn: {factors} times"
@@ -603,6 +597,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
         "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter),
+        "converged": bool(getattr(regressor, "converged_", True)),  # models of version 0.1 do not say
         "evaluations": int(regressor.n_evaluations_),
         "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import brentq
 from sklearn import get_config
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import SENSOR_GUST
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
@@ -29,7 +28,6 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-CALIBRATION_ROWS = 1500
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 
 
@@ -78,8 +76,8 @@ def make_identification_pipeline(
         What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
         elevator or an aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``. It is cloned. Any regressor of
-        several outputs will do: a linear model for comparison.
+        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``. It is cloned.
+        Any regressor of several outputs will do: a linear model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
     lags : "auto", dict or None, default=None
@@ -308,71 +306,3 @@ def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: b
     """
     words = {"return_std": True, "include_noise": include_noise}
     return _predict(pipeline[-1], *flight_regressors(pipeline, flight), words)
-
-
-def calibrate_noise(pipeline: Pipeline, flight: pd.DataFrame, Y: ArrayLike) -> Vector:
-    r"""Raise the noise of a fitted pipeline to what measurements show that it did not learn from.
-
-    The likelihood sees a few hundred rows. At others of the same flights the residuals may be larger: gusts that no
-    sensor feels differ from minute to minute. With residual e and standard deviation s of the function at noisy
-    regressors, the noise variance of each output becomes the larger of its old value and the solution of
-
-    .. math:: \frac{1}{n} \sum \frac{e^2}{s^2 + \sigma^2} = 1.
-
-    The function and its standard deviation do not change; only bands of ``include_noise=True`` widen.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Fitted, ends in a :class:`skdgp.DependentGPRegressor`. Its ``noise_variance_`` is changed.
-    flight : DataFrame (n, ...)
-        Whole flights at their full rate.
-    Y : DataFrame or array (n, P)
-        Measured coefficients; NaN where they were learned from, or not observed. At most 1500 rows are used, spread.
-
-    Returns
-    -------
-    ndarray (P,)
-        By what factor the standard deviation of the noise grew, 1 where it did not.
-
-    Examples
-    --------
-    >>> from skdgp.model_selection import thin_targets
-    >>> import numpy as np, pandas as pd
-    >>> from skdgp.dynamics import Aircraft
-    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    >>> t = np.arange(0, 40, 0.1)
-    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    >>> gusts = np.random.default_rng(0).normal(0, np.where(np.arange(400) % 8 == 4, 0.01, 0.03))
-    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha + gusts})
-    >>> model = make_identification_pipeline(glider, regressors=["alpha"], cutoff=None, mixer="passthrough")
-    >>> learned = thin_targets(Y, 50)                  # by chance the calm moments
-    >>> factor = calibrate_noise(model.fit(flight, learned), flight, Y.mask(learned.notna()))
-    >>> bool(2 < factor[0] < 4)
-    True
-    """
-    Y = np.asarray(Y, dtype=float).reshape(len(flight), -1)
-    rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
-    rows = rows[:: max(1, -(-len(rows) // CALIBRATION_ROWS))]
-    regressor = pipeline[-1]
-    factor = np.ones(Y.shape[1])
-    if len(rows):
-        X, ratio = flight_regressors(pipeline, flight)
-        mean, std = regressor.predict(X[rows], return_std=True, include_input_noise=ratio[rows])
-        squares = (Y[rows] - mean.reshape(len(rows), -1)) ** 2
-        variances = std.reshape(len(rows), -1) ** 2
-        noise = np.array(regressor.noise_variance_)
-        for i, (e2, s2) in enumerate(zip(squares.T, variances.T, strict=True)):
-            known = np.isfinite(e2)
-            if known.any():
-                factor[i] = np.sqrt(_noise_that_fits(e2[known], s2[known], noise[i]) / noise[i])
-        regressor.noise_variance_ = noise * factor**2
-    return factor
-
-
-def _noise_that_fits(squares, variances, noise) -> float:
-    """Return the noise variance, at least the given one, at which mean(squares / (variances + noise)) is 1 or less."""
-    if np.mean(squares / (variances + noise)) <= 1:
-        return noise
-    upper = squares.mean() + noise
-    return brentq(lambda trial: np.mean(squares / (variances + trial)) - 1, noise, upper)

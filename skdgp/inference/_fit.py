@@ -31,6 +31,7 @@ NOISE_STEPS = 10  # largest number of steps of expectation maximisation for the 
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
+IRRELEVANT_RISE = 0.05  # expected rise of the likelihood for each value [nats] up to which a search has converged
 MEMORY_STEPS = 4  # starting memory of a drift, in sample intervals
 
 
@@ -51,12 +52,12 @@ class Fit(NamedTuple):
     n_iter: int
     n_evaluations: int
     interrupted: bool = False
-    rising: bool = False
+    remaining: float = 0.0
     converged: bool = True
 
     def found(self, interrupted: bool) -> Hyperparameters:
         """Return the hyperparameters of an exact fit, for use with other samples."""
-        history = self.n_iter, self.n_evaluations, interrupted, self.rising, self.converged
+        history = self.n_iter, self.n_evaluations, interrupted, self.remaining, self.converged
         white_noise = self.noise if self.drift is None else self.noise - self.drift[0]
         return Hyperparameters(self.posterior.kernel, white_noise, self.root, self.drift, *history)
 
@@ -71,7 +72,7 @@ class Hyperparameters(NamedTuple):
     n_iter: int = 0
     n_evaluations: int = 0
     interrupted: bool = False
-    rising: bool = False
+    remaining: float = 0.0
     converged: bool = True
 
     def fit(self, posterior: Any, value: Any = None, more: Any = None) -> Fit:
@@ -80,7 +81,7 @@ class Hyperparameters(NamedTuple):
         n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
         interrupted = self.interrupted or bool(more and more.interrupted)
         value += posterior.kernel.log_prior()
-        history = self.n_iter, n_evaluations, interrupted, self.rising, self.converged
+        history = self.n_iter, n_evaluations, interrupted, self.remaining, self.converged
         noise = self.noise if self.drift is None else self.noise + self.drift[0]
         return Fit(posterior, noise, self.root, self.drift, value, *history)
 
@@ -252,7 +253,22 @@ def _learn_drift(hyperparameters, posterior, X, Y, clock):
 
 
 def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
-    """Return sigma^2, tau^2 and T of white noise plus drift, (3, P), estimated from the residuals of a posterior."""
+    """Return white noise and drift estimated from the residuals of a posterior.
+
+    Parameters
+    ----------
+    posterior : ExactPosterior or SparsePosterior
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    clock : ndarray (n, 2)
+        Time and flight number of each sample.
+
+    Returns
+    -------
+    ndarray (3, P)
+        The variances sigma^2 and tau^2 and the memory T of each output, see ``Drift``.
+    """
     residual, least = Y - posterior.predict(X), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     found = np.stack([least, least, np.ones(len(least))])
     for i, e in enumerate(residual.T):
@@ -376,8 +392,8 @@ def _learn(
         n_iter=n_iter + best.n_iter,
         n_evaluations=n_evaluations + best.n_evaluations,
         interrupted=stop.is_set(),
-        rising=best.rising,
-        converged=best.converged,
+        remaining=best.remaining,
+        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * data.n_values),
     )
 
 

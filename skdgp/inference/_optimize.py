@@ -12,7 +12,7 @@ from skdgp._compute.checkpoint import stage_record
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Vector
 
-
+RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
 PATIENCE = 5  # iterations over which the held-out error must fall
 LEAST_GAIN = 0.01  # by this fraction
 STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
@@ -26,7 +26,7 @@ class Optimum(NamedTuple):
     n_iter: int
     n_evaluations: int
     interrupted: bool
-    rising: bool  # stopped at max_iter, and the likelihood rose by more than 5 % in the last few evaluations
+    remaining: float  # expected rise of the likelihood in as many iterations again [nats]
     converged: bool  # stopped because the likelihood no longer rose, or the held-out error no longer fell
 
 
@@ -36,7 +36,7 @@ class _Objective:
     def __init__(self, log_likelihood, theta, stage, stop, record):
         self.log_likelihood, self.stage, self.stop, self.record = log_likelihood, stage, stop, record
         self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
-        self.values = []
+        self.values: list[float] = []
 
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
@@ -53,6 +53,11 @@ class _Objective:
         if recorded is None:
             notify(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
+
+    def rise_per_evaluation(self) -> float:
+        """Return the mean rise of the best value in the last evaluations, infinite if there is only one."""
+        last = [value for value in self.values[-RECENT:] if np.isfinite(value)]
+        return (last[-1] - last[0]) / (len(last) - 1) if len(last) > 1 else np.inf
 
     def _evaluate(self, theta):
         try:
@@ -108,9 +113,10 @@ def maximize(
     record = stage_record(name or stage)
     theta = record.start(np.clip(theta, bounds[:, 0], bounds[:, 1]))
     if stop is not None and stop.is_set():
-        return Optimum(theta, -np.inf, 0, 0, True, False, False)
+        return Optimum(theta, -np.inf, 0, 0, True, np.inf, False)
     objective = _Objective(log_likelihood, theta, stage, stop, record)
-    n_iter, interrupted, converged, errors = 0, False, False, []
+    n_iter, interrupted, remaining, converged = 0, False, np.inf, False
+    errors: list[float] = []
 
     def watch(theta):
         errors.append(held_out_error(theta))
@@ -120,7 +126,7 @@ def maximize(
     try:
         if callable(optimizer):
             optimizer(objective, theta, bounds)
-            converged = True  # an optimiser of the user has its own stopping rule
+            remaining, converged = 0.0, True  # an optimiser of the user has its own stopping rule
         else:
             options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "ftol": tolerance, "gtol": 1e-4, "maxcor": 20}
             end = minimize(
@@ -133,10 +139,19 @@ def maximize(
                 callback=None if held_out_error is None else watch,
             )
             n_iter, converged = end.nit, bool(end.success) or end.status == STOPPED
+            remaining = 0.0
+            if not converged:
+                remaining = min(_newton_rise(end, bounds), max(max_iter, 1) * objective.rise_per_evaluation())
     except KeyboardInterrupt:
         interrupted = True
         if stop is not None:
             stop.set()
-    gain = objective.value - objective.values[-min(5, len(objective.values))] if objective.values else 0.0
-    rising = bool(n_iter >= max_iter and gain > 0.05 * abs(objective.value))
-    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, rising, converged)
+    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, remaining, converged)
+
+
+def _newton_rise(end: Any, bounds: Any) -> float:
+    """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement."""
+    downhill = -end.jac
+    blocked = ((end.x <= bounds[:, 0]) & (downhill < 0)) | ((end.x >= bounds[:, 1]) & (downhill > 0))
+    free = np.where(blocked, 0.0, downhill)
+    return float(0.5 * free @ end.hess_inv(free))

@@ -10,9 +10,11 @@ from textwrap import fill, wrap
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS, Finding, find_faults
+from skdgp._flight.physics import find_contradictions
 from skdgp.io._autopilot.autopilot import AUTOPILOTS, no_flight_because, on_one_clock, read_log
 from skdgp.io._autopilot.clock import gaps, sampling_rate
 from skdgp.io._autopilot.formats import Topic
@@ -97,7 +99,7 @@ class LogSummary:
         Why there are none; empty if there are some.
     remarks : tuple of str
         Damage, gaps, faults of the clock, channels of no use; of a table, the faults of its channels, as from
-        :func:`skdgp.preprocessing.inspect_flight`.
+        :func:`skdgp.preprocessing.inspect_flight`, and channels that contradict each other by physics.
     """
 
     path: str
@@ -209,7 +211,8 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
     columns = [
         ColumnSummary(name, *flown.origin[name], _constant(table[name])) for name in table if name in flown.origin
     ]
-    flights = [_flight(part.table.iloc[rows]) for part in flown.parts for rows in part.segments]
+    tables = [part.table.iloc[rows] for part in flown.parts for rows in part.segments]
+    flights = [_flight(each) for each in tables]
     return LogSummary(
         path=str(path),
         format=log.kind,
@@ -221,7 +224,7 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
         missing=missing_for(columns),
         flights=tuple(flights),
         no_flight="" if flights else no_flight_because(table, log, flown.speed),
-        remarks=tuple(flown.remarks),
+        remarks=(*flown.remarks, *_contradictions(tables)),
     )
 
 
@@ -256,7 +259,8 @@ def _of_table(path, table) -> LogSummary:
         for name in table.columns
         if name not in ("time", "flight", *table.attrs["unknown_columns"])
     ]
-    flights = [_flight(table.iloc[rows]) for rows in flight_rows(table["flight"]).values()]
+    tables = [table.iloc[rows] for rows in flight_rows(table["flight"]).values()]
+    flights = [_flight(each) for each in tables]
     return LogSummary(
         path=str(path),
         format="table",
@@ -271,6 +275,7 @@ def _of_table(path, table) -> LogSummary:
         remarks=(
             *(f"column {name!r} is not of the vocabulary" for name in table.attrs["unknown_columns"]),
             *_faults(table),
+            *_contradictions(tables),
         ),
     )
 
@@ -288,6 +293,17 @@ def _flight(table) -> FlightSummary:
     time = table["time"]
     airspeed = float(table["airspeed"].mean()) if "airspeed" in table else np.nan
     return FlightSummary(float(time.iloc[0]), float(time.iloc[-1]), airspeed)
+
+
+def _contradictions(tables) -> tuple[str, ...]:
+    """Return what contradicts physics in the flights of a log; nothing of a clock that no filter could use."""
+    if not tables:
+        return ()
+    numbered = [table.assign(flight=number) for number, table in enumerate(tables, start=1)]
+    try:
+        return tuple(map(str, find_contradictions(pd.concat(numbered, ignore_index=True))))
+    except ValueError:
+        return ()
 
 
 def _topic(name, topic: Topic) -> TopicSummary:

@@ -165,7 +165,12 @@ class ConvolvedGaussian(MultiOutputKernel):
         others = np.zeros(d, dtype=bool)
         if self.regressors is not None:
             columns = np.asarray(self.regressors)
-            if columns.ndim != 1 or columns.dtype.kind not in "iu" or not set(columns) <= set(range(d)) or not len(columns):
+            if (
+                columns.ndim != 1
+                or columns.dtype.kind not in "iu"
+                or not set(columns) <= set(range(d))
+                or not len(columns)
+            ):
                 raise ValueError(f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}.")
             if self.covariance_type not in ("diag", "tied"):
                 raise ValueError(

@@ -160,6 +160,8 @@ class ModelSummary:
         Attained.
     n_iter, max_iter : int
         Iterations of the optimiser, and the most it was allowed.
+    converged : bool
+        Whether the optimiser came to its end.
     fit_seconds : float
         Time of the fit [s].
     noise_std : (6,)
@@ -183,6 +185,7 @@ class ModelSummary:
     log_marginal_likelihood: float | None = None
     n_iter: int | None = None
     max_iter: int | None = None
+    converged: bool = True
     fit_seconds: float | None = None
     noise_std: Sequence[float] | None = None
     correlation: object = None

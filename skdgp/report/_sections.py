@@ -107,6 +107,8 @@ def _flown(name: str, time) -> str:
 
 def _iterations(model: ModelSummary) -> str | None:
     n_iter, most = model.n_iter, model.max_iter
+    if not model.converged:
+        return f"{_grouped(n_iter)} (not converged: raise max_iter)"
     at_limit = n_iter is not None and most is not None and n_iter >= most
     return f"{_grouped(n_iter)} (limit reached)" if at_limit else _grouped(n_iter)
 

@@ -11,7 +11,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp.identification import calibrate_noise, flight_regressors
+from skdgp.identification import flight_regressors
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -78,13 +78,12 @@ class Identification:
     """The whole pipeline, from flight tables, as the command line fits it.
 
     ``arguments`` are those of ``make_identification_pipeline``, ``parameters`` what its ``set_params`` is given,
-    ``samples`` how many are learned from where not all, with the noise ``calibrated`` on others; ``gusts``: whether
-    bands know how gusty the flight is.
+    ``samples`` how many are learned from where not all; ``gusts``: whether bands know how gusty the flight is.
     """
 
-    def __init__(self, arguments=None, parameters=None, *, samples=None, calibrated=True, gusts=True):
+    def __init__(self, arguments=None, parameters=None, *, samples=None, gusts=True):
         self.arguments, self.parameters, self.samples = arguments or {}, parameters or {}, samples
-        self.calibrated, self.gusts = calibrated, gusts
+        self.gusts = gusts
 
     def unfitted(self, aircraft):
         pipeline = make_identification_pipeline(aircraft, **self.arguments)
@@ -94,8 +93,6 @@ class Identification:
     def fit_flight(self, task):
         learned = task.targets if self.samples is None else thin_targets(task.targets, self.samples)
         self.pipeline = self.unfitted(task.aircraft).fit(task.train, learned)
-        if self.calibrated:
-            calibrate_noise(self.pipeline, task.train, task.targets.mask(learned.notna()))
         return self
 
     def transform(self, table):

@@ -29,7 +29,6 @@ PARTS = {  # of Identification: arguments of make_identification_pipeline, param
     "trend": {"parameters": {"dependentgpregressor__trend": "constant"}},
     "sharing": {"parameters": {"dependentgpregressor__n_latent": 0}},
     "all_samples_but_755": {"samples": 755},
-    "all_samples_but_755_and_calibration": {"samples": 755, "calibrated": False},
 }
 
 

@@ -5,10 +5,10 @@
 Each method learns the measured coefficients of one flight, from 755 samples spread evenly or from all of them, and
 predicts another flight, from the same regressors. These come from raw channels with plain finite differences, from
 channels filtered by ``FlightSmoother``, or from ``FlightPathReconstruction``; each scaled. ``pipeline`` is
-``make_identification_pipeline`` as it stands, with its noise calibrated as the command line does; its inputs are its
-``own``, which the others get as well. NRMSE and median relative error are of every sample of the test flight, against
-truth where there is one; what 95 % bands hold is of every tenth sample: bands of the function against truth, bands of
-measurements against measured coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
+``make_identification_pipeline`` as it stands; its inputs are its ``own``, which the others get as well. NRMSE and
+median relative error are of every sample of the test flight, against truth where there is one; what 95 % bands hold is
+of every tenth sample: bands of the function against truth, bands of measurements against measured coefficients. AP2:
+ten blocks in time, odd ones learned from, even ones predicted.
 
 Each run is kept as OUT/comparison/FLIGHT-INPUTS-METHOD.json, and not run again unless ``--redo`` says so; the tables
 are of all runs that are there. Peers take some hours on one core.

@@ -95,7 +95,7 @@ class TestIdentify:
         assert fit["limit_reached"] is (fit["iterations"] >= 3)
         assert fit["thrust"] in (["columns"], ["propeller"])
         assert "q_hat" in fit["regressors"]
-        assert set(fit["noise_std"]) == set(fit["noise_widened"]) == set(COEFFICIENTS)
+        assert set(fit["noise_std"]) == set(COEFFICIENTS)
         assert np.isfinite(fit["log_marginal_likelihood"])
 
     def test_metrics_score_every_coefficient_against_measured_and_truth(self, identified):
@@ -181,7 +181,6 @@ class TestIdentify:
         fit = json.loads((tmp_path / "metrics.json").read_text())["fit"]
         assert fit["inference"] == "sparse"
         assert fit["samples"] == fit["samples_available"] == 700
-        assert set(fit["noise_widened"].values()) == {1.0}
 
     def test_rows_without_regressors_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
         monkeypatch.setattr(_identify, "render_report", lambda content: "")
@@ -446,7 +445,6 @@ class TestCalibrate:
         )
         assert metrics["options"]["calibrate"] is True
         assert set(metrics["fit"]["guaranteed_level"].values()) == {2 / 3}
-        assert set(metrics["fit"]["noise_widened"].values()) == {1.0}
         report = (calibrated / "report.html").read_text(encoding="utf-8")
         assert "standard deviations scaled to flights held out in turn" in report
 

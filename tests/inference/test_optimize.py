@@ -54,6 +54,10 @@ def test_iterations_are_limited():
     assert few.n_iter == 3
     assert few.value < many.value
     np.testing.assert_allclose(many.theta, 1.0, atol=1e-2)
+    assert not few.converged
+    assert 0.1 < few.remaining / (many.value - few.value) < 10
+    assert many.converged
+    assert many.remaining < 1e-3
 
 
 @pytest.mark.parametrize("failure", [np.linalg.LinAlgError, "nan", "nan gradient"])

@@ -96,12 +96,12 @@ def simulate(
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
         is the uncertainty of the trajectory.
+    random_state : int or RandomState, default=0
+        Of the paths.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the coefficients that
         change slowly, as the residuals of the training flights did (gusts, missing regressors). False: the uncertainty
         of the aircraft alone, such as in calmer air.
-    random_state : int or RandomState, default=0
-        Of the paths.
     return_std : bool, default=False
         Whether to add columns ``airspeed_std``, ``phi_std``, ... of the mean's trajectory: standard deviations by the
         joint posterior of the coefficients along it, to first order. Fast, and right for some seconds, while errors are

@@ -39,6 +39,7 @@ EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
 
 AUTO_LATENT = 2  # shared latents that structure="auto" compares with the trend if n_latent="auto"
+ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
 MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
@@ -87,10 +88,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     length_scale_prior : None, "auto", pair or array (d, 2)
         Prior median of the widths and standard deviation of their logarithms, see ``ConvolvedGaussian``. None: no
         prior.
-    structure : {"joint", "trend", "auto"}
-        "joint": a trend and the dependent processes. "trend": the trend alone, with its weights integrated out. "auto"
-        chooses the one with the smaller mean squared error, averaged over the outputs, in blocks of rows that are held
-        out in turn; rows must be in the order of the log. The result is in ``structure_`` and ``structure_errors_``.
+    structure : {"joint", "additive", "trend", "auto"}
+        "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
+        (main effects). "trend": the trend alone, with its weights integrated out. "auto" chooses between the trend and,
+        up to 5000 samples, "additive", else "joint": the one with the smaller mean squared error, averaged over the
+        outputs, in blocks of rows that are held out in turn; rows must be in the order of the log. The result is in
+        ``structure_`` and ``structure_errors_``.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -155,11 +158,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Number of shared latent processes; None if a kernel is given.
     n_latent_scores_ : dict
         Criterion in nats for each number of latents that ``n_latent="auto"`` tried; the largest is chosen.
-    structure_ : {"joint", "trend"}
+    structure_ : {"joint", "additive", "trend"}
         Structure of the fitted model.
     structure_errors_ : dict
-        Mean squared error of each output in held-out blocks, over its variance, (P,), for "trend" and "joint"; empty
-        unless ``structure="auto"``.
+        Mean squared error of each output in held-out blocks, over its variance, (P,), of the two structures that were
+        compared; empty unless ``structure="auto"``.
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
@@ -381,29 +384,30 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def _choose_structure(self, X, Z, options):
         """Return the structure, and the hyperparameters so far if Ctrl-C ended its choice, else None.
 
-        The structure is "trend" if it is requested or predicts held-out blocks better, else "joint".
+        The structure is that which is requested or, of the trend and one with processes, predicts held-out blocks better.
         """
         self.structure_errors_ = {}
         no_choice = self.kernel is not None or self.trend in ("constant", None)
-        if self.structure == "trend" and no_choice:
+        if self.structure in ("trend", "additive") and no_choice:
             raise ValueError(
-                f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected kernel=None "
-                "and a trend such as 'linear'."
+                f"Got structure={self.structure!r} with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
+                "kernel=None and a trend such as 'linear'."
             )
         if self.structure in ("joint", "additive") or no_choice:
             return "joint" if no_choice else self.structure, None
         if self.structure == "auto":
             blocks = options | {"input_noise": None}  # exact regressors: faster, and the same for both structures
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
-            for name, kernel in (("trend", self._make_trend()), ("joint", self._make_kernel(n_latent, "joint"))):
+            processes = "additive" if len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1 else "joint"
+            for name, kernel in (("trend", self._make_trend()), (processes, self._make_kernel(n_latent, processes))):
                 errors, found = held_out_errors(name, kernel, X, Z, **blocks)
                 if found is not None and not isinstance(options["input_noise"], str):
                     found = found._replace(root=options["input_noise"])
                 if errors is None:
-                    return ("joint" if found is None else name), found
+                    return (processes if found is None else name), found
                 self.structure_errors_[name] = errors
-            if np.nanmean(self.structure_errors_["joint"]) <= np.nanmean(self.structure_errors_["trend"]):
-                return "joint", None
+            if np.nanmean(self.structure_errors_[processes]) <= np.nanmean(self.structure_errors_["trend"]):
+                return processes, None
         return "trend", None
 
     def _make_kernel(self, n_latent, structure=None):

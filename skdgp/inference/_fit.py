@@ -138,6 +138,7 @@ def fit_exact(
         Time and flight number of each sample. None: white noise. Otherwise the noise has a drift, see ``Drift``.
     early_stopping : bool
         Whether hyperparameters are learned from a subset only until the error of held-out blocks no longer falls.
+        Inducing variables then stay where they start.
 
     Returns
     -------
@@ -213,7 +214,7 @@ def fit_sparse(
         hyperparameters = learned._replace(noise=noise / inflation)
         if clock is not None:
             hyperparameters = _learn_drift(hyperparameters, posterior, X, Y, clock)
-    if hyperparameters.interrupted:
+    if hyperparameters.interrupted or early_stopping:
         return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value)
     features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
     with sharing(shares):
@@ -336,7 +337,7 @@ def _learn(
     noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y), clock)
     stop = Event()
     singles, n_evaluations, n_iter = None, 0, 0
-    if optimizer is not None and P > 1 and not open_kernel.has_values():
+    if optimizer is not None and P > 1 and not open_kernel.has_values() and open_kernel.single_output() is not None:
         singles, noise, n_evaluations = fit_singles(
             open_kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop
         )

@@ -278,11 +278,11 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         return self
 
-    def single_output(self) -> MultiOutputKernel:
+    def single_output(self) -> MultiOutputKernel | None:
+        if self.regressors is not None:
+            return None
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
-        return ConvolvedGaussian(
-            0, covariance_type=kind, regressors=self.regressors, length_scale_prior=self.length_scale_prior
-        )
+        return ConvolvedGaussian(0, covariance_type=kind, length_scale_prior=self.length_scale_prior)
 
     def stationary_part(self) -> Any:
         return self
@@ -330,6 +330,12 @@ class ConvolvedGaussian(MultiOutputKernel):
         return np.concatenate([shift, *(mu + steps * width for mu in shift for width in widths)])
 
     def free_parameters(self) -> list[FreeParameter]:
+        cache = self.__dict__.setdefault("_cache", {})
+        if "free" not in cache:
+            cache["free"] = self._free_parameters()
+        return cache["free"]
+
+    def _free_parameters(self):
         feeds = self._value("feeds").astype(bool)
         M, P, d = self._value("shift").shape
         pairs = self._value("shear").shape[-1]

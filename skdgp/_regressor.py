@@ -384,7 +384,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def _choose_structure(self, X, Z, options):
         """Return the structure, and the hyperparameters so far if Ctrl-C ended its choice, else None.
 
-        The structure is that which is requested or, of the trend and one with processes, predicts held-out blocks better.
+        It is the requested one or, of the trend and one with processes, that which predicts held-out blocks better.
         """
         self.structure_errors_ = {}
         no_choice = self.kernel is not None or self.trend in ("constant", None)

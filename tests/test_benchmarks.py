@@ -27,6 +27,7 @@ SCRIPTS = (
     "damage",
     "fuzz",
     "paths",
+    "times",
 )
 
 

@@ -1,0 +1,88 @@
+"""Seconds, memory and error of whole default fits as flights grow, beside trees and GPyTorch on the same rows.
+
+    python tests/benchmarks/times.py ../shared/data [--no-peers] [--out FOLDER]
+
+2,000 samples are 50 s of viggen's train_latlon, 14,400 all of it; 144,000 are both training flights, brought to five
+times their rate between samples. "Ours" is the regressor of identification with its defaults, choice of structure
+included; the trees learn what a linear trend leaves, each output by itself; GPyTorch's is its sparse variational model,
+2000 steps. The error is that of the coefficients of test_twoalt, whose truth is known. Each fit has its own process.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from _common import extra_memory, finish, in_own_process, parser_of
+from _peers import OnTrend, SparseLCM, trees
+from heldout import flights, toy
+
+from skdgp.identification._pipeline import default_regressor
+
+SIZES = (2000, 14400, 144000)
+DENSER = 5
+
+
+def table(folder, n):
+    """Return regressors, targets and times of n samples, and the task that scores a model of them."""
+    task = flights(folder)
+    X, Y, time_ = task.X, task.Y, np.arange(len(task.X)) / 40.0
+    if n > len(X):
+        other = flights(folder, train="train_lateral")
+        X, Y = np.concatenate([X, other.X]), np.concatenate([Y, other.Y])
+        known = np.isfinite(Y).all(axis=1)
+        place = np.arange(DENSER * len(X)) / DENSER
+        X, Y = (np.column_stack([np.interp(place, np.flatnonzero(known), v[known]) for v in part.T]) for part in (X, Y))
+        time_ = place / 40.0
+    return X[:n], Y[:n], time_[:n], task
+
+
+def fitted(method, X, Y, time_):
+    """Return a function that predicts coefficients."""
+    if method == "ours":
+        return default_regressor(random_state=0).fit(X, Y, time=time_).predict
+    known = np.isfinite(Y).all(axis=1)
+    model = OnTrend(trees() if method == "trees" else SparseLCM())
+    return model.fit(X[known], Y[known]).predict
+
+
+def one(folder, method, n):
+    """Return the row of one method and size."""
+    X, Y, time_, task = table(folder, n)
+    taken, models = [], []
+
+    def fit():
+        start = time.perf_counter()
+        models.append(fitted(method, X, Y, time_))
+        taken.append(time.perf_counter() - start)
+
+    memory = extra_memory(fit)
+    error = task.error(models[0](task.Xt))
+    return {"samples": len(X), "method": method, "fit [s]": taken[0], "memory [GB]": memory / 1e9, "error": error}
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("data", nargs="?", type=Path, help="folder of the shared data")
+    parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
+    parser.add_argument("--one", nargs=2, metavar=("METHOD", "SAMPLES"), help="only this row, as JSON")
+    options = parser.parse_args(words)
+    if options.one:
+        print(json.dumps(one(options.data, options.one[0], int(options.one[1]))))
+        return
+    if options.smoke:
+        task = toy(60)
+        default_regressor(max_iter=1, random_state=0).fit(task.X, task.Y, time=np.arange(60.0))
+        rows = [{"samples": 60, "method": "ours"}]
+    else:
+        methods = ["ours"] if options.no_peers else ["ours", "trees", "gpytorch"]
+        calls = [(method, n) for n in options.sizes for method in methods]
+        rows = [in_own_process(Path(__file__), options.data, "--one", *call) for call in calls]
+    finish(options, "times", whole_fits=[row for row in rows if row])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -334,7 +334,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if clock is not None and modelled is None:
             _, variance, memory = residual_drift(best.posterior, X, Z, clock)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
-        self._n_flights = 0 if modelled is None else int(clock[:, 1].max()) + 1
+        self._n_flights = 0 if modelled is None else int(modelled[:, 1].max()) + 1
         self._root = best.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood

@@ -87,10 +87,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     length_scale_prior : None, "auto", pair or array (d, 2)
         Prior median of the widths and standard deviation of their logarithms, see ``ConvolvedGaussian``. None: no
         prior.
-    structure : {"joint", "trend", "auto"}
-        "joint": a trend and the dependent processes. "trend": the trend alone, with its weights integrated out. "auto"
-        chooses the one with the smaller mean squared error, averaged over the outputs, in blocks of rows that are held
-        out in turn; rows must be in the order of the log. The result is in ``structure_`` and ``structure_errors_``.
+    structure : {"joint", "additive", "trend", "auto"}
+        "joint": a trend and the dependent processes. "additive": these, and for each output a sum of functions of one
+        regressor each, for logs with little information. "trend": the trend alone, with its weights integrated out.
+        "auto" chooses between "joint" and "trend" by the mean squared error, averaged over the outputs, in blocks of
+        rows that are held out in turn; rows must be in the order of the log. The result is in ``structure_`` and
+        ``structure_errors_``.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -155,7 +157,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Number of shared latent processes; None if a kernel is given.
     n_latent_scores_ : dict
         Criterion in nats for each number of latents that ``n_latent="auto"`` tried; the largest is chosen.
-    structure_ : {"joint", "trend"}
+    structure_ : {"joint", "additive", "trend"}
         Structure of the fitted model.
     structure_errors_ : dict
         Mean squared error of each output in held-out blocks, over its variance, (P,), for "trend" and "joint"; empty
@@ -381,7 +383,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def _choose_structure(self, X, Z, options):
         """Return the structure, and the hyperparameters so far if Ctrl-C ended its choice, else None.
 
-        The structure is "trend" if it is requested or predicts held-out blocks better, else "joint".
+        "auto" is "trend" if that predicts held-out blocks better, else "joint".
         """
         self.structure_errors_ = {}
         no_choice = self.kernel is not None or self.trend in ("constant", None)
@@ -390,8 +392,13 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected kernel=None "
                 "and a trend such as 'linear'."
             )
+        if self.structure == "additive" and self.kernel is not None:
+            raise ValueError(
+                f"Got structure='additive' with kernel={self.kernel!r}, but expected kernel=None: add "
+                "ConvolvedGaussian(0, regressors=[k]) to the kernel."
+            )
         if self.structure in ("joint", "additive") or no_choice:
-            return "joint" if no_choice else self.structure, None
+            return "additive" if self.structure == "additive" else "joint", None
         if self.structure == "auto":
             blocks = options | {"input_noise": None}  # exact regressors: faster, and the same for both structures
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent

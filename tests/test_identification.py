@@ -337,6 +337,17 @@ class TestIdentify:
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
         assert np.isfinite(flown["airspeed"]).all()
 
+    def test_the_report_names_the_structure_and_the_thrust(self, example):
+        aircraft, train, test = example
+        options = {"samples": 40, "horizons": [1.0], "regressors": ["alpha", "elevator", "throttle"], "thrust": None}
+        regressor = clone(QUICK).set_params(structure="additive")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            model = identify(train, aircraft, test=test, regressor=regressor, **options)._report_content().model
+        assert model.kernel.startswith("functions of one regressor each, and convolved Gaussian")
+        assert model.correlation is not None
+        assert "part of the coefficients" in model.extra["Thrust"]
+
     def test_coefficients_without_thrust_include_it(self, example):
         aircraft, train, _ = example
         table = train.iloc[:200].assign(thrust_x=9.0, thrust_y=0.0, thrust_z=0.0)

@@ -176,9 +176,9 @@ class TestFewRegressors:
     def test_other_regressors_have_no_effect(self, rng, covariance_type):
         kernel = self.kernel(rng, covariance_type=covariance_type, regressors=[0, 2])
         X, Z = rng.normal(size=(5, 3)), rng.normal(size=(4, 3))
-        moved = X + [0.0, 50.0, 0.0]
+        moved, near = X + np.array([0.0, 50.0, 0.0]), X + np.array([0.5, 0.0, 0.0])
         np.testing.assert_allclose(kernel.block(0, 1, moved, Z), kernel.block(0, 1, X, Z), rtol=1e-6)
-        assert not np.allclose(kernel.block(0, 0, X + [0.5, 0, 0], Z), kernel.block(0, 0, X, Z), rtol=1e-2)
+        assert not np.allclose(kernel.block(0, 0, near, Z), kernel.block(0, 0, X, Z), rtol=1e-2)
         everything = self.kernel(rng, covariance_type=covariance_type)
         assert kernel.n_dims < everything.n_dims  # one width less for each filter, none to learn there
 

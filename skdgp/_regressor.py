@@ -337,7 +337,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if clock is not None and modelled is None:
             _, variance, memory = residual_drift(best.posterior, X, Z, clock)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
-        self._n_flights = 0 if modelled is None else int(clock[:, 1].max()) + 1
+        self._n_flights = 0 if modelled is None else int(modelled[:, 1].max()) + 1
         self._root = best.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
         self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
@@ -388,13 +388,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """
         self.structure_errors_ = {}
         no_choice = self.kernel is not None or self.trend in ("constant", None)
-        if self.structure in ("trend", "additive") and no_choice:
+        if self.structure == "trend" and no_choice:
             raise ValueError(
-                f"Got structure={self.structure!r} with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
+                f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
                 "kernel=None and a trend such as 'linear'."
             )
+        if self.structure == "additive" and self.kernel is not None:
+            raise ValueError(
+                f"Got structure='additive' with kernel={self.kernel!r}, but expected kernel=None: add "
+                "ConvolvedGaussian(0, regressors=[k]) to the kernel."
+            )
         if self.structure in ("joint", "additive") or no_choice:
-            return "joint" if no_choice else self.structure, None
+            return "additive" if self.structure == "additive" else "joint", None
         if self.structure == "auto":
             blocks = options | {"input_noise": None}  # exact regressors: faster, and the same for both structures
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent

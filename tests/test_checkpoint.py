@@ -16,6 +16,7 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, checkpointing, listening
 from skdgp._compute.checkpoint import CHECKSUM_SIZE, FILES, _checksum, _read
+from skdgp.inference import _fit
 
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -70,10 +71,12 @@ def killed(folder, at, model=None, **options):
         {"inference": "sparse", "n_inducing": 10, "max_iter": 4},
         {"input_noise": "learned", "n_restarts_optimizer": 1, "max_iter": 4},
         {"n_latent": "auto", "max_iter": 3},
+        {"early_stopping": True, "max_iter": 15},
     ],
-    ids=["exact", "sparse", "noisy regressors, restarts", "latents chosen"],
+    ids=["exact", "sparse", "noisy regressors, restarts", "latents chosen", "early stopping"],
 )
-def test_killed_again_and_again_it_ends_as_if_it_had_not_been(parameters, tmp_path):
+def test_killed_again_and_again_it_ends_as_if_it_had_not_been(parameters, tmp_path, monkeypatch):
+    monkeypatch.setattr(_fit, "FEWEST_VALUES", 5)  # so that rows are held out of as few as these
     folder, model = tmp_path / "checkpoint", quick(**parameters)
     plain, n = evaluated(lambda: quick(**parameters).fit(X, Y))
     moments = np.sort(np.random.default_rng(1).choice(np.arange(1, n), 3, replace=False))

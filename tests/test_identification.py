@@ -13,6 +13,7 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn import config_context
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
@@ -22,8 +23,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor, listening, make_identification_pipeline
+from skdgp.calibration import CalibratedRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, simulate
 from skdgp.identification import ModelFileError, identify, load_model, save_model, validate
 from skdgp.identification._model_file import CHECKSUM, END, MAGIC
 from skdgp.metrics import SCORERS, normalized_rmse
@@ -107,6 +109,48 @@ class TestPipeline:
         model = make_identification_pipeline(AIRCRAFT, regressors="paper", cutoff=3.0, regressor=LinearRegression())
         model.fit(table, Y)
         assert {"ax", "p_dot_hat", "q_dot_hat", "r_dot_hat"} <= set(model["regressorselector"].regressors_)
+
+    def test_hands_time_and_flight_to_the_dependent_process(self, fitted):
+        model, table, _, learned = fitted
+        by_hand = clone(model[-1]).fit(model[:-1].transform(table), learned, time=table["time"], flight=table["flight"])
+        assert (by_hand.drift_variance_ > 0).all()
+        np.testing.assert_allclose(model[-1].drift_variance_, by_hand.drift_variance_, rtol=1e-6)
+        np.testing.assert_allclose(model[-1].drift_memory_, by_hand.drift_memory_, rtol=1e-6)
+        assert not hasattr(clone(model)[-1], "drift_variance_")
+        untimed = clone(model).fit(table.drop(columns="flight")[:300], learned[:300])
+        assert (untimed[-1].drift_variance_ > 0).all()  # one flight
+
+    @pytest.mark.filterwarnings("ignore:Got level=0.95")
+    @pytest.mark.parametrize("calibrated", [False, True])
+    def test_folds_and_calibration_have_a_drift_of_their_own(self, calibrated):
+        table, Y = flights(n=120, names=("a", "b", "c"))
+        regressor = CalibratedRegressor(QUICK) if calibrated else QUICK
+        model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=regressor)
+        name = f"{model.steps[-1][0]}__"
+        search = GridSearchCV(
+            model,
+            {name + ("estimator__" if calibrated else "") + "trend": ["linear"]},
+            cv=LeaveOneGroupOut(),
+        )
+        groups = {"groups": table["flight"]}
+        search.fit(table, Y, **groups, **({name + "groups": table["flight"]} if calibrated else {}))
+        variance = search.best_estimator_[-1].drift_variance_
+        assert variance.shape == (2,)
+        assert (variance > 0).all()
+        if calibrated:
+            expected = search.best_estimator_[-1].estimator_.drift_variance_
+            np.testing.assert_allclose(variance, expected * search.best_estimator_[-1].std_scale_ ** 2)
+
+    def test_with_metadata_routing_nothing_is_handed_over_without_request(self, fitted):
+        model, table, _, learned = fitted
+        with config_context(enable_metadata_routing=True):
+            plain = clone(model).fit(table, learned)
+            np.testing.assert_array_equal(plain[-1].drift_variance_, 0.0)
+            asked = clone(model)
+            asked[-1].set_fit_request(time=True, flight=True)
+            asked.fit(table, learned, time=table["time"], flight=table["flight"])
+        np.testing.assert_allclose(asked[-1].drift_variance_, model[-1].drift_variance_)
+        np.testing.assert_allclose(plain.predict(table), model.predict(table))
 
     def test_a_list_of_regressors_asks_for_no_other_column(self):
         table, Y = flights()
@@ -275,6 +319,41 @@ class TestIdentify:
         aircraft, train, test = example
         with pytest.raises(error, match=message):
             identify(**{"flights": train, "aircraft": aircraft, "test": test, "regressor": QUICK} | change)
+
+    @pytest.mark.filterwarnings("always")
+    @pytest.mark.parametrize(
+        ("regressors", "lacks"),
+        [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)],
+    )
+    def test_an_unknown_thrust_is_part_of_the_coefficients(self, example, regressors, lacks):
+        aircraft, train, test = example
+        train, test = (table.drop(columns=[n for n in table if n.startswith("thrust")]) for table in (train, test))
+        options = {"test": test, "samples": 40, "regressor": QUICK, "horizons": [1.0], "thrust": None}
+        found = identify(train, replace(aircraft, propeller=None), regressors=regressors, **options)
+        told = [message for message in found.messages if "coefficients include the thrust" in message]
+        assert len(told) == lacks
+        assert all("Name regressors with 'throttle' and 'airspeed', or give the thrust" in message for message in told)
+        assert found.fit["thrust"] == ["none"]
+        flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
+        assert np.isfinite(flown["airspeed"]).all()
+
+    def test_the_report_names_the_structure_and_the_thrust(self, example):
+        aircraft, train, test = example
+        options = {"samples": 40, "horizons": [1.0], "regressors": ["alpha", "elevator", "throttle"], "thrust": None}
+        regressor = clone(QUICK).set_params(structure="additive")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            model = identify(train, aircraft, test=test, regressor=regressor, **options)._report_content().model
+        assert model.kernel.startswith("functions of one regressor each, and convolved Gaussian")
+        assert model.correlation is not None
+        assert "part of the coefficients" in model.extra["Thrust"]
+
+    def test_coefficients_without_thrust_include_it(self, example):
+        aircraft, train, _ = example
+        table = train.iloc[:200].assign(thrust_x=9.0, thrust_y=0.0, thrust_z=0.0)
+        known, unknown = (aerodynamic_coefficients(table, aircraft, thrust=t, cutoff=None) for t in ("columns", None))
+        expected = 9.0 / (0.5 * table["density"] * table["airspeed"] ** 2 * aircraft.wing_area)
+        np.testing.assert_allclose(unknown["CX"] - known["CX"], expected)
 
     def test_names_tables_that_have_no_names(self, example):
         aircraft, train, test = example

@@ -175,7 +175,8 @@ def test_a_model_of_version_0_1_is_whole(inference):
     rng = np.random.default_rng(0)
     X, y = rng.normal(size=(40, 2)), rng.normal(size=40)
     model = DependentGPRegressor(n_latent=0, inference=inference, n_inducing=8, max_iter=3, random_state=0).fit(X, y)
-    later = ("structure", "structure_", "structure_errors_", "_n_flights", "drift_variance_", "drift_memory_")
+    later = ("structure", "structure_", "structure_errors_", "drift", "early_stopping")
+    later += ("_n_flights", "drift_variance_", "drift_memory_")
     state = {name: value for name, value in model.__getstate__().items() if name not in later}
     old = DependentGPRegressor.__new__(DependentGPRegressor)
     old.__setstate__(state)
@@ -186,3 +187,4 @@ def test_a_model_of_version_0_1_is_whole(inference):
     expected = model.partial_fit(X[:3] + 1, y[:3]).predict(X)
     np.testing.assert_allclose(old.partial_fit(X[:3] + 1, y[:3]).predict(X), expected)
     assert old.structure_ == "joint"
+    np.testing.assert_array_equal(old.drift_variance_, 0.0)

@@ -183,3 +183,37 @@ class TestRefused:
     def test_values_before_a_fit(self, data):
         with pytest.raises(ValueError, match=r"transformer of BasisTrend.*not fitted yet: call initialize"):
             BasisTrend(PolynomialFeatures(2), [1.0], [[1.0, 1.0]])(data[0])
+
+
+class TestAdditive:
+    """Trend + a function of each regressor + the joint process."""
+
+    @pytest.fixture
+    def sample(self):
+        rng = np.random.default_rng(0)
+        X = rng.uniform(-2, 2, (60, 4))
+        return X, np.sin(3 * X).sum(axis=1) + rng.normal(0, 0.05, 60)
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_learns_a_sum_from_few_samples(self, sample, inference):
+        X, y = sample
+        new = np.random.default_rng(1).uniform(-1.8, 1.8, (200, 4))
+        errors = {}
+        for structure in ("joint", "additive"):
+            options = {"structure": structure, "inference": inference, "n_latent": 0, "n_inducing": 40, "max_iter": 100}
+            model = DependentGPRegressor(**options, random_state=0).fit(X, y)
+            assert model.structure_ == structure
+            errors[structure] = np.sqrt(np.mean((model.predict(new) - np.sin(3 * new).sum(axis=1)) ** 2))
+        assert errors["additive"] < 0.5 * errors["joint"]
+
+    @pytest.mark.parametrize("trend", ["linear", "constant"])
+    def test_goes_with_any_trend(self, sample, trend):
+        X, y = sample
+        model = DependentGPRegressor(structure="additive", trend=trend, n_latent=0, optimizer=None).fit(X, y)
+        assert model.structure_ == "additive"
+        parts = [part for part in model.kernel_.get_params().values() if isinstance(part, ConvolvedGaussian)]
+        assert sorted(part.regressors for part in parts if part.regressors) == [[0], [1], [2], [3]]
+
+    def test_refuses_a_kernel(self, sample):
+        with pytest.raises(ValueError, match=r"structure='additive' with kernel=.*expected kernel=None"):
+            DependentGPRegressor(structure="additive", kernel=ConvolvedGaussian(1)).fit(*sample)

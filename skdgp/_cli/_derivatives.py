@@ -36,7 +36,7 @@ def derivatives(run: Run) -> None:
     model = read_model(options)
     thrust = thrust_of_model(model)
     run.console.stage("trimming")
-    climb = None if thrust is None else 0.0  # a glider's follows
+    climb = None if thrust is None else 0.0  # without thrust it follows
     conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
     trims = cast(list[Trim], trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions))
     _warn_of_beyond(trims)

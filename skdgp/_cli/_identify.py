@@ -140,9 +140,10 @@ LEARNING = [
     opt.choice("--input-noise", ["learned", "none"], "noise of the regressors (default: learned)"),
     opt.choice(
         "--structure",
-        ["auto", "joint", "trend"],
-        "trend: the trend alone; joint: with the dependent processes; auto: what predicts blocks of the training "
-        "flights better that are held out in turn (default: auto)",
+        ["auto", "joint", "additive", "trend"],
+        "trend: the trend alone; joint: with the dependent processes; additive: also with functions of one regressor "
+        "each; auto: trend or joint, what predicts blocks of the training flights better that are held out in turn "
+        "(default: auto)",
     ),
     opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
     opt.option("--latents M|auto", "latent processes that the outputs share (default: 2)", opt.at_least(0, "auto")),

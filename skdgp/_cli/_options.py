@@ -127,9 +127,10 @@ OPTIONAL_FOLDER = option("-o --output DIR", "folder for outputs (default: none)"
 def loads(thrust: str | None, forces: list[str] | None, default: str) -> list[Option]:
     """Return the options of known loads."""
     sources = {"choices": ["auto", "columns", "propeller", "none"], "default": thrust}
+    engine = "what gives the thrust; none: a glider, or an unknown thrust that becomes part of the coefficients"
     names = "further known loads: tether means the columns tether_x, tether_y, tether_z [N]"
     return [
-        Option(("--thrust",), sources | {"help": f"what gives the thrust (default: {default})"}),
+        Option(("--thrust",), sources | {"help": f"{engine} (default: {default})"}),
         option("--external-forces NAME", names, str, nargs="+", default=forces),
     ]
 

@@ -102,7 +102,7 @@ def _start(options, model, thrust) -> Start:
 
 
 def _trimmed(options, model, thrust) -> Start:
-    climb = 0.0 if options.climb is None and thrust is not None else options.climb  # a glider's follows
+    climb = 0.0 if options.climb is None and thrust is not None else options.climb  # without thrust it follows
     path = {"climb": climb, "turn_rate": options.turn_rate, "bank": options.bank}
     altitude = options.altitude or 0.0
     found = cast(Trim, trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path))
@@ -241,7 +241,7 @@ SIMULATE = Command(
             *(opt.SERVOS, opt.AIRBORNE),
             opt.option("--trim V", "start from steady flight at this airspeed [m/s]", opt.positive("m/s")),
             opt.option("--altitude M", "of the trim [m] (default: 0)", opt.number()),
-            opt.option("--climb RAD", "flight-path angle [rad] (default: 0; a glider's follows)", opt.number()),
+            opt.option("--climb RAD", "flight-path angle [rad] (default: 0; without thrust it follows)", opt.number()),
             opt.option("--turn-rate RAD/S", "of the heading [rad/s] (default: 0)", opt.number()),
             opt.option("--bank RAD", "bank angle [rad], instead of a turn rate", opt.number()),
         ],

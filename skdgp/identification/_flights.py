@@ -24,6 +24,8 @@ Flights = dict[str, pd.DataFrame]
 MEASURED = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r")
 """Columns that the coefficients follow from."""
 FORCES = (*MEASURED, "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
+ENGINE = ("throttle", "propeller_speed")
+"""Columns that an unknown thrust depends on."""
 MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
 """Elevons may stand for elevator and aileron, and the other way round."""
 
@@ -222,6 +224,19 @@ def warn_of_short_flights(flights: Flights, regressors) -> None:
             "regressors.",
             FlightDataWarning,
             stacklevel=3,
+        )
+
+
+def warn_of_engine(flights: Flights, regressors) -> None:
+    """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
+    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
+    table = pd.concat(flights.values(), ignore_index=True)
+    varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]
+    if varied and not set(varied) & set(names):
+        _warn(
+            f"Got thrust=None for flights with {' and '.join(varied)}: the coefficients include the thrust, and no "
+            f"regressor explains it. Name regressors with {varied[0]!r} and 'airspeed', or give the thrust.",
+            3,
         )
 
 

@@ -55,7 +55,12 @@ WIDTHS = {
 THRUSTS = {
     "columns": "from the thrust columns of the flights",
     "propeller": "from the propeller's bench table",
-    "none": "none",
+    "none": "none subtracted: that of an engine is part of the coefficients",
+}
+KERNELS = {
+    "joint": "convolved Gaussian, {widths}",
+    "additive": "functions of one regressor each, and convolved Gaussian, {widths}",
+    "trend": "none: the trend alone",
 }
 MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
 
@@ -99,7 +104,8 @@ def identify(
     regressors, reconstruction, lags
         As of :func:`make_identification_pipeline`.
     thrust, external_forces
-        As of :func:`skdgp.dynamics.aerodynamic_coefficients`.
+        As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the speed of the
+        propeller among the regressors, best with the airspeed, unless the aircraft glides.
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     regressor : DependentGPRegressor, optional
@@ -172,6 +178,8 @@ def identify(
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
+        if thrust is None:
+            _flights.warn_of_engine(train, regressors)
         # The steps of the pipeline meet the same faults again.
         warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
 
@@ -450,7 +458,7 @@ class Identification:
 
     def _report_content(self) -> ReportContent:
         regressor, fit = regressor_and_scale(self.pipeline)[0], self.fit
-        aircraft, joint = self.aircraft, fit["structure"] == "joint"
+        aircraft, coupled = self.aircraft, fit["structure"] != "trend"
         return ReportContent(
             title=self.title,
             train=[FlightRecord(name=name, table=table) for name, table in self.train.items()],
@@ -460,8 +468,8 @@ class Identification:
                 n_available=fit.get("samples_available"),
                 regressors=fit["regressors"],
                 n_latent=regressor.n_latent_,
-                n_private=len(COEFFICIENTS) if regressor.private_latents and joint else 0,
-                kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if joint else "none: the trend alone",
+                n_private=len(COEFFICIENTS) if regressor.private_latents and coupled else 0,
+                kernel=KERNELS[fit["structure"]].format(widths=WIDTHS[regressor.covariance_type]),
                 trend=regressor.trend or "none",
                 inference=regressor.inference_ + " (chosen by auto)" * (regressor.inference == "auto"),
                 log_marginal_likelihood=fit["log_marginal_likelihood"],
@@ -470,7 +478,7 @@ class Identification:
                 converged=fit.get("converged", True),
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,
-                correlation=regressor.output_correlation() if joint else None,
+                correlation=regressor.output_correlation() if coupled else None,
                 versions=_model_file.software_versions(),
                 extra=self._remarks(),
             ),

@@ -544,7 +544,7 @@ class Objective:
     ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know.
     """
 
-    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Data | None = None) -> None:
+    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None) -> None:
         self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
         self.workspace = np.empty((data.n_values, data.n_values))
         self.theta, self.weights = np.empty(0), np.empty(data.n_values)

@@ -79,7 +79,7 @@ def maximize(
     stage: str = "fit",
     name: str | None = None,
     stop: Any = None,
-    held_out_error: Callable | None = None,
+    held_out_error: Any = None,
 ) -> Optimum:
     """Return the best point of a search that starts at ``theta``.
 

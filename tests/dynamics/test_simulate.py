@@ -1,5 +1,7 @@
 """Simulation against independent equations, the pipeline's own regressors, and what must hold of any flight."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -21,6 +23,7 @@ from skdgp.dynamics import (
     trajectory_bands,
     trim,
 )
+from skdgp.dynamics._equations.aerodynamics import Drift
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
 NAMES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")
@@ -407,6 +410,27 @@ def uncertain(size, **options):
     return linear(sampler=drawn, covariance=covariance, **options)
 
 
+REST = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+
+
+def still(drift):
+    """A model without any force or moment, known exactly but for its drift."""
+
+    def drawn(n, random_state):
+        return lambda X: np.zeros((*X.shape[:2], 6)), lambda X: np.zeros((*X.shape[:2], 6, X.shape[2]))
+
+    def covariance(X):
+        return np.zeros((6 * len(X), 6 * len(X)))
+
+    return linear(0.0 * SLOPES, np.zeros(6), sampler=drawn, covariance=covariance, drift=drift)
+
+
+def fly_end(model, aircraft, seed):
+    """Return the last airspeed of one path."""
+    path = simulate(model, aircraft, START, commands, duration=0.2, n_paths=1, random_state=seed)
+    return path["airspeed"].iloc[-1]
+
+
 class TestEnsembles:
     def test_each_path_flies_a_function_of_its_own_for_the_whole_flight(self, aircraft):
         paths = simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, random_state=5)
@@ -459,6 +483,33 @@ class TestEnsembles:
         )
         band = trajectory_bands(paths, level=1.0)
         assert (band["psi_high"] - band["psi_low"]).max() < 0.1
+
+    def test_the_spread_by_a_drift_is_that_of_an_integrated_ornstein_uhlenbeck_process(self, aircraft):
+        """With CX alone and no gravity, u_dot = rho V^2 S CX / 2m, and the integral of CX has a known variance."""
+        T, tau, V, rho = 0.5, 1e-3, 20.0, 1.2
+        drift = Drift(np.array([tau**2, 0, 0, 0, 0, 0]), np.full(6, T))
+        options = {"dt": 0.02, "duration": 3.0, "gravity": 0.0, "density": rho, "thrust": None}
+        fly = partial(simulate, still(drift), aircraft, {"airspeed": V}, REST, **options)
+        t, first = fly(return_std=True)[["time", "u_std"]].to_numpy().T
+        paths = fly(n_paths=1000).pivot(index="time", columns="path", values="u")
+        power = rho * V**2 * aircraft.wing_area / (2 * aircraft.mass)
+        expected = power * np.sqrt(2 * (tau * T) ** 2 * (t / T - 1 + np.exp(-t / T)))
+        np.testing.assert_allclose(paths.std(axis=1).iloc[10:], expected[10:], rtol=0.1)
+        np.testing.assert_allclose(first[10:], expected[10:], rtol=0.03)
+        np.testing.assert_allclose(paths.mean(axis=1), V, atol=4 * expected[-1] / np.sqrt(1000))
+
+    def test_a_drift_is_left_out_on_request_and_repeats_with_its_seed(self, aircraft):
+        drift = Drift(np.full(6, 1e-6), np.full(6, 0.5))
+        drifting, steady = uncertain(0.01, drift=drift), uncertain(0.01)
+        for options in ({"n_paths": 3}, {"return_std": True}):
+            fly = partial(simulate, aircraft=aircraft, x0=START, controls=commands, duration=0.5, **options)
+            pd.testing.assert_frame_equal(fly(drifting, drift=False), fly(steady))
+            pd.testing.assert_frame_equal(fly(drifting), fly(drifting))
+            assert not fly(drifting).equals(fly(steady))
+        mean = partial(simulate, aircraft=aircraft, x0=START, controls=commands, duration=0.5)
+        pd.testing.assert_frame_equal(mean(drifting), mean(steady))
+        ends = [fly_end(drifting, aircraft, seed) for seed in (0, 0, 1)]
+        assert ends[0] == ends[1] != ends[2]
 
     def test_a_model_without_beliefs_has_no_ensemble(self, aircraft):
         with pytest.raises(ValueError, match="without posterior samples"):

@@ -5,9 +5,19 @@ import pickle
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
+from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, ExactPosterior, SparsePosterior, _fit, compact, log_likelihood, shares_of
+from skdgp.inference import (
+    Data,
+    ExactPosterior,
+    SparsePosterior,
+    _fit,
+    compact,
+    log_likelihood,
+    residual_drift,
+    shares_of,
+)
 
 VARIANCE, MEMORY = np.array([0.5, 0.2, 1.0]), np.array([0.1, 0.5, 2.0])
 NEW = np.random.default_rng(9).normal(size=(6, 2))
@@ -108,26 +118,89 @@ def test_compacting_keeps_what_was_known(one_problem, data):
     np.testing.assert_allclose(small.predict(NEW), posterior.predict(NEW), atol=0.02)
 
 
+def ornstein_uhlenbeck(rng, n, step, memory, variance):
+    """n values of a process with the covariance variance * exp(-|t - t'| / memory), ``step`` apart."""
+    rho = np.exp(-step / memory)
+    values = rng.normal(0, np.sqrt(variance), n)
+    for k in range(1, n):
+        values[k] = rho * values[k - 1] + np.sqrt(1 - rho**2) * values[k]
+    return values
+
+
+class TestResiduals:
+    """The default: the fit is that of white noise, and its residuals show the drift."""
+
+    step, memory, tau2, sigma2 = 0.05, 0.5, 0.09, 0.01
+
+    @pytest.fixture
+    def log(self):
+        """Four flights, each with its own clock from zero and its own drift."""
+        rng = np.random.default_rng(5)
+        time = np.tile(self.step * np.arange(300), 4)
+        x = np.sin(2 * np.pi * 0.1 * time + np.repeat([0, 1, 2, 3], 300)) + 0.1 * rng.normal(size=1200)
+        drift = [ornstein_uhlenbeck(rng, 300, self.step, self.memory, self.tau2) for _ in range(4)]
+        Y = 2 * x + np.concatenate(drift) + rng.normal(0, np.sqrt(self.sigma2), 1200)
+        Y = np.column_stack([Y, rng.normal(0, 0.3, 1200) - x])  # the second output has white noise
+        return x[:, None], Y, time, np.repeat(["a", "b", "c", "d"], 300)
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_show_tau_and_T_and_change_nothing_else(self, log, inference):
+        X, Y, time, flight = log
+        Y = Y.copy()
+        Y[:400:2, 0] = np.nan
+        Y[600:, 0][::3] = np.nan
+        if inference == "exact":
+            Y[::2, 1] = np.nan
+            Y[1::4, 1] = np.nan
+        model = DependentGPRegressor(structure="trend", inference=inference, n_inducing=10, random_state=0)
+        white = clone(model).fit(X, Y)
+        model.fit(X, Y, time=time, flight=flight)
+        assert model.drift_variance_[0] == pytest.approx(self.tau2, rel=0.3)
+        assert model.drift_memory_[0] == pytest.approx(self.memory, rel=0.3)
+        after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
+        assert after_a_second[1] < 0.05 * 0.3**2
+        for found, expected in zip(model.predict(X[:9], True), white.predict(X[:9], True), strict=True):
+            np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(model.noise_variance_, white.noise_variance_)
+        np.testing.assert_array_equal(white.drift_variance_, 0.0)
+
+    def test_flights_are_independent(self, log):
+        """Any order of the flights has the same likelihood."""
+        _, Y, time, _ = log
+        Y, flight = Y - Y.mean(axis=0), np.repeat(np.arange(4), 300)
+        orders = [np.concatenate([np.arange(300) + 300 * k for k in order]) for order in ([0, 1, 2, 3], [2, 0, 3, 1])]
+        first, second = (
+            residual_drift(Nothing(), Y[rows], Y[rows], np.column_stack([time[rows], flight[rows]])) for rows in orders
+        )
+        np.testing.assert_allclose(first, second, rtol=1e-3)  # the optimiser stops there
+
+    def test_the_end_of_a_flight_tells_nothing_of_the_next(self):
+        """Errors that only change from flight to flight last as long as a flight can show."""
+        offset, white = np.random.default_rng(0).choice([-1.0, 1.0], 40), np.random.default_rng(1).normal(0, 0.1, 800)
+        Y, time = (np.repeat(offset, 20) + white)[:, None], 0.1 * np.arange(800)
+        apart = residual_drift(Nothing(), Y, Y, np.column_stack([time, np.repeat(np.arange(40), 20)]))
+        assert apart[2, 0] == pytest.approx(1.9, rel=0.01)
+
+
+class Nothing:
+    """A posterior whose mean is zero."""
+
+    def predict(self, X):
+        return np.zeros_like(X)
+
+
 class TestRegressor:
     """A straight line under noise that drifts: what its slope is known to is a textbook formula."""
 
     n, step, memory, tau2, sigma2 = 4000, 0.05, 0.5, 0.09, 0.01
-
-    def drift(self, rng):
-        rho = np.exp(-self.step / self.memory)
-        new = rng.normal(0, np.sqrt(self.tau2 * (1 - rho**2)), self.n)
-        noise = np.empty(self.n)
-        noise[0] = rng.normal(0, np.sqrt(self.tau2))
-        for k in range(1, self.n):
-            noise[k] = rho * noise[k - 1] + new[k]
-        return noise
 
     @pytest.fixture
     def line(self):
         rng = np.random.default_rng(1)
         time = self.step * np.arange(self.n)
         x = np.sin(2 * np.pi * 0.1 * time) + 0.3 * np.sin(2 * np.pi * 0.23 * time + 1)
-        y = 2 * x + self.drift(rng) + rng.normal(0, np.sqrt(self.sigma2), self.n)
+        drift = ornstein_uhlenbeck(rng, self.n, self.step, self.memory, self.tau2)
+        y = 2 * x + drift + rng.normal(0, np.sqrt(self.sigma2), self.n)
         return time, x[:, None], y
 
     @pytest.fixture(autouse=True)

@@ -63,6 +63,8 @@ KERNELS = {
     "one output, shifts free": convolved(1, P=1, shift=True),
     "one regressor": convolved(2, d=1, shift=True),
     "one regressor, full": convolved(1, d=1, covariance_type="full"),
+    "few regressors": convolved(regressors=[1]),
+    "few regressors, tied + dependent": convolved(0, covariance_type="tied", regressors=[0]) + convolved(1),
     "fixed widths": convolved(length_scale_bounds="fixed"),
     "everything fixed": convolved(amplitude_bounds="fixed", length_scale_bounds="fixed"),
     "bounds for each entry": convolved(

@@ -138,7 +138,7 @@ def trim(
     altitude : float
         [m], for the density of the air; a climb is steady at that altitude.
     climb : float or None
-        Angle of the flight path [rad]; None: unknown, for a thrust that is ``fixed`` or a glider.
+        Angle of the flight path [rad]; None: unknown, for a thrust that is ``fixed`` or None.
     turn_rate, bank : float, optional
         Rate of change of heading [rad/s], or phi [rad]; neither: straight flight.
     beta : float, optional

@@ -52,7 +52,9 @@ def aerodynamic_coefficients(
         Zero-phase smoothing of the measured channels, and of the rates before they are differentiated: a corner
         frequency [Hz], the smoother of each channel's spectrum, or none.
     thrust : {"auto", "columns", "propeller", None}, default="auto"
-        As for `propulsive_loads`.
+        As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an engine of unknown thrust. Its
+        F_T / (qbar S) is then part of the coefficients: throttle and airspeed as regressors explain it, and a
+        simulation has ``thrust=None``, too.
     external_forces : sequence of str, default=()
         Further loads to subtract: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
         tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.

@@ -112,7 +112,7 @@ def simulate(
     thrust : "auto", callable or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line, or the propeller at
         propeller_speed [rad/s] or throttle. A function (controls, airspeed, density) to newtons along the thrust
-        line. None: a glider.
+        line. None: a glider, or a model whose coefficients include the thrust.
     density : float or callable, optional
         [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.
     gravity : float, default=9.80665

@@ -99,8 +99,8 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
 
     ``thrust`` "columns": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ... ``thrust_n``, or without
     any of these r_T x F_T at the thrust line's position. "propeller": that of the aircraft at ``propeller_speed``,
-    ``airspeed`` and ``density``. "auto": columns where there are any, else the propeller. None: a glider. Raises
-    ValueError if nothing gives the thrust.
+    ``airspeed`` and ``density``. "auto": columns where there are any, else the propeller. None: zero, for a glider, or
+    for an unknown thrust as part of the coefficients. Raises ValueError if nothing gives the thrust.
     """
     if thrust not in THRUST_CHOICES:
         raise ValueError(f"Got thrust={thrust!r}, but expected one of {THRUST_CHOICES}.")
@@ -119,7 +119,8 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         raise ValueError(
             f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
             "Add the thrust columns; or a propeller to the aircraft (Propeller.from_table of a bench table) and "
-            "propeller_speed to the flight; or say thrust=None if it flew without an engine."
+            "propeller_speed to the flight; or say thrust=None if it flew without an engine, or to leave an unknown "
+            "thrust in the coefficients (regressors with throttle and airspeed explain it)."
         )
     check_columns(flight, ["airspeed", "density"])
     speed, airspeed, density = (flight[c].to_numpy(float) for c in ("propeller_speed", "airspeed", "density"))
@@ -158,12 +159,13 @@ def propulsion_loads(
     raise ValueError(
         f"The thrust is unknown: the controls are {sorted(controls)}. Give thrust_x ... thrust_n or thrust [N] as "
         "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if Propeller(speed_range="
-        "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or thrust=None for a glider."
+        "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or thrust=None for a glider, or "
+        "if the coefficients of the model include the thrust."
     )
 
 
 def thrust_control(aircraft: Aircraft, thrust: Thrust) -> str | None:
-    """Return the control that sets the thrust of an aircraft in trim; None for a glider."""
+    """Return the control that sets the thrust of an aircraft in trim; None without thrust."""
     if thrust is None:
         return None
     if callable(thrust):

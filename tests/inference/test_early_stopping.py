@@ -1,0 +1,140 @@
+"""Early stopping: hyperparameters are learned until the error of held-out blocks no longer falls."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
+
+from skdgp import DependentGPRegressor, listening
+from skdgp.inference import _fit, maximize
+from skdgp.kernels import ConvolvedGaussian
+
+N = 300
+
+
+@pytest.fixture(scope="module")
+def log():
+    """Two noisy outputs of one of four regressors: the likelihood goes on to rise where errors have stopped to fall."""
+    rng = np.random.default_rng(3)
+    X = rng.uniform(-2, 2, (N, 4))
+    Y = np.column_stack([np.sin(2 * X[:, 0]), X[:, 0] ** 2]) + rng.normal(0, 0.4, (N, 2))
+    Y[rng.random(Y.shape) < 0.1] = np.nan
+    return X, Y
+
+
+def make(**options):
+    return DependentGPRegressor(**({"n_latent": 1, "max_iter": 60, "random_state": 0} | options))
+
+
+@pytest.fixture(scope="module", params=["exact", "sparse"])
+def stopped(request, log):
+    return make(early_stopping=True, inference=request.param, n_inducing=15).fit(*log)
+
+
+def test_stops_earlier_and_has_converged(log, stopped):
+    assert stopped.converged_
+    assert stopped.n_iter_ < clone(stopped).set_params(early_stopping=False).fit(*log).n_iter_
+
+
+def test_same_seed_same_result(log, stopped):
+    again = clone(stopped).fit(*log)
+    np.testing.assert_array_equal(again.theta_, stopped.theta_)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(again)).predict(log[0]), stopped.predict(log[0]))
+
+
+def test_the_posterior_knows_the_held_out_rows(log, stopped):
+    X, Y = log
+    held = _fit.held_out_rows(Y, np.random.RandomState(0))[1]
+    fewer = clone(stopped).set_params(optimizer=None).fit(X, Y)
+    without = clone(fewer).fit(np.delete(X, held, axis=0), np.delete(Y, held, axis=0))
+    assert fewer.predict(X[held], return_std=True)[1].mean() < without.predict(X[held], return_std=True)[1].mean()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"kernel": ConvolvedGaussian(1, covariance_type="tied")},
+        {"optimizer": lambda objective, theta, bounds: (theta, objective(theta)[0])},
+        {"input_noise": "learned"},
+        {"structure": "trend"},
+        {"structure": "additive"},
+    ],
+    ids=["kernel", "optimizer", "noisy regressors", "trend", "additive"],
+)
+def test_goes_with(log, options):
+    X, Y = log
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        model = make(early_stopping=True, max_iter=8, **options).fit(X[:120], Y[:120])
+    assert np.isfinite(model.predict(X[:5], return_std=True)).all()
+    if "optimizer" in options:
+        assert model.converged_
+
+
+def test_a_single_output(log):
+    X, Y = log
+    observed = np.isfinite(Y[:, 0])
+    model = make(n_latent=0, early_stopping=True).fit(X[observed], Y[observed, 0])
+    assert model.converged_
+    assert model.predict(X).shape == (N,)
+
+
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+def test_few_rows_are_all_learned_from(log):
+    X, Y = log
+    options = {"max_iter": 10, "inference": "exact"}
+    few = [make(early_stopping=on, **options).fit(X[:60], Y[:60]).predict(X) for on in (True, False)]
+    np.testing.assert_allclose(*few, rtol=1e-6)
+
+
+def test_ctrl_c_keeps_the_best(log):
+    calls = []
+
+    def press(*news):
+        calls.append(news)
+        if news[0] == "fit":
+            raise KeyboardInterrupt
+
+    with listening(press), pytest.warns(ConvergenceWarning, match="interrupted"):
+        model = make(early_stopping=True).fit(*log)
+    assert not model.converged_
+    assert np.isfinite(model.predict(log[0][:5])).all()
+
+
+class TestBlocks:
+    @pytest.mark.parametrize("n", [100, 1000, 5000])
+    def test_are_five_with_a_fifth_of_the_log_and_apart_from_what_is_learned(self, n):
+        learned, held = _fit.held_out_rows(np.zeros((n, 1)), np.random.RandomState(1))
+        blocks = np.split(held, np.flatnonzero(np.diff(held) > 1) + 1)
+        assert len(blocks) == 5
+        assert len(held) == pytest.approx(0.2 * n, abs=5)
+        gap = 0.1 * len(held) / 5
+        assert np.abs(np.subtract.outer(held, learned)).min() >= max(1, np.floor(gap))
+        assert len(learned) <= _fit.SUBSET
+        for k, block in enumerate(blocks):  # one in each fifth of the log
+            assert k * n / 5 <= block[0] <= block[-1] < (k + 1) * n / 5
+
+    def test_hold_values_of_each_output_or_nothing(self):
+        Y = np.zeros((500, 2))
+        Y[40:, 1] = np.nan
+        rows, held = _fit.held_out_rows(Y, np.random.RandomState(0))
+        assert held is None
+        assert len(rows) == 500
+
+
+def test_the_search_stops_five_iterations_after_the_last_fall_by_a_hundredth():
+    """On a long narrow valley, with errors that fall for four iterations and then by less than 1 % in five."""
+    errors = iter([1.0, 0.9, 0.8, 0.7] + [0.7 - 0.0005 * k for k in range(100)])
+
+    def valley(theta):
+        x, y = theta
+        slope = np.array([-400 * x * (y - x**2) - 2 * (1 - x), 200 * (y - x**2)])
+        return -(100 * (y - x**2) ** 2 + (1 - x) ** 2), -slope
+
+    options = {"max_iter": 100, "held_out_error": lambda theta: next(errors)}
+    best = maximize(valley, np.array([-1.2, 1.0]), np.array([[-5.0, 5.0]] * 2), **options)
+    assert best.n_iter == 9
+    assert best.converged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -120,6 +121,32 @@ class ExactPosterior:
     def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
         """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
         return log_likelihood(kernel, noise, self.data, eval_gradient)
+
+    def term(self, kernel: Any) -> ExactPosterior:
+        """Return the posterior of one term of the kernel, which is independent of the others a priori.
+
+        With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
+        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011). ``predict``, ``covariance`` and
+        ``gradient`` are those of the term.
+
+        Parameters
+        ----------
+        kernel : MultiOutputKernel
+            ``self.kernel.term(regressors)``.
+        """
+        new = copy(self)
+        new.kernel, new.factor, new.alpha = kernel, self.factor, self.alpha
+        new.__dict__.pop("_mean_function", None)
+        return new
+
+    def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (n, N) and b (N,) such that the mean of output i at Xs is A b."""
+        return self.cross(i, Xs), self.alpha
+
+    def explained(self, i: int, A: Matrix) -> np.ndarray:
+        """Return the variance that the data explain of functions with the loadings A (n, N), (n,)."""
+        half = self._solve_lower(A)
+        return np.einsum("ab,ab->b", half, half)
 
     # -- prediction ------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ samples, so time is linear in their number and memory is constant.
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
@@ -195,6 +196,30 @@ class SparsePosterior:
             return evaluate(Xs)
         parts = thread_map(lambda rows: evaluate(Xs[rows]), row_slices(len(Xs)))
         return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
+
+    def term(self, kernel: Any) -> SparsePosterior:
+        """Return the posterior of one term of the kernel, which is independent of the others a priori.
+
+        The features are the same, so the posterior of the term is that of all with the covariance of the term and the
+        features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` are those of the term.
+
+        Parameters
+        ----------
+        kernel : MultiOutputKernel
+            ``self.kernel.term(regressors)``.
+        """
+        new = copy(self)
+        new.kernel, new.features, new.roots = kernel, self.features.rebuild(kernel, self.features.theta), self.roots
+        new.readout = Readout(kernel, new.features, self.weights)
+        return new
+
+    def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
+        return self.features.Kfu(i, Xs), self.weights[self.features.columns(i)]
+
+    def explained(self, i: int, A: Matrix) -> np.ndarray:
+        """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
+        return explained_variance(A, self.roots[i])
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""

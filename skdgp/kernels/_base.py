@@ -170,6 +170,21 @@ class MultiOutputKernel(Kernel):
         """Return the terms of the covariance that depend only on the separation, or None."""
         return self if self.is_stationary() else None
 
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        """Return the regressors of every independent term of the kernel: columns of X, and () for a constant."""
+        return [tuple(range(self.n_features))]
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        """Return the kernel, in the same shape, with only the terms of exactly these regressors; the others are zero.
+
+        The kernels of all entries of ``term_regressors`` add up to the kernel.
+        """
+        if regressors in self.term_regressors() and len(self.term_regressors()) == 1:
+            return self
+        raise NotImplementedError(
+            f"{type(self).__name__} does not define term, which effects need in a sum with other kernels."
+        )
+
     def peaks(self, i: int, j: int) -> Matrix:
         """Return separations besides zero where a stationary cov(y_i, y_j) may be largest, (k, d)."""
         return np.zeros((0, self.n_features))
@@ -438,6 +453,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def prior_paths(self, *args: Any) -> PathBundle:
         return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
+
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        return list(dict.fromkeys([*self.k1.term_regressors(), *self.k2.term_regressors()]))
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        return Sum(self.k1.term(regressors), self.k2.term(regressors))
 
     def peaks(self, i: int, j: int) -> Matrix:
         return np.concatenate([self.k1.peaks(i, j), self.k2.peaks(i, j)])

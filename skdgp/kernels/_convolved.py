@@ -322,6 +322,14 @@ class ConvolvedGaussian(MultiOutputKernel):
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         return convolved_paths(self, n_paths, n_frequencies, random_state)
 
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        return [tuple(np.flatnonzero(~self._without_effect(self.n_features)).tolist())]
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        if regressors in self.term_regressors():
+            return self
+        return clone(self).set_params(amplitude=np.zeros_like(self._value("amplitude")))
+
     def peaks(self, i: int, j: int) -> Matrix:
         # Terms of opposite sign may cancel at their centres: add points one to three widths away along each axis.
         _, _, _, F, shift = self._pair(i, j)

@@ -81,7 +81,7 @@ class Effects:
         return (mean, variance) if return_std else mean
 
 
-def effects(model: Any, X: Any = None, *, n_grid: int = 50) -> Effects:
+def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     r"""Return the effect of each regressor on each output, and what is joint, with standard deviations.
 
     The kernel of the model is a sum of terms: a line in each regressor (``trend="linear"``), a process of each
@@ -104,7 +104,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 50) -> Effects:
     X : array or DataFrame (n, ...), optional
         Input of the model: samples over which effects are centred and compared. Default: the training samples. A
         compact model does not hold them and needs X.
-    n_grid : int, default=50
+    n_grid : int, default=30
         Points of each curve.
 
     Returns

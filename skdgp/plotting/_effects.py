@@ -9,20 +9,29 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
-
-from skdgp._effects import Effects, effects
+from skdgp._effects import Curve, effects
 from skdgp.plotting._display import Display, Names, check_level, choose
-from skdgp.plotting._style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, plain, symbol, tidy
+from skdgp.plotting._style import (
+    PALETTE,
+    ROLES,
+    axis_label,
+    check_matplotlib,
+    display_unit,
+    legend_of_figure,
+    plain,
+    symbol,
+    tidy,
+)
 
 OTHERS = "others"  # key of the column of terms of several regressors
-TICKS = np.linspace(0.02, 0.98, 25)  # quantiles of the samples that are marked below a curve
+SHARES = np.linspace(0.02, 0.98, 25)  # quantiles of the samples that are marked
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class EffectsDisplay(Display):
-    """The effect of each regressor with its band: a row for each output, a column for each regressor.
+    r"""The effect of each regressor with its band: a row for each output, a column for each regressor.
 
-    Panels of a row have the same vertical axis. Short lines below a curve are quantiles of the samples, each 4 %. Bars
+    Panels of a row have the same vertical axis. Short lines in the last row are quantiles of the samples, each 4 %. Bars
     in the last column are terms of several regressors: the range that holds the given probability of their values over
     the samples, if these are normally distributed.
 
@@ -53,10 +62,10 @@ class EffectsDisplay(Display):
     >>> model = DependentGPRegressor(structure="trend").fit(X, Y)
     >>> display = EffectsDisplay.from_model(model, ax=Figure())
     >>> [ax.get_xlabel() for ax in display.axes_.flat]
-    ['$\\\\alpha$ [deg]', 'elevator [deg]']
+    ['$\\alpha$\n[deg]', 'elevator\n[deg]']
     """
 
-    curves: dict[str, Any]
+    curves: dict[str, Curve]
     importance: pd.DataFrame
     samples: pd.DataFrame
 
@@ -93,15 +102,18 @@ class EffectsDisplay(Display):
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
             if i == rows[-1]:
-                ax.set_xlabel(axis_label(column) if column != OTHERS else "")
+                self._draw_axis(ax, column, several)
             if column == OTHERS:
                 return None, None, self._draw_bars(ax, i, several, z)
             return *self._draw_curve(ax, i, column, z, level), None
 
         size = (max(1.25, min(3.0, 9.0 / len(columns))), 1.15)
         self.lines_, self.bands_, self.bars_ = self._draw_panels(
-            ax, draw, keys, len(columns), size, legend=legend, sharex="col", sharey="row"
+            ax, draw, keys, len(columns), size, sharex="col", sharey="row"
         )
+        self.figure_.align_labels(self.axes_.ravel())
+        if legend:
+            legend_of_figure(self.axes_[-1, 0])
         return self
 
     def _draw_curve(self, ax, i, name, z, level):
@@ -110,27 +122,31 @@ class EffectsDisplay(Display):
         style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
         band = ax.fill_between(at, mean - z * std, mean + z * std, **style)
         (line,) = ax.plot(at, mean, color=ROLES["mean"], label="effect")
-        quantiles = factor * np.quantile(self.samples[name], TICKS)
-        inside = quantiles[(quantiles >= at.min()) & (quantiles <= at.max())]
-        ax.plot(
-            inside, np.full(len(inside), 0.03), "|", transform=ax.get_xaxis_transform(),
-            color=ROLES["measured"], markersize=4, markeredgewidth=0.5, label="samples",
-        )  # fmt: skip
-        ax.locator_params(axis="x", nbins=3)
+        ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
         ax.locator_params(axis="y", nbins=4)
         return line, band
 
     def _draw_bars(self, ax, i, several, z):
         half = z * self.importance.loc[several].iloc[:, i].to_numpy()
-        bars = ax.bar(range(len(several)), 2 * half, bottom=-half, width=0.5, color=PALETTE["purple"], alpha=0.6)
-        ax.set_xlim(-0.75, len(several) - 0.25)
-        ax.set_xticks(range(len(several)), [plain(name.replace("_", " ")) for name in several])
-        ax.tick_params(axis="x", length=0)
         ax.grid(False, axis="x")
-        return bars
+        return ax.bar(range(len(several)), 2 * half, bottom=-half, width=0.5, color=PALETTE["purple"], alpha=0.6)
+
+    def _draw_axis(self, ax, column, several):
+        """Draw what the panels of a column share: the label, and the samples or the names of the bars."""
+        if column == OTHERS:
+            ax.set_xlim(-0.75, len(several) - 0.25)
+            ax.set_xticks(range(len(several)), [plain(name.replace("_", " ")) for name in several])
+            ax.tick_params(axis="x", length=0)
+            return
+        at = display_unit(column)[0] * np.quantile(self.samples[column], SHARES)
+        ax.plot(
+            at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(),
+            color=ROLES["measured"], markersize=4, markeredgewidth=0.5, label="samples",
+        )  # fmt: skip
+        ax.set_xlabel(axis_label(column).replace(" [", "\n["))
 
     @classmethod
-    def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 50, **plot_options: Any) -> Self:
+    def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any) -> Self:
         """Compute the effects of a model, and draw them.
 
         Parameters
@@ -141,17 +157,16 @@ class EffectsDisplay(Display):
             See :meth:`plot`.
         """
         check_matplotlib(cls.__name__)
-        return cls.from_effects(effects(model, X, n_grid=n_grid), **plot_options)
+        return cls.compute(model, X, n_grid=n_grid).plot(**plot_options)
 
     @classmethod
-    def from_effects(cls, found: Effects, **plot_options: Any) -> Self:
-        """Draw the result of :func:`skdgp.effects`.
+    def compute(cls, model: Any, X: Any = None, *, n_grid: int = 30) -> Self:
+        """Compute the effects of a model, without drawing them.
 
         Parameters
         ----------
-        found : Effects
-            The effects.
-        **plot_options
-            See :meth:`plot`.
+        model, X, n_grid
+            See :func:`skdgp.effects`.
         """
-        return cls(curves=found.curves, importance=found.importance, samples=found.samples).plot(**plot_options)
+        found = effects(model, X, n_grid=n_grid)
+        return cls(curves=found.curves, importance=found.importance, samples=found.samples)

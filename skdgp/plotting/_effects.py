@@ -31,9 +31,9 @@ SHARES = np.linspace(0.02, 0.98, 25)  # quantiles of the samples that are marked
 class EffectsDisplay(Display):
     r"""The effect of each regressor with its band: a row for each output, a column for each regressor.
 
-    Panels of a row have the same vertical axis. Short lines in the last row are quantiles of the samples, each 4 %. Bars
-    in the last column are terms of several regressors: the range that holds the given probability of their values over
-    the samples, if these are normally distributed.
+    Panels of a row have the same vertical axis. Short lines in the last row are quantiles of the samples, each 4 %.
+    Bars in the last column are terms of several regressors: the range that holds the given probability of their values
+    over the samples, if these are normally distributed.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class EffectsDisplay(Display):
         """
         z = norm.ppf(0.5 + 0.5 * check_level(level))
         names = list(self.importance.columns)
-        rows, chosen = choose(names, outputs), choose(list(self.curves), regressors)
+        rows, chosen = choose(names, outputs), choose(list(self.curves), regressors, "regressors")
         columns = [list(self.curves)[k] for k in chosen]
         several = [name for name in self.importance.index if name not in self.curves]
         columns += [OTHERS] * bool(several)

@@ -150,7 +150,8 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     for k, name in enumerate(names):
         if name in terms:
             points = np.tile(rows.mean(axis=0), (n_grid, 1))
-            points[:, k] = np.linspace(*np.quantile(rows[:, k], RANGE), n_grid)
+            low, high = np.quantile(rows[:, k], RANGE)
+            points[:, k] = np.linspace(low, high, n_grid)
             mean, variance = terms[name].predict(points, return_variance=True)
             curves[name] = Curve(_in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale)
     importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}

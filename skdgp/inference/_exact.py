@@ -127,12 +127,7 @@ class ExactPosterior:
 
         With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
         K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011). ``predict``, ``covariance`` and
-        ``gradient`` are those of the term.
-
-        Parameters
-        ----------
-        kernel : MultiOutputKernel
-            ``self.kernel.term(regressors)``.
+        ``gradient`` are those of the term, given by ``self.kernel.term(regressors)``.
         """
         new = copy(self)
         new.kernel, new.factor, new.alpha = kernel, self.factor, self.alpha

@@ -201,12 +201,8 @@ class SparsePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
         The features are the same, so the posterior of the term is that of all with the covariance of the term and the
-        features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` are those of the term.
-
-        Parameters
-        ----------
-        kernel : MultiOutputKernel
-            ``self.kernel.term(regressors)``.
+        features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` are those of the term,
+        which ``self.kernel.term(regressors)`` gives.
         """
         new = copy(self)
         new.kernel, new.features, new.roots = kernel, self.features.rebuild(kernel, self.features.theta), self.roots

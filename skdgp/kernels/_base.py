@@ -179,11 +179,7 @@ class MultiOutputKernel(Kernel):
 
         The kernels of all entries of ``term_regressors`` add up to the kernel.
         """
-        if regressors in self.term_regressors() and len(self.term_regressors()) == 1:
-            return self
-        raise NotImplementedError(
-            f"{type(self).__name__} does not define term, which effects need in a sum with other kernels."
-        )
+        return self if [regressors] == self.term_regressors() else Zero(self)
 
     def peaks(self, i: int, j: int) -> Matrix:
         """Return separations besides zero where a stationary cov(y_i, y_j) may be largest, (k, d)."""
@@ -477,6 +473,38 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def __repr__(self):
         return f"{self.k1!r} + {self.k2!r}"
+
+
+class Zero(MultiOutputKernel):
+    """The covariance zero, in the shape of another kernel: a term that is left out of a sum."""
+
+    def __init__(self, kernel: MultiOutputKernel) -> None:
+        self.kernel = kernel
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs P."""
+        return self.kernel.n_outputs
+
+    @property
+    def n_features(self) -> int:
+        """Number of regressors d."""
+        return self.kernel.n_features
+
+    def couples(self, i: int, j: int) -> bool:
+        return self.kernel.couples(i, j)
+
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
+        return np.zeros((len(Xi), len(Xj)))
+
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
+        return np.zeros(len(Xi))
+
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
+        return np.zeros(0)
+
+    def free_parameters(self) -> list[FreeParameter]:
+        return []
 
 
 def _difference(function, unit):

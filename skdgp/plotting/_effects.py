@@ -23,7 +23,7 @@ from skdgp.plotting._style import (
     tidy,
 )
 
-OTHERS = "others"  # key of the column of terms of several regressors
+OTHERS = ""  # key of the column of terms of several regressors
 SHARES = np.linspace(0.02, 0.98, 25)  # quantiles of the samples that are marked
 
 
@@ -101,11 +101,13 @@ class EffectsDisplay(Display):
             ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
+            if column == OTHERS:
+                artists = None, None, self._draw_bars(ax, i, several, z)
+            else:
+                artists = *self._draw_curve(ax, i, column, z, level), None
             if i == rows[-1]:
                 self._draw_axis(ax, column, several)
-            if column == OTHERS:
-                return None, None, self._draw_bars(ax, i, several, z)
-            return *self._draw_curve(ax, i, column, z, level), None
+            return artists
 
         size = (max(1.25, min(3.0, 9.0 / len(columns))), 1.15)
         self.lines_, self.bands_, self.bars_ = self._draw_panels(

@@ -54,3 +54,12 @@ def test_a_trend_has_no_bars(model):
     display = EffectsDisplay.from_model(DependentGPRegressor(structure="trend").fit(X, Y), ax=Figure())
     assert display.axes_.shape == (2, 2)
     assert display.bars_ == [None] * 4
+
+
+def test_joint_processes_alone_have_no_curves(model):
+    X = effects(model).samples
+    joint = DependentGPRegressor(trend="constant", n_latent=0, optimizer=None).fit(X, X["alpha"])
+    display = EffectsDisplay.from_model(joint, ax=Figure())
+    display.figure_.canvas.draw()
+    assert display.axes_.shape == (1, 1)
+    assert [label.get_text() for label in display.axes_[0, 0].get_xticklabels()] == ["joint"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -129,9 +128,9 @@ class ExactPosterior:
         K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011). ``predict``, ``covariance`` and
         ``gradient`` are those of the term, given by ``self.kernel.term(regressors)``.
         """
-        new = copy(self)
-        new.kernel, new.factor, new.alpha = kernel, self.factor, self.alpha
-        new.__dict__.pop("_mean_function", None)
+        new = object.__new__(ExactPosterior)
+        vars(new).update(vars(self) | {"kernel": kernel, "factor": self.factor, "alpha": self.alpha})
+        vars(new).pop("_mean_function", None)
         return new
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:

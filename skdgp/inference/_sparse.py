@@ -11,7 +11,6 @@ samples, so time is linear in their number and memory is constant.
 
 from __future__ import annotations
 
-from copy import copy
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
@@ -204,9 +203,9 @@ class SparsePosterior:
         features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` are those of the term,
         which ``self.kernel.term(regressors)`` gives.
         """
-        new = copy(self)
-        new.kernel, new.features, new.roots = kernel, self.features.rebuild(kernel, self.features.theta), self.roots
-        new.readout = Readout(kernel, new.features, self.weights)
+        new, features = object.__new__(SparsePosterior), self.features.rebuild(kernel, self.features.theta)
+        readout = Readout(kernel, features, self.weights)
+        vars(new).update(vars(self) | {"kernel": kernel, "features": features, "readout": readout, "roots": self.roots})
         return new
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:

@@ -26,6 +26,7 @@ FLOORS = [
     ["kernels", "metrics", "io", "preprocessing", "dynamics"],
     ["inference"],
     ["_regressor", "model_selection", "datasets"],
+    ["_effects"],
     ["plotting", "calibration"],
     ["report"],  # shows arrays; it knows no models
     ["identification"],  # calibrates its models, and fills their reports

@@ -38,7 +38,7 @@ from skdgp.identification._pipeline import (
     regressor_and_scale,
 )
 from skdgp.model_selection import thin_targets
-from skdgp.plotting import EnvelopeDisplay
+from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._style import display_unit
 from skdgp.preprocessing import FlightPathReconstruction
 from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_report, write_report
@@ -488,6 +488,7 @@ class Identification:
                 "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, {aircraft.chord:.4g} m",
             },
             envelope=self._envelope(),
+            effects=self._effects(),
             messages=self.messages,
             command=self.command,
         )
@@ -497,10 +498,19 @@ class Identification:
         names, scaler = self.pipeline["regressorselector"].regressors_, self.pipeline["standardscaler"]
         if len(names) < 2 or not self.train:
             return None
-        training = pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
         tested = [scaler.inverse_transform(one.regressors) for one in self.evaluations]
         path = pd.DataFrame(np.concatenate(tested), columns=names) if tested else None
-        return EnvelopeDisplay.compute(self.pipeline[-2:], training, flight=path, n_grid=12)
+        return EnvelopeDisplay.compute(self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12)
+
+    def _effects(self) -> EffectsDisplay | None:
+        """Return the effect of each regressor; None of a compact model without its training flights."""
+        compact = regressor_and_scale(self.pipeline)[0].inference_ == "compact"
+        if compact and not self.train:
+            return None
+        return EffectsDisplay.compute(self.pipeline[-2:], self._training_regressors() if compact else None)
+
+    def _training_regressors(self) -> pd.DataFrame:
+        return pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
 
     def _remarks(self) -> dict[str, str]:
         fit, tables = self.fit, [*self.train.values(), *(one.table for one in self.evaluations)]

@@ -9,10 +9,12 @@ from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._selection import Choice, choose_kernel, held_out_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
+from skdgp.inference._terms import CentredTerm, training_inputs
 
 reach_of = input_noise_loading  # its earlier name
 
 __all__ = [
+    "CentredTerm",
     "Choice",
     "Compaction",
     "Data",
@@ -33,4 +35,5 @@ __all__ = [
     "reach_of",
     "residual_drift",
     "shares_of",
+    "training_inputs",
 ]

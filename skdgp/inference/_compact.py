@@ -93,7 +93,7 @@ def compact(
     -------
     SparsePosterior, Compaction
     """
-    data = _values(posterior)
+    data = observed_values(posterior)
     random_state = check_random_state(random_state)
     X = np.unique(np.concatenate(data.X), axis=0)
     check = _Check(posterior, X, random_state)
@@ -143,7 +143,7 @@ def _fewest(compact_to, most, tolerance):
     return best
 
 
-def _values(posterior) -> Data:
+def observed_values(posterior) -> Data:
     """Return the observed values that a posterior holds."""
     if isinstance(posterior, ExactPosterior):
         return posterior.data

@@ -121,6 +121,27 @@ class ExactPosterior:
         """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
         return log_likelihood(kernel, noise, self.data, eval_gradient)
 
+    def term(self, kernel: Any) -> ExactPosterior:
+        """Return the posterior of one term of the kernel, which is independent of the others a priori.
+
+        With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
+        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011). ``predict``, ``covariance`` and
+        ``gradient`` are those of the term, given by ``self.kernel.term(regressors)``.
+        """
+        new = object.__new__(ExactPosterior)
+        vars(new).update(vars(self) | {"kernel": kernel, "factor": self.factor, "alpha": self.alpha})
+        vars(new).pop("_mean_function", None)
+        return new
+
+    def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (n, N) and b (N,) such that the mean of output i at Xs is A b."""
+        return self.cross(i, Xs), self.alpha
+
+    def explained(self, i: int, A: Matrix) -> np.ndarray:
+        """Return the variance that the data explain of functions with the loadings A (n, N), (n,)."""
+        half = self._solve_lower(A)
+        return np.einsum("ab,ab->b", half, half)
+
     # -- prediction ------------------------------------------------------------------------------------
 
     def cross(self, i: int, Xs: Matrix) -> np.ndarray:

@@ -196,6 +196,26 @@ class SparsePosterior:
         parts = thread_map(lambda rows: evaluate(Xs[rows]), row_slices(len(Xs)))
         return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
 
+    def term(self, kernel: Any) -> SparsePosterior:
+        """Return the posterior of one term of the kernel, which is independent of the others a priori.
+
+        The features are the same, so the posterior of the term is that of all with the covariance of the term and the
+        features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` are those of the term,
+        which ``self.kernel.term(regressors)`` gives.
+        """
+        new, features = object.__new__(SparsePosterior), self.features.rebuild(kernel, self.features.theta)
+        readout = Readout(kernel, features, self.weights)
+        vars(new).update(vars(self) | {"kernel": kernel, "features": features, "readout": readout, "roots": self.roots})
+        return new
+
+    def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
+        return self.features.Kfu(i, Xs), self.weights[self.features.columns(i)]
+
+    def explained(self, i: int, A: Matrix) -> np.ndarray:
+        """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
+        return explained_variance(A, self.roots[i])
+
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
         P, n = self.kernel.n_outputs, len(Xs)

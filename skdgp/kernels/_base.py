@@ -170,6 +170,17 @@ class MultiOutputKernel(Kernel):
         """Return the terms of the covariance that depend only on the separation, or None."""
         return self if self.is_stationary() else None
 
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        """Return the regressors of every independent term of the kernel: columns of X, and () for a constant."""
+        return [tuple(range(self.n_features))]
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        """Return the kernel, in the same shape, with only the terms of exactly these regressors; the others are zero.
+
+        The kernels of all entries of ``term_regressors`` add up to the kernel.
+        """
+        return self if [regressors] == self.term_regressors() else Zero(self)
+
     def peaks(self, i: int, j: int) -> Matrix:
         """Return separations besides zero where a stationary cov(y_i, y_j) may be largest, (k, d)."""
         return np.zeros((0, self.n_features))
@@ -443,6 +454,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def prior_paths(self, *args: Any) -> PathBundle:
         return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
 
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        return list(dict.fromkeys([*self.k1.term_regressors(), *self.k2.term_regressors()]))
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        return Sum(self.k1.term(regressors), self.k2.term(regressors))
+
     def peaks(self, i: int, j: int) -> Matrix:
         return np.concatenate([self.k1.peaks(i, j), self.k2.peaks(i, j)])
 
@@ -461,6 +478,38 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def __repr__(self):
         return f"{self.k1!r} + {self.k2!r}"
+
+
+class Zero(MultiOutputKernel):
+    """The covariance zero, in the shape of another kernel: a term that is left out of a sum."""
+
+    def __init__(self, kernel: MultiOutputKernel) -> None:
+        self.kernel = kernel
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs P."""
+        return self.kernel.n_outputs
+
+    @property
+    def n_features(self) -> int:
+        """Number of regressors d."""
+        return self.kernel.n_features
+
+    def couples(self, i: int, j: int) -> bool:
+        return self.kernel.couples(i, j)
+
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
+        return np.zeros((len(Xi), len(Xj)))
+
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
+        return np.zeros(len(Xi))
+
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
+        return np.zeros(0)
+
+    def free_parameters(self) -> list[FreeParameter]:
+        return []
 
 
 def _difference(function, unit):

@@ -55,7 +55,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         model of coregionalisation).
     regressors : sequence of int or None
         Columns of X that the outputs depend on, for additive models: a sum of kernels of few regressors each. Length
-        scales of the others are fixed at a million times their standard deviation. None: all columns.
+        scales of the others are fixed at a million times their standard deviation (at least at a million), whatever
+        ``length_scale`` is given. For "diag" and "tied". None: all columns.
     feeds : array (M, P) of bool or None
         Whether latent m contributes to output i, for example one latent for the lateral outputs only. It replaces
         ``n_latent`` and ``private_latents``.
@@ -150,7 +151,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         M = len(feeds)
         if not (lengths > 0).all() or not np.isfinite(w).all():
             raise ValueError("Got a length_scale that is not positive or an amplitude that is not finite.")
-        lengths = as_shape("length_scale", lengths, (M, P, d))
+        lengths, others = as_shape("length_scale", lengths, (M, P, d)), self._without_effect(d)
+        lengths[..., others] = np.maximum(lengths[..., others], CONSTANT_LENGTH)
         check_equal_scales(self.covariance_type, lengths, feeds)
         return {
             "feeds": feeds,
@@ -227,10 +229,11 @@ class ConvolvedGaussian(MultiOutputKernel):
         if others.any() and not singles and not coarse:
             start["amplitude"] *= ADDITIVE_AMPLITUDE
             start["length_scale"][..., ~others] *= np.sqrt(np.mean(~others))
-            start["length_scale"][..., others] = CONSTANT_LENGTH * column_scale(X)[others]
         for name, value in start.items():
             if params[name] is None:
                 params[name] = value
+        params["length_scale"] = np.array(params["length_scale"])
+        params["length_scale"][..., others] = CONSTANT_LENGTH * column_scale(X)[others]
         return ConvolvedGaussian(**params)
 
     def _from_singles(self, w, lengths, singles):
@@ -322,6 +325,14 @@ class ConvolvedGaussian(MultiOutputKernel):
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         return convolved_paths(self, n_paths, n_frequencies, random_state)
 
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        return [tuple(np.flatnonzero(~self._without_effect(self.n_features)).tolist())]
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        if regressors in self.term_regressors():
+            return self
+        return clone(self).set_params(amplitude=np.zeros_like(self._value("amplitude")))
+
     def peaks(self, i: int, j: int) -> Matrix:
         # Terms of opposite sign may cancel at their centres: add points one to three widths away along each axis.
         _, _, _, F, shift = self._pair(i, j)
@@ -344,20 +355,20 @@ class ConvolvedGaussian(MultiOutputKernel):
         filters = latent * P + output
         width = latent if self.covariance_type == "tied" else filters
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
-        varies = feeds[..., None] & ~self._without_effect(d)
+        matters = ~self._without_effect(d)
         shifted = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
         amplitude_bounds = or_default(self.amplitude_bounds, (-1e3, 1e3))
         free = [
             FreeParameter("amplitude", renumber(filters, feeds), False, amplitude_bounds),
             FreeParameter(
                 "length_scale",
-                renumber(width[..., None] * d + per_feature, varies),
+                renumber(width[..., None] * d + per_feature, feeds[..., None] & matters),
                 True,
                 or_default(self.length_scale_bounds, (1e-3, 1e3)),
             ),
             FreeParameter(
                 "shift",
-                renumber(filters[..., None] * d + np.arange(d), shifted[..., None]),
+                renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters),
                 False,
                 or_default(self.shift_bounds, (-1e2, 1e2)),
             ),

@@ -200,6 +200,18 @@ class Trend(MultiOutputKernel):
         weights = [c @ self.basis(i, x) for i, (x, c) in enumerate(zip(X, coefficients, strict=True))]
         return TrendPaths(self, np.stack(weights, axis=1))
 
+    def column_regressors(self) -> list[tuple[int, ...]]:
+        """Return the regressors that each column of phi depends on; the default is all of them."""
+        return [tuple(range(self.n_features))] * (self.n_weights - 1)
+
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        return list(dict.fromkeys([(), *self.column_regressors()]))
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        kept = np.array([columns == regressors for columns in self.column_regressors()])
+        intercept, slope = self._value("intercept_scale"), self._value("slope_scale")
+        return clone(self).set_params(intercept_scale=intercept * (regressors == ()), slope_scale=slope * kept)
+
     def _by_entry(self, i, by_intercept, by_slope):
         intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_weights - 1))
         intercept[i], slope[i] = by_intercept, by_slope
@@ -322,6 +334,9 @@ class LinearTrend(Trend):
 
     def column_slopes(self, X: Matrix) -> Array:
         return np.eye(self.n_features)[:, None, :]
+
+    def column_regressors(self) -> list[tuple[int, ...]]:
+        return [(k,) for k in range(self.n_features)]
 
     def single_output(self) -> MultiOutputKernel:
         return LinearTrend()

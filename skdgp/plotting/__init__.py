@@ -22,6 +22,7 @@ legend : bool, default=True
 from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._coupling import CouplingDisplay
 from skdgp.plotting._derivatives import DerivativeDisplay
+from skdgp.plotting._effects import EffectsDisplay
 from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._learning_curve import FlightLearningCurveDisplay
@@ -33,6 +34,7 @@ __all__ = [
     "CoefficientDisplay",
     "CouplingDisplay",
     "DerivativeDisplay",
+    "EffectsDisplay",
     "EnvelopeDisplay",
     "FlightDisplay",
     "FlightLearningCurveDisplay",

@@ -15,7 +15,7 @@ from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.checks import check_names
 from skdgp.metrics._scorers import accepts
 from skdgp.plotting._display import Display, Names, choose
-from skdgp.plotting._style import PALETTE, axis_label, check_matplotlib, display_unit, tidy
+from skdgp.plotting._style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, tidy
 
 PAIRS = (("alpha", "beta"), ("alpha", "elevator"), ("alpha", "q"), ("beta", "r"), ("beta", "rudder"), ("p", "aileron"))
 """Default panels; a rate may be the non-dimensional one."""
@@ -270,7 +270,6 @@ def _one_per_cell(rows: Matrix, points: tuple[Vector, Vector]) -> Matrix:
 
 
 def _legend(ax, with_path: bool):
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -282,6 +281,4 @@ def _legend(ax, with_path: bool):
     ]
     if with_path:
         handles.append(Line2D([], [], label="other flight", color=PALETTE["vermillion"], marker=".", linestyle="none"))
-    roomy = isinstance(ax.figure.get_layout_engine(), ConstrainedLayoutEngine)
-    where = {"loc": "outside upper left"} if roomy else {"loc": "upper left"}
-    return ax.figure.legend(handles=handles, ncols=5, frameon=False, fontsize="small", **where)
+    return legend_of_figure(ax, handles)

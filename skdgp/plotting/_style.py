@@ -104,3 +104,13 @@ def legend_above(ax: Any, handles: list | None = None) -> None:
     if handles:
         size = {"fontsize": "small", "borderaxespad": 0.2, "handlelength": 1.6, "columnspacing": 1.4}
         ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, **size)
+
+
+def legend_of_figure(ax: Any, handles: list | None = None) -> Any:
+    """Draw the legend above all axes of the figure, and return it."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    handles = ax.get_legend_handles_labels()[0] if handles is None else handles
+    roomy = isinstance(ax.figure.get_layout_engine(), ConstrainedLayoutEngine)
+    where = "outside upper left" if roomy else "upper left"
+    return ax.figure.legend(handles=handles, loc=where, ncols=5, frameon=False, fontsize="small")

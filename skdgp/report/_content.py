@@ -13,7 +13,7 @@ import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.plotting import EnvelopeDisplay
+from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._display import check_time
 from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
 from skdgp.report._tables import SCORES
@@ -211,6 +211,8 @@ class ReportContent:
         Name, or facts such as mass, span and chord, ready to read.
     envelope : EnvelopeDisplay, optional
         What ``EnvelopeDisplay.compute`` returned: where the data are, and where the model knows nothing.
+    effects : EffectsDisplay, optional
+        What ``EffectsDisplay.compute`` returned: how each regressor changes each coefficient.
     messages : sequence of str
         Warnings that arose.
     command : str, optional
@@ -225,6 +227,7 @@ class ReportContent:
     model: ModelSummary = field(default_factory=ModelSummary)
     aircraft: Mapping[str, str] | str = ""
     envelope: EnvelopeDisplay | None = None
+    effects: EffectsDisplay | None = None
     messages: Sequence[str] = ()
     command: str | None = None
     created: datetime | None = None

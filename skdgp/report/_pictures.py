@@ -18,6 +18,7 @@ from skdgp.plotting import (
     CalibrationDisplay,
     CoefficientDisplay,
     CouplingDisplay,
+    EffectsDisplay,
     EnvelopeDisplay,
     FlightDisplay,
     StateDisplay,
@@ -138,6 +139,16 @@ def coupling_panel(correlation) -> str:
         label="Correlation between the outputs, as written in the cells",
         size=(4.0, 3.65),
         margins=(0.12, 0.98, 0.07, 0.99),
+    )
+
+
+def effects_panel(display: EffectsDisplay) -> str:
+    """Return one wide panel: the effect of each regressor on each output."""
+    return picture(
+        lambda ax: display.plot(ax, legend=False),
+        label="Effect of each regressor, in columns, on each coefficient, in rows",
+        size=(2 * WIDTH, 7.2),
+        margins=(0.075, 0.99, 0.075, 0.99),
     )
 
 

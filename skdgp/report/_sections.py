@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
-from skdgp.plotting import EnvelopeDisplay
+from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _charts as charts
 from skdgp.report import _pictures as pictures
@@ -222,6 +222,22 @@ def coupling(content: ReportContent) -> str:
     return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
 
 
+def effects(display: EffectsDisplay) -> str:
+    """Return the effect of each regressor on each output."""
+    key = [("blue", "effect", ""), ("sky", "95 % band", "area"), ("measured", "samples", "|")]
+    several = [name for name in display.importance.index if name not in display.curves]
+    key += [("purple", "terms of several regressors", "area")] if several else []
+    caption = (
+        "Effect of each regressor on each coefficient, with mean zero over the samples; the coefficient is the sum of "
+        "its row and a constant. Panels of a row have the same scale. Bands are wide where regressors moved together "
+        "in the flights: the sum is then known better than its terms."
+    )
+    if several:
+        caption += " The last column is what no single regressor explains: the range of 95 % of its values."
+    figure = _figure([pictures.effects_panel(display)], caption, key, layout="wide")
+    return f"<section><h2>Effects</h2>{figure}</section>"
+
+
 def envelope(display: EnvelopeDisplay) -> str:
     """Return where the samples are, and where around them the model is uncertain."""
     key = [("grey", "95 % and half of the samples learned from", "area"), ("blue", "relative uncertainty", "")]
@@ -321,7 +337,7 @@ def _still(words: str) -> str:
 
 
 def _figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:
-    classes = f"panels {layout}" if len(panels) > 1 else "single"
+    classes = f"panels {layout}" if len(panels) > 1 else layout or "single"
     return _framed(f'{_key(key)}<div class="{classes}">{"".join(panels)}</div>', caption, chart)
 
 

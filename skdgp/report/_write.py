@@ -110,6 +110,8 @@ def _body(content: ReportContent) -> str:
         parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
     detail = Detail(time_slices(len(content.test)), thinning(content))
     parts += [sections.flight(result, content.model.noise_std, detail, draw) for result in content.test]
+    if draw and content.effects is not None:
+        parts.append(sections.effects(content.effects))
     if draw and content.model.correlation is not None:
         parts.append(sections.coupling(content))
     if draw and content.envelope is not None:

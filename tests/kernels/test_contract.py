@@ -63,8 +63,9 @@ KERNELS = {
     "one output, shifts free": convolved(1, P=1, shift=True),
     "one regressor": convolved(2, d=1, shift=True),
     "one regressor, full": convolved(1, d=1, covariance_type="full"),
-    "few regressors": convolved(regressors=[1]),
-    "few regressors, tied + dependent": convolved(0, covariance_type="tied", regressors=[0]) + convolved(1),
+    "of few regressors": convolved(1, d=3, regressors=[2, 0]),
+    "of few regressors, tied and shifted": convolved(1, covariance_type="tied", shift=True, regressors=[1]),
+    "additive": trend() + (convolved(0, regressors=[0]) + (convolved(0, seed=3, regressors=[1]) + convolved(1))),
     "fixed widths": convolved(length_scale_bounds="fixed"),
     "everything fixed": convolved(amplitude_bounds="fixed", length_scale_bounds="fixed"),
     "bounds for each entry": convolved(
@@ -150,6 +151,14 @@ class TestContract:
     def test_matrix_is_a_covariance(self, kernel):
         values = np.linalg.eigvalsh(kernel(inputs(kernel, (12, 9, 15))))
         assert values.min() > -1e-13 * values.max() * len(values)
+
+    def test_terms_add_up_and_depend_on_their_regressors_alone(self, kernel):
+        X, Z = inputs(kernel), inputs(kernel, seed=3)
+        terms = {columns: kernel.term(columns) for columns in kernel.term_regressors()}
+        equal(sum(term(X, Z) for term in terms.values()), kernel(X, Z))
+        for columns, term in terms.items():
+            moved = [np.where(np.isin(np.arange(x.shape[1]), columns), x, x + 1.0) for x in X]
+            equal(term(moved, Z), term(X, Z), rtol=1e-9, atol=1e-9)
 
     def test_diag_is_the_diagonal(self, kernel):
         X = inputs(kernel)

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import re
+from dataclasses import replace
 from datetime import datetime
 from html.parser import HTMLParser
 
@@ -12,9 +13,10 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
+from skdgp._effects import Curve
 from skdgp._flight.channels import COEFFICIENTS, LATERAL
 from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
-from skdgp.plotting import EnvelopeDisplay
+from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
 from skdgp.report import _write as write_module
 from skdgp.report._charts import thinning
@@ -125,6 +127,18 @@ def envelope():
     )
 
 
+def effects():
+    """Return the effects of two regressors, and a joint term."""
+    at = np.linspace(-0.1, 0.1, 5)
+    curve = Curve(at, np.outer(at, np.arange(6)), np.full((5, 6), 0.01))
+    names = ["alpha", "beta"]
+    return EffectsDisplay(
+        curves=dict.fromkeys(names, curve),
+        importance=pd.DataFrame(0.1, index=[*names, "joint"], columns=COEFFICIENTS),
+        samples=pd.DataFrame(np.column_stack([at, at]), columns=names),
+    )
+
+
 def content(**changes):
     given = {
         "title": "Brumby, six flights",
@@ -144,6 +158,7 @@ def content(**changes):
         ),
         "aircraft": {"Aircraft": "brumby", "Mass": "45 kg"},
         "envelope": envelope(),
+        "effects": effects(),
         "messages": ["The optimiser stopped early."],
         "created": datetime(2026, 5, 4, 12, 30),
     }
@@ -286,6 +301,17 @@ class TestWords:
         assert "test flights" in words[words.index("Where the model knows") :]
         without = content(envelope=None, test=(), train=())
         assert "Where the model knows" not in Page(render_report(without)).words
+
+    def test_effects(self, html):
+        words = Page(html).words
+        section = words[words.index("Effects") :]
+        assert "Effect of each regressor" in section
+        assert "what no single regressor explains" in section
+        straight = replace(effects(), importance=effects().importance.loc[["alpha", "beta"]])
+        words = Page(render_report(ReportContent(title="lines", effects=straight))).words
+        assert "Effect of each regressor" in words
+        assert "no single regressor" not in words
+        assert "Effect of each" not in Page(render_report(ReportContent(title="none"))).words
 
     def test_flights_come_with_their_length_and_rate(self, numbers_only):
         assert "train (20 s at 40 Hz)" in Page(render_report(content())).words

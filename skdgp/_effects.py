@@ -1,0 +1,212 @@
+"""Effects of a fitted model: how each regressor changes each output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from sklearn.base import OneToOneFeatureMixin
+from sklearn.pipeline import Pipeline
+from sklearn.utils.validation import check_is_fitted
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._regressor import DependentGPRegressor
+from skdgp.inference import CentredTerm, training_inputs
+
+MAX_ROWS = 1000  # samples over which effects are centred
+RANGE = (0.01, 0.99)  # quantiles of a regressor between which its effect is computed
+JOINT = "joint"  # name of the term of all regressors
+
+
+class Curve(NamedTuple):
+    """Effect of one regressor: its values (n,), and mean and standard deviation (n, P) in units of the outputs."""
+
+    at: Vector
+    mean: Matrix
+    std: Matrix
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Effects:
+    """Independent terms of a fitted model; with the intercept their means add up to its mean.
+
+    Attributes
+    ----------
+    intercept : ndarray (P,)
+        Mean of the predictions over the samples.
+    importance : DataFrame (n_terms, P)
+        Standard deviation over the samples of the mean of each term, in units of the outputs.
+    curves : dict of str to Curve
+        Effect of each regressor that has a term of its own, from its 1 % to its 99 % quantile, in its unit before
+        scaling by the pipeline.
+    samples : DataFrame (n, d)
+        The samples over which the effects have mean zero, at most 1000, in the same units.
+    """
+
+    intercept: Vector
+    importance: pd.DataFrame
+    curves: dict[str, Curve]
+    samples: pd.DataFrame
+    _model: Any
+    _terms: dict[str, CentredTerm]
+
+    def evaluate(self, X: Any, return_std: bool = False) -> Any:
+        """Return the terms at given points.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, ...)
+            Input of the model, or of the pipeline that ends in it.
+        return_std : bool
+            Also return standard deviations.
+
+        Returns
+        -------
+        mean : dict of str to ndarray (n, P)
+            Each term; their sum and ``intercept`` are the predicted mean.
+        std : dict of str to ndarray (n, P)
+            With ``return_std``.
+        """
+        regressor, before, _, _ = _split(self._model)
+        X = regressor._check_regressors(X if before is None else before.transform(X))
+        mean, variance = {}, {}
+        for name, term in self._terms.items():
+            if not return_std:
+                mean[name] = term.predict(X) * regressor._scale
+                continue
+            values, squares = term.predict(X, return_variance=True)
+            mean[name], variance[name] = values * regressor._scale, np.sqrt(squares) * regressor._scale
+        return (mean, variance) if return_std else mean
+
+
+def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
+    r"""Return the effect of each regressor on each output, and what is joint, with standard deviations.
+
+    The kernel of the model is a sum of terms: a line in each regressor (``trend="linear"``), a process of each
+    (``structure="additive"``), processes of few (``ConvolvedGaussian(regressors=[0, 1])``), and the joint processes.
+    Terms of the same regressors are one effect. With the covariance :math:`K_t` of a term, and C that of the measured
+    values y, it has the mean :math:`K_t(X_*, X) C^{-1} y` and the covariance
+    :math:`K_t(X_*, X_*) - K_t(X_*, X) C^{-1} K_t(X, X_*)` (Duvenaud, Nickisch & Rasmussen 2011, "Additive Gaussian
+    processes"; Plate 1999). Every effect has mean zero over the samples, so that
+
+    .. math:: \mathrm{E}\, y(x) = \mathrm{intercept} + \sum_t \mathrm{effect}_t(x).
+
+    With ``structure="trend"`` effects are straight lines. With ``"joint"`` they are straight lines, and the term
+    "joint" holds the rest. Terms share the data, so where regressors move together in the samples their bands are wide,
+    though the sum is known.
+
+    Parameters
+    ----------
+    model : DependentGPRegressor or Pipeline
+        Fitted; a pipeline ends in a ``DependentGPRegressor``. Scalers before it are undone in the result.
+    X : array or DataFrame (n, ...), optional
+        Input of the model: samples over which effects are centred and compared. Default: the training samples. A
+        compact model does not hold them and needs X.
+    n_grid : int, default=30
+        Points of each curve.
+
+    Returns
+    -------
+    Effects
+        ``curves`` by the name of the regressor, ``importance``, ``intercept``, and ``evaluate(X)`` for any points.
+
+    Raises
+    ------
+    TypeError
+        If the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one.
+    ValueError
+        If the model is compact and X is not given, X is not finite, or ``n_grid`` is less than 2.
+    NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp import DependentGPRegressor, effects
+    >>> X = pd.DataFrame(np.random.default_rng(0).uniform(-1, 1, (60, 2)), columns=["alpha", "elevator"])
+    >>> Y = pd.DataFrame({"Cm": np.sin(2 * X["alpha"]) - 0.5 * X["elevator"]})
+    >>> model = DependentGPRegressor(structure="additive", n_latent=0, max_iter=20, random_state=0).fit(X, Y)
+    >>> found = effects(model)
+    >>> list(found.curves), list(found.importance.index)
+    (['alpha', 'elevator'], ['alpha', 'elevator', 'joint'])
+    >>> bool(np.allclose(sum(found.evaluate(X).values()) + found.intercept, model.predict(X)))
+    True
+    """
+    regressor, before, scalers, names = _split(model)
+    check_is_fitted(regressor)
+    if n_grid < 2:
+        raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2 points for each curve.")
+    rows = _samples(regressor, before, X)
+    units = pd.DataFrame(_in_units(rows, scalers), columns=names)
+    posterior, scale = regressor.posterior_, regressor._scale
+    terms = {
+        _name(columns, names): CentredTerm(posterior, columns, rows) for columns in posterior.kernel.term_regressors()
+    }
+    intercept = sum(term.values.mean(axis=0) for term in terms.values())
+    terms.pop("", None)  # the constant
+    curves = {}
+    for k, name in enumerate(names):
+        if name in terms:
+            points = np.tile(rows.mean(axis=0), (n_grid, 1))
+            low, high = np.quantile(rows[:, k], RANGE)
+            points[:, k] = np.linspace(low, high, n_grid)
+            mean, variance = terms[name].predict(points, return_variance=True)
+            curves[name] = Curve(_in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale)
+    importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}
+    return Effects(
+        intercept=regressor._center + intercept * scale,
+        importance=pd.DataFrame.from_dict(importance, orient="index", columns=regressor.output_names_),
+        curves=curves,
+        samples=units,
+        _model=model,
+        _terms=terms,
+    )
+
+
+def _split(model):
+    """Return the regressor, the steps before it or None, the scalers at their end, and the names of the regressors."""
+    last = model[-1] if isinstance(model, Pipeline) else model
+    regressor = getattr(last, "estimator_", last)  # of a CalibratedRegressor
+    if not isinstance(regressor, DependentGPRegressor):
+        raise TypeError(
+            f"Got {type(last).__name__}, but expected a fitted DependentGPRegressor, or a pipeline that ends in one."
+        )
+    check_is_fitted(regressor)
+    names = regressor._regressor_names()
+    if not isinstance(model, Pipeline) or len(model) == 1:
+        return regressor, None, [], names
+    scalers: list = []
+    for _, step in reversed(model.steps[:-1]):
+        if step in (None, "passthrough"):
+            continue
+        if not isinstance(step, OneToOneFeatureMixin) or not hasattr(step, "inverse_transform"):
+            break
+        scalers.append(step)
+        names = [str(name) for name in getattr(step, "feature_names_in_", names)]
+    return regressor, model[:-1], scalers, names
+
+
+def _samples(regressor, before, X):
+    """Return at most MAX_ROWS samples, (n, d), as the regressor sees them."""
+    if X is not None:
+        rows = regressor._check_regressors(X if before is None else before.transform(X))
+    elif regressor.inference_ == "compact":
+        raise ValueError("Got a compact model, which holds no samples. Give X, samples to compute the effects over.")
+    else:
+        rows = training_inputs(regressor.posterior_)
+    return rows[:: -(-len(rows) // MAX_ROWS)]
+
+
+def _in_units(rows, scalers):
+    for step in scalers:
+        rows = np.asarray(step.inverse_transform(rows))
+    return rows
+
+
+def _name(columns, names):
+    """Return the name of the term of some regressors; that of a constant is empty."""
+    if len(columns) == len(names) > 1:
+        return JOINT
+    return ", ".join(names[k] for k in columns)

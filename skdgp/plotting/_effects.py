@@ -1,0 +1,174 @@
+"""EffectsDisplay: the effect of each regressor on each output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+from scipy.stats import norm
+
+from skdgp._effects import Curve, effects
+from skdgp.plotting._display import Display, Names, check_level, choose
+from skdgp.plotting._style import (
+    PALETTE,
+    ROLES,
+    axis_label,
+    check_matplotlib,
+    display_unit,
+    legend_of_figure,
+    plain,
+    symbol,
+    tidy,
+)
+
+OTHERS = ""  # key of the column of terms of several regressors
+SHARES = np.linspace(0.02, 0.98, 25)  # quantiles of the samples that are marked
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class EffectsDisplay(Display):
+    r"""The effect of each regressor with its band: a row for each output, a column for each regressor.
+
+    Panels of a row have the same vertical axis. Short lines in the last row are quantiles of the samples, each 4 %.
+    Bars in the last column are terms of several regressors: the range that holds the given probability of their values
+    over the samples, if these are normally distributed.
+
+    Parameters
+    ----------
+    curves : dict of str to Curve
+        Effect of each regressor: its values (n,), SI units and radians, mean and standard deviation (n, P).
+    importance : DataFrame (n_terms, P)
+        Standard deviation of each term over the samples; the columns are the outputs.
+    samples : DataFrame (n, d)
+        Regressors of the samples.
+
+    Attributes
+    ----------
+    lines_, bands_ : lists of artists
+        One per panel; None for the bars.
+    bars_ : list
+        The bars of each panel; None for curves.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from matplotlib.figure import Figure
+    >>> from skdgp import DependentGPRegressor
+    >>> from skdgp.plotting import EffectsDisplay
+    >>> X = pd.DataFrame(np.random.default_rng(0).uniform(-0.2, 0.2, (60, 2)), columns=["alpha", "elevator"])
+    >>> Y = pd.DataFrame({"Cm": np.sin(4 * X["alpha"]) - 0.5 * X["elevator"]})
+    >>> model = DependentGPRegressor(structure="trend").fit(X, Y)
+    >>> display = EffectsDisplay.from_model(model, ax=Figure())
+    >>> [ax.get_xlabel() for ax in display.axes_.flat]
+    ['$\\alpha$\n[deg]', 'elevator\n[deg]']
+    """
+
+    curves: dict[str, Curve]
+    importance: pd.DataFrame
+    samples: pd.DataFrame
+
+    def plot(
+        self,
+        ax: Any = None,
+        *,
+        level: float = 0.95,
+        outputs: Names = None,
+        legend: bool = True,
+        regressors: Names = None,
+    ) -> Self:
+        """Draw the panels.
+
+        Parameters
+        ----------
+        ax, level, outputs, legend
+            See :mod:`skdgp.plotting`.
+        regressors : names, optional
+            Regressors to draw, default all.
+        """
+        z = norm.ppf(0.5 + 0.5 * check_level(level))
+        names = list(self.importance.columns)
+        rows, chosen = choose(names, outputs), choose(list(self.curves), regressors, "regressors")
+        columns = [list(self.curves)[k] for k in chosen]
+        several = [name for name in self.importance.index if name not in self.curves]
+        columns += [OTHERS] * bool(several)
+        keys = [(i, column) for i in rows for column in columns]
+
+        def draw(ax, key):
+            i, column = key
+            tidy(ax)
+            ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
+            if column == columns[0]:
+                ax.set_ylabel(symbol(names[i]))
+            if column == OTHERS:
+                artists = None, None, self._draw_bars(ax, i, several, z)
+            else:
+                artists = *self._draw_curve(ax, i, column, z, level), None
+            if i == rows[-1]:
+                self._draw_axis(ax, column, several)
+            return artists
+
+        size = (max(1.25, min(3.0, 9.0 / len(columns))), 1.15)
+        self.lines_, self.bands_, self.bars_ = self._draw_panels(
+            ax, draw, keys, len(columns), size, sharex="col", sharey="row"
+        )
+        self.figure_.align_labels(self.axes_.ravel())
+        if legend:
+            legend_of_figure(self.axes_[-1, 0])
+        return self
+
+    def _draw_curve(self, ax, i, name, z, level):
+        curve, factor = self.curves[name], display_unit(name)[0]
+        at, mean, std = factor * curve.at, curve.mean[:, i], curve.std[:, i]
+        style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
+        band = ax.fill_between(at, mean - z * std, mean + z * std, **style)
+        (line,) = ax.plot(at, mean, color=ROLES["mean"], label="effect")
+        ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
+        ax.locator_params(axis="y", nbins=4)
+        return line, band
+
+    def _draw_bars(self, ax, i, several, z):
+        half = z * self.importance.loc[several].iloc[:, i].to_numpy()
+        ax.grid(False, axis="x")
+        return ax.bar(range(len(several)), 2 * half, bottom=-half, width=0.5, color=PALETTE["purple"], alpha=0.6)
+
+    def _draw_axis(self, ax, column, several):
+        """Draw what the panels of a column share: the label, and the samples or the names of the bars."""
+        if column == OTHERS:
+            ax.set_xlim(-0.75, len(several) - 0.25)
+            ax.set_xticks(range(len(several)), [plain(name.replace("_", " ")) for name in several])
+            ax.tick_params(axis="x", length=0)
+            return
+        at = display_unit(column)[0] * np.quantile(self.samples[column], SHARES)
+        ax.plot(
+            at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(),
+            color=ROLES["measured"], markersize=4, markeredgewidth=0.5, label="samples",
+        )  # fmt: skip
+        ax.set_xlabel(axis_label(column).replace(" [", "\n["))
+
+    @classmethod
+    def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any) -> Self:
+        """Compute the effects of a model, and draw them.
+
+        Parameters
+        ----------
+        model, X, n_grid
+            See :func:`skdgp.effects`.
+        **plot_options
+            See :meth:`plot`.
+        """
+        check_matplotlib(cls.__name__)
+        return cls.compute(model, X, n_grid=n_grid).plot(**plot_options)
+
+    @classmethod
+    def compute(cls, model: Any, X: Any = None, *, n_grid: int = 30) -> Self:
+        """Compute the effects of a model, without drawing them.
+
+        Parameters
+        ----------
+        model, X, n_grid
+            See :func:`skdgp.effects`.
+        """
+        found = effects(model, X, n_grid=n_grid)
+        return cls(curves=found.curves, importance=found.importance, samples=found.samples)

@@ -1,0 +1,109 @@
+"""A convolved Gaussian of few regressors is the kernel of these columns alone."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import Data, ExactPosterior
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(1)
+    X = rng.uniform(-1, 1, (80, 3)) * [1.0, 50.0, 1e-3]
+    Y = np.column_stack([np.sin(3 * X[:, 0]), X[:, 0] ** 2 + X[:, 1] / 50]) + rng.normal(0, 0.05, (80, 2))
+    return X, Y
+
+
+def pair(columns, rng, d=3, P=2):
+    """Return a kernel of few of d regressors, and one of an array of these columns."""
+    lengths, amplitude = rng.uniform(0.5, 2, (1 + P, P, d)), rng.normal(size=(1 + P, P))
+    of_few = ConvolvedGaussian(1, regressors=columns, amplitude=amplitude, length_scale=lengths)
+    return of_few, ConvolvedGaussian(1, amplitude=amplitude, length_scale=lengths[..., columns])
+
+
+@pytest.mark.parametrize("columns", [[0], [2], [0, 2]])
+class TestIsTheKernelOfTheColumns:
+    def test_matrix_and_slopes(self, columns, rng):
+        X, (of_few, alone) = rng.normal(size=(7, 3)), pair(columns, rng)
+        np.testing.assert_allclose(of_few(X), alone(X[:, columns]), rtol=1e-9, atol=1e-9)
+        found, expected = (
+            of_few.block_derivative(0, 1, X, X),
+            alone.block_derivative(0, 1, X[:, columns], X[:, columns]),
+        )
+        np.testing.assert_allclose(found[columns], expected, rtol=1e-9, atol=1e-9)
+        others = np.setdiff1d(range(3), columns)
+        np.testing.assert_allclose(found[others], 0.0, atol=1e-9)
+
+    def test_hyperparameters(self, columns, rng):
+        of_few, alone = pair(columns, rng)
+        np.testing.assert_array_equal(of_few.theta, alone.theta)
+
+    def test_posterior(self, columns, rng):
+        X, y, (of_few, alone) = rng.normal(size=(30, 3)), rng.normal(size=(30, 2)), pair(columns, rng)
+        noise, new = np.array([0.1, 0.2]), rng.normal(size=(5, 3))
+        found = ExactPosterior(of_few, noise, Data.from_table(X, y))
+        expected = ExactPosterior(alone, noise, Data.from_table(X[:, columns], y))
+        assert found.log_marginal_likelihood == pytest.approx(expected.log_marginal_likelihood, rel=1e-9)
+        for a, b in zip(found.predict(new, True), expected.predict(new[:, columns], True), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("given", [None, 0.7])
+def test_initialize_fixes_the_others_in_their_units(given, data):
+    X, Y = data
+    kernel = ConvolvedGaussian(1, regressors=[0], length_scale=given).initialize(X, Y, 0)
+    assert (kernel.length_scale[..., 1:] >= 0.9e6 * X.std(axis=0)[1:]).all()
+    assert given is None or (kernel.length_scale[..., 0] == given).all()
+    assert kernel.n_dims == 4 + 4  # amplitudes and widths of the shared and the private latents
+    K = kernel(X)
+    np.testing.assert_allclose(K, kernel(X * [1, 0, 0]), atol=1e-9 * K.max())
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_every_kind_of_inference_ignores_the_others(inference, data):
+    X, Y = data
+    kernel = LinearTrend() + ConvolvedGaussian(0, regressors=[0])
+    options = {"trend": None, "inference": inference, "n_inducing": 20, "max_iter": 15, "random_state": 0}
+    model = DependentGPRegressor(kernel, **options).fit(X, Y)
+    assert model.score(X, Y) > 0.95
+    lines = model.predict(X) - model.predict(X * [1, 0, 0])  # what is left is the trend in the others
+    basis = np.column_stack([X[:, 1:], np.ones(len(X))])
+    np.testing.assert_allclose(basis @ np.linalg.lstsq(basis, lines)[0], lines, atol=1e-6)
+    paths = model.sample_paths(3, 0)
+    changes = paths(X) - paths(X * [1, 0, 0])
+    for change in changes:
+        np.testing.assert_allclose(basis @ np.linalg.lstsq(basis, change)[0], change, atol=1e-4)
+    again = pickle.loads(pickle.dumps(model))
+    np.testing.assert_allclose(again.predict(X), model.predict(X), rtol=1e-10, atol=1e-12)
+    small = model.compact(40)
+    assert small.compaction_.change < 0.2
+
+
+@pytest.mark.parametrize(
+    ("regressors", "kind", "message"),
+    [
+        ([3], "diag", "expected columns of X from 0 to 2"),
+        ([-1], "diag", "expected columns of X"),
+        ([], "diag", "expected columns of X"),
+        ([0.5], "diag", "expected columns of X"),
+        ([[0]], "diag", "expected columns of X"),
+        (["alpha"], "diag", "expected columns of X"),
+        ([0], "full", "expected 'diag' or 'tied'"),
+        ([0], "spherical", "expected 'diag' or 'tied'"),
+    ],
+)
+def test_wrong_columns(regressors, kind, message, data):
+    kernel = ConvolvedGaussian(1, regressors=regressors, covariance_type=kind)
+    with pytest.raises(ValueError, match=message):
+        kernel.initialize(*data, 0)
+    with pytest.raises(ValueError, match=message):
+        DependentGPRegressor(kernel).fit(*data)

@@ -1,0 +1,211 @@
+"""Effects: independent terms that add up to the mean, with the posterior of each."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from skdgp import DependentGPRegressor, effects
+from skdgp.calibration import CalibratedRegressor
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+NAMES, OUTPUTS = ["alpha", "beta", "elevator"], ["CZ", "Cm"]
+SCALE = np.array([0.1, 0.2, 5.0])
+MODELS = {
+    "trend": {"structure": "trend"},
+    "joint": {"n_latent": 1},
+    "additive": {"structure": "additive", "n_latent": 0},
+    "sparse": {"structure": "additive", "n_latent": 0, "inference": "sparse", "n_inducing": 25},
+    "pairs": {
+        "kernel": LinearTrend() + ConvolvedGaussian(0, regressors=[0, 1]) + ConvolvedGaussian(0, regressors=[2]),
+        "trend": None,
+    },
+    "no trend": {"structure": "additive", "n_latent": 0, "trend": "constant"},
+    "other trend": {"trend": PolynomialFeatures(2), "n_latent": 0},
+    "noisy regressors": {"structure": "additive", "n_latent": 0, "input_noise": 0.02},
+}
+
+
+def alone(X):
+    """Return the effect of each regressor on each output, (n, 3, 2)."""
+    a, b, e = (np.asarray(X) / SCALE).T
+    return np.stack([[np.sin(2 * a), 0.5 * a], [0 * b, b**2], [0.3 * e, -e]], axis=0).transpose(2, 0, 1)
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(0)
+    X = pd.DataFrame(SCALE * rng.uniform(-1, 1, (120, 3)), columns=NAMES)
+    Y = pd.DataFrame(3.0 + alone(X).sum(axis=1) + rng.normal(0, 0.05, (120, 2)), columns=OUTPUTS)
+    Y.loc[100:, "Cm"] = np.nan
+    return X, Y
+
+
+@pytest.fixture(scope="module")
+def fitted(data):
+    models = {}
+
+    def get(name):
+        if name not in models:
+            regressor = DependentGPRegressor(max_iter=15, random_state=0, **MODELS[name])
+            models[name] = make_pipeline(StandardScaler(), regressor).fit(*data)
+        return models[name]
+
+    return get
+
+
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_sum_of_effects_is_the_mean_anywhere(name, fitted, data):
+    model, new = fitted(name), data[0] * 1.7 + 0.1
+    found = effects(model)
+    mean, std = found.evaluate(new, return_std=True)
+    np.testing.assert_allclose(sum(mean.values()) + found.intercept, model.predict(new), rtol=1e-8, atol=1e-8)
+    assert list(mean) == list(std) == list(found.importance.index)
+    assert all((values >= 0).all() for values in std.values())
+    for values in found.evaluate(data[0]).values():
+        np.testing.assert_allclose(values.mean(axis=0), 0.0, atol=1e-8)
+
+
+def test_sum_holds_for_a_compact_model(fitted, data):
+    model = fitted("additive")
+    small = model[-1].compact(60)
+    X = model[:-1].transform(data[0])
+    found = effects(small, X)
+    np.testing.assert_allclose(sum(found.evaluate(X).values()) + found.intercept, small.predict(X), atol=1e-8)
+    of_samples = effects(model[-1])
+    for name, curve in found.curves.items():
+        np.testing.assert_allclose(curve.mean, of_samples.curves[name].mean, atol=0.02)
+    with pytest.raises(ValueError, match=r"holds no samples\. Give X"):
+        effects(small)
+
+
+@pytest.mark.parametrize("name", ["additive", "pairs", "joint"])
+def test_terms_are_those_of_dense_matrices(name, fitted, data):
+    """K_t** - K_t* C^-1 K_t*^T, with the effect as a linear map of the values of the term."""
+    pipeline, new = fitted(name), data[0][:7] + 0.03
+    found = effects(pipeline)
+    mean, std = found.evaluate(new, return_std=True)
+    model, X, Z = pipeline[-1], *(pipeline[:-1].transform(x) for x in (data[0], new))
+    Y = ((data[1] - model._center) / model._scale).to_numpy()
+    observed = [np.isfinite(y) for y in Y.T]
+    inputs, y = [X[rows] for rows in observed], np.concatenate([Y[rows, i] for i, rows in enumerate(observed)])
+    kernel, noise = model.kernel_, np.repeat(model.posterior_.noise, [rows.sum() for rows in observed])
+    C = kernel(inputs) + np.diag(noise)
+    points = np.concatenate([Z, X])
+    centring = np.hstack([np.eye(len(Z)), np.full((len(Z), len(X)), -1 / len(X))])
+    for columns, title in zip(kernel.term_regressors()[1:], found.importance.index, strict=True):
+        term = kernel.term(columns)
+        cross = term([points] * 2, inputs)
+        covariance = term(points) - cross @ np.linalg.solve(C, cross.T)
+        for i in range(2):
+            rows = slice(i * len(points), (i + 1) * len(points))
+            expected = centring @ cross[rows] @ np.linalg.solve(C, y)
+            np.testing.assert_allclose(mean[title][:, i], expected * model._scale[i], atol=1e-7)
+            variance = np.diag(centring @ covariance[rows, rows] @ centring.T)
+            np.testing.assert_allclose(std[title][:, i], np.sqrt(variance) * model._scale[i], rtol=1e-4, atol=1e-6)
+
+
+def test_sparse_terms_approach_the_exact_ones(data):
+    options = {"structure": "additive", "n_latent": 0, "max_iter": 15, "random_state": 0}
+    exact = DependentGPRegressor(**options).fit(data[0] / SCALE, data[1])
+    kernel, noise = exact.kernel_, exact.posterior_.noise
+    sparse = exact.compact(300, max_iter=0)
+    assert sparse.kernel_ == kernel
+    np.testing.assert_array_equal(sparse.posterior_.noise, noise)
+    found, expected = effects(sparse, data[0] / SCALE), effects(exact)
+    for name, curve in expected.curves.items():
+        np.testing.assert_allclose(found.curves[name].std, curve.std, rtol=0.02)
+
+
+@pytest.mark.parametrize("name", ["trend", "joint"])
+def test_a_trend_has_straight_lines(name, fitted):
+    for curve in effects(fitted(name)).curves.values():
+        line = np.polynomial.Polynomial.fit
+        for values in curve.mean.T:
+            np.testing.assert_allclose(line(curve.at, values, 1)(curve.at), values, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["additive", "sparse"])
+def test_known_functions_lie_within_the_bands(name, fitted, data):
+    found = effects(fitted(name))
+    assert list(found.curves) == NAMES
+    average = alone(data[0]).mean(axis=0)
+    for k, regressor in enumerate(NAMES):
+        curve = found.curves[regressor]
+        assert curve.at[0] == pytest.approx(data[0][regressor].quantile(0.01), rel=0.02)
+        points = np.zeros((len(curve.at), 3))
+        points[:, k] = curve.at
+        truth = alone(points)[:, k] - average[k]
+        # A band per point holds 95 %; neighbouring points err together.
+        assert (np.abs(curve.mean - truth) < 4 * curve.std + 0.01).all()
+        assert np.sqrt(np.mean((curve.mean - truth) ** 2)) < 0.05
+
+
+def test_importance_is_the_spread_of_each_effect(fitted, data):
+    found = effects(fitted("additive"))
+    assert list(found.importance.index) == [*NAMES, "joint"]
+    assert list(found.importance.columns) == OUTPUTS
+    expected = alone(data[0]).std(axis=0)
+    np.testing.assert_allclose(found.importance.loc[NAMES], expected, atol=0.05)
+    assert (found.importance.loc["joint"] < 0.1).all()
+    np.testing.assert_allclose(found.intercept, fitted("additive").predict(data[0]).mean(axis=0), atol=1e-8)
+
+
+def test_axes_are_in_the_units_before_the_scaler(fitted, data):
+    scaled, model = effects(fitted("additive")), fitted("additive")
+    inner = effects(model[-1])
+    assert list(inner.curves) == ["x0", "x1", "x2"]
+    assert list(scaled.samples.columns) == NAMES
+    back = np.sort(model[0].inverse_transform(inner.samples.to_numpy())[:, 0])
+    np.testing.assert_allclose(np.sort(scaled.samples["alpha"]), back)
+    np.testing.assert_allclose(np.sort(data[0]["alpha"]), back)
+
+
+def test_names_of_pairs_and_of_a_single_regressor(fitted):
+    assert list(effects(fitted("pairs")).importance.index) == [*NAMES, "alpha, beta"]
+    x = np.linspace(0, 1, 30)[:, None]
+    only = effects(DependentGPRegressor(n_latent=0, optimizer=None).fit(x, np.sin(x[:, 0])))
+    assert list(only.importance.index) == list(only.curves) == ["x0"]
+
+
+def test_other_samples_move_the_centre_alone(fitted, data):
+    first, second = effects(fitted("additive")), effects(fitted("additive"), data[0][:40])
+    new = data[0][:9]
+    for name, values in first.evaluate(new).items():
+        change = second.evaluate(new)[name] - values
+        np.testing.assert_allclose(change - change[0], 0.0, atol=1e-8)
+    assert len(second.samples) == 40
+
+
+@pytest.mark.filterwarnings("ignore:Got one flight", "ignore:Got level")
+def test_a_calibrated_pipeline(data):
+    X, Y = data
+    regressor = CalibratedRegressor(DependentGPRegressor(structure="trend"))
+    model = make_pipeline(StandardScaler(), regressor).fit(X[:100], Y[:100])
+    found = effects(model)
+    np.testing.assert_allclose(sum(found.evaluate(X).values()) + found.intercept, model.predict(X), atol=1e-8)
+
+
+class TestBadInput:
+    def test_unfitted(self):
+        for model in (DependentGPRegressor(), make_pipeline(StandardScaler(), DependentGPRegressor())):
+            with pytest.raises(NotFittedError):
+                effects(model)
+
+    def test_another_estimator(self, data):
+        X, Y = data
+        for model in (LinearRegression().fit(X, Y[["CZ"]]), make_pipeline(LinearRegression()).fit(X, Y[["CZ"]]), None):
+            with pytest.raises(TypeError, match="expected a fitted DependentGPRegressor, or a pipeline"):
+                effects(model)
+
+    def test_points(self, fitted, data):
+        with pytest.raises(ValueError, match="expected at least 2"):
+            effects(fitted("trend"), n_grid=1)
+        with pytest.raises(ValueError, match="NaN"):
+            effects(fitted("trend"), data[0].mask(data[0] > 0))

@@ -27,6 +27,8 @@ SCRIPTS = (
     "damage",
     "fuzz",
     "paths",
+    "rows",
+    "sportcub",
 )
 
 

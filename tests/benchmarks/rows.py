@@ -104,7 +104,7 @@ def table(runs):
                 "NRMSE highest": max(errors),
                 "median over best of fewer rows": before and float(np.median(errors) / before),
                 "seeds": len(found),
-                "chosen": ", ".join(sorted({f"{run['structure']}, {run['inference']}" for run in found})),
+                "chosen": "; ".join(sorted({f"{run['structure']}, {run['inference']}" for run in found})),
                 "CPU s": float(np.median([run["cpu_seconds"] for run in found])),
             }
         )

@@ -37,8 +37,10 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import body_to_ned, ned_to_body
 from skdgp.dynamics import (
+    Aerodynamics,
     Aircraft,
     SimulationWarning,
     aerodynamic_coefficients,
@@ -94,7 +96,7 @@ METHODS = {
     "hold": Method("straight on: first velocity, attitude, rates"),
     "least_squares": Method("least squares", LinearRegression()),
     "six_gps": Method("trend + six scikit-learn GPs", TrendAndProcesses(), left_out=False),
-    "trend": Method('skdgp, structure="trend"', structured("trend")),
+    "trend": Method('skdgp, structure="trend"', structured("trend"), bands=True),
     "joint": Method('skdgp, structure="joint"', structured("joint")),
     "additive": Method('skdgp, structure="additive"', structured("additive")),
     "pipeline": Method("**skdgp pipeline**", bands=True),
@@ -113,7 +115,7 @@ class Records(NamedTuple):
 
 
 class Task(NamedTuple):
-    """The aircraft, and the records to learn from and to predict as they were measured (truth) and as they are used."""
+    """The aircraft, records to learn from and to predict as the method gets them, and as the file has them (truth)."""
 
     aircraft: Aircraft
     train: Records
@@ -196,8 +198,6 @@ def task_of(folder, way):
 
 def toy():
     """Return a task of the same form that takes no time: a glider with linear coefficients."""
-    from skdgp.dynamics import Aerodynamics
-
     glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
     slopes = np.zeros((9, 6))
     slopes[[0, 1, 0, 2, 3, 4, 5, 6, 7], [2, 1, 4, 3, 4, 5, 4, 3, 5]] = -4.5, -0.4, -0.4, -0.4, -8, -0.1, -0.8, 0.1, 0.1
@@ -208,14 +208,10 @@ def toy():
         controls = pd.DataFrame(moves, columns=[*SURFACES, "throttle"]).assign(time=STEP * np.arange(131))
         start = {"airspeed": 12.0, "alpha": 0.05, "phi": rng.normal(0, 0.3), "altitude": 1.0}
         flown = simulate(model, glider, start, controls, dt=STEP, thrust=None)
-        tables.append(flown.drop(columns=["ended", "beyond", *slopes_of(flown)]).assign(flight=str(k)))
+        tables.append(flown.drop(columns=["ended", "beyond", *COEFFICIENTS]).assign(flight=str(k)))
     coefficients = [aerodynamic_coefficients(table, glider, thrust=None) for table in tables]
     both = Records(tables, [table.iloc[:1] for table in tables], coefficients)
     return Task(glider, both.some(range(3)), both.some((3, 4)), tables[:3], tables[3:])
-
-
-def slopes_of(table):
-    return [name for name in table if name[0] == "C" and len(name) == 2]
 
 
 # -- predictions and scores -----------------------------------------------------------------------------------------
@@ -329,7 +325,7 @@ def run(task, method, n_paths):
 def tables(runs):
     """Return the tables of the page."""
     rows = {way: [] for way in ("direct", "poses")}
-    bands = []
+    bands, chosen = [], []
     for (way, name), run in sorted(runs.items(), key=lambda item: list(METHODS).index(item[0][1])):
         row = {"method": METHODS[name].name}
         for kind, shown in (("left_out", "left out"), ("test", "test")):
@@ -341,8 +337,13 @@ def tables(runs):
         rows[way].append(row | {"CPU s": run["cpu_seconds"]})
         for drift in ("with", "without"):
             for part, held in run.get(f"bands_{drift}_drift", {}).items():
-                bands.append({"states": way, "records": part, "drift": drift, **{f"{g} %": held[g] for g in held}})
-    return {**{way: found for way, found in rows.items() if found}, "bands": bands}
+                covered = {f"{group} %": share for group, share in held.items()}
+                bands.append({"method": METHODS[name].name, "states": way, "records": part, "drift": drift, **covered})
+        if "structures" in run:
+            first, *others = run["structures"]
+            counted = ", ".join(f"{one} {others.count(one)} times" for one in sorted(set(others)))
+            chosen.append({"method": METHODS[name].name, "states": way, "all records": first, "one left out": counted})
+    return {**{way: found for way, found in rows.items() if found}, "bands": bands, "chosen": chosen}
 
 
 def mean_of(errors, which=slice(None)):

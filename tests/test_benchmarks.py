@@ -28,6 +28,8 @@ SCRIPTS = (
     "fuzz",
     "paths",
     "times",
+    "rows",
+    "sportcub",
 )
 
 

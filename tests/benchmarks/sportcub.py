@@ -1,0 +1,381 @@
+"""A real flight of others: short records of a Sport Cub under motion capture, rolled out from their first states.
+
+    python tests/benchmarks/sportcub.py FOLDER [--out OUT] [--methods NAME ...] [--redo]
+
+FOLDER is an unpacked copy of the public repository github.com/jgoppert/sysid_litreview_26. It states no licence: fetch
+it yourself; nothing of it stands here. Mass, geometry and largest deflections are read from its ``greybox.py``.
+
+Nine records are learned from, five are predicted: 100 Hz, each cropped to the shortest (1.5 s) as its own loader does.
+The files call their axes NED/FRD, but the data are NWU/FLU; signs of elevator and aileron are opposite to ours. The
+thrust is unknown, so the coefficients contain it, and the throttle is a regressor.
+
+Each record is flown from its first state with its commands. The score is the repository's: root mean square errors of
+13 states (position, velocity in body axes, quaternion, rates) over all records and times, each over the range of the
+truth, averaged; the score of poses is that of position and quaternion. "direct": states of the file. "poses":
+``flight_from_poses``; a prediction starts from the state that the first 21 poses give.
+
+Choices are made on the nine records alone: each is left out in turn ("left out"), and predicted by a model of the rest.
+Runs are kept as OUT/sportcub/WAY-METHOD.json, and not run again unless ``--redo`` says so.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+import time
+import warnings
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from _common import finish, parser_of
+from _peers import IndependentProcesses, OnTrend
+from comparison import Kept
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.linear_model import LinearRegression
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.frames import body_to_ned, ned_to_body
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    SimulationWarning,
+    aerodynamic_coefficients,
+    euler_to_quaternion,
+    quaternion_to_euler,
+    simulate,
+    trajectory_bands,
+)
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
+from skdgp.io import flight_from_poses
+from skdgp.metrics import normalized_rmse
+
+SURFACES = ["elevator", "aileron", "rudder"]
+REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", *SURFACES, "throttle"]
+GROUPS = {
+    "position": ["north", "east", "down"],
+    "velocity": ["u", "v", "w"],
+    "attitude": ["phi", "theta", "psi"],
+    "rates": ["p", "q", "r"],
+}
+STATES = [name for group in GROUPS.values() for name in group]
+POSE = [0, 1, 2, 6, 7, 8, 9]
+"""Position and quaternion among the 13 states."""
+QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
+STEP, START_POSES, DENSITY = 0.01, 21, 1.225
+
+
+class TrendAndProcesses(RegressorMixin, BaseEstimator):
+    """Six processes of scikit-learn after a linear trend, as an estimator."""
+
+    def fit(self, X, Y):
+        self.model_ = OnTrend(IndependentProcesses()).fit(np.asarray(X), np.asarray(Y))
+        return self
+
+    def predict(self, X):
+        return self.model_.predict(np.asarray(X))
+
+
+class Method(NamedTuple):
+    """A row of the tables: its name, the regressor of the pipeline (None: the default), and what is measured of it."""
+
+    name: str
+    regressor: object = None
+    left_out: bool = True
+    bands: bool = False
+
+
+def structured(structure):
+    return DependentGPRegressor(structure=structure, input_noise="learned", early_stopping=True, random_state=0)
+
+
+METHODS = {
+    "hold": Method("straight on: first velocity, attitude, rates"),
+    "least_squares": Method("least squares", LinearRegression()),
+    "six_gps": Method("trend + six scikit-learn GPs", TrendAndProcesses(), left_out=False),
+    "trend": Method('skdgp, structure="trend"', structured("trend"), bands=True),
+    "joint": Method('skdgp, structure="joint"', structured("joint")),
+    "additive": Method('skdgp, structure="additive"', structured("additive")),
+    "pipeline": Method("**skdgp pipeline**", bands=True),
+}
+
+
+class Records(NamedTuple):
+    """Records as flight tables: to learn from or to score, and the rows from which they are flown."""
+
+    tables: list
+    starts: list
+    coefficients: list
+
+    def some(self, which):
+        return Records(*([part[k] for k in which] for part in self))
+
+
+class Task(NamedTuple):
+    """The aircraft, records to learn from and to predict as the method gets them, and as the file has them (truth)."""
+
+    aircraft: Aircraft
+    train: Records
+    test: Records
+    train_truth: list
+    test_truth: list
+
+
+# -- the repository's data ------------------------------------------------------------------------------------------
+
+
+def constants(folder, name):
+    """Return the dict of constants in ``greybox.py`` that has this key."""
+    for node in ast.walk(ast.parse((folder / "greybox.py").read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Dict) and name in [getattr(key, "value", None) for key in node.keys]:
+            return ast.literal_eval(node)
+    raise ValueError(f"{folder / 'greybox.py'} holds no table with {name!r}; is this sysid_litreview_26?")
+
+
+def aircraft_of(folder):
+    found = constants(folder, "Ixx")
+    inertia = np.diag([found["Ixx"], found["Iyy"], found["Izz"]])
+    inertia[0, 2] = inertia[2, 0] = -found["Ixz"]
+    return Aircraft(mass=found["m"], inertia=inertia, wing_area=found["S"], span=found["b"], chord=found["cbar"])
+
+
+def read(folder, split):
+    """Yield name, time, states and commands of each record, in the axes and signs of this package."""
+    file = next((folder / "data").glob(f"sportcub_mocap_*_{split}.npz"))
+    largest = np.deg2rad([constants(folder, "elevator")[name] for name in SURFACES]) * [-1, -1, 1]
+    with np.load(file) as data:
+        n = data["valid_mask"].sum(axis=1).min()
+        for k, name in enumerate(data["segment_names"]):
+            states, commands = data["x_meas"][k, :n].copy(), data["u_cmd"][k, :n]
+            for vector in (slice(0, 3), slice(3, 6), slice(7, 10), slice(10, 13)):
+                states[:, vector] *= [1, -1, -1]
+            controls = dict(zip(SURFACES, (commands[:, 1:] * largest).T, strict=True))
+            yield str(name), data["time_s"][k, :n], states, {"throttle": commands[:, 0], **controls}
+
+
+def direct(name, time, states, controls):
+    """Return the flight table of a record as the file has it; accelerations by central differences."""
+    position, velocity, quaternion, rates = np.split(states, [3, 6, 10], axis=1)
+    euler = quaternion_to_euler(quaternion)
+    airspeed = np.linalg.norm(velocity, axis=1)
+    table = pd.DataFrame({"time": time, "flight": name, "airspeed": airspeed})
+    table["alpha"] = np.arctan2(velocity[:, 2], velocity[:, 0])
+    table["beta"] = np.arcsin(velocity[:, 1] / airspeed)
+    euler[:, 2] = np.unwrap(euler[:, 2])
+    table[STATES + QUATERNION] = np.hstack([position, velocity, euler, rates, quaternion])
+    table[["v_north", "v_east", "v_down"]] = body_to_ned(quaternion, velocity)
+    acceleration = np.gradient(velocity, time, axis=0, edge_order=2) + np.cross(rates, velocity)
+    table[["ax", "ay", "az"]] = acceleration - ned_to_body(quaternion, [0.0, 0.0, STANDARD_GRAVITY])
+    return table.assign(altitude=-table["down"], density=DENSITY, **controls)
+
+
+def from_poses(name, time, states, controls, rows=None):
+    """Return the flight table of the first poses of a record, by default all."""
+    part = slice(rows)
+    controls = {key: value[part] for key, value in controls.items()}
+    return flight_from_poses(
+        time[part], states[part, :3], states[part, 6:10], frame="NED/FRD", flight=name, controls=controls
+    )
+
+
+def task_of(folder, way):
+    """Return the task of the folder, its states "direct" or from "poses"."""
+    aircraft, parts = aircraft_of(folder), {}
+    for split in ("train", "validation"):
+        raw = list(read(folder, split))
+        truth = [direct(*record) for record in raw]
+        tables = truth if way == "direct" else [from_poses(*record) for record in raw]
+        first = truth if way == "direct" else [from_poses(*record, rows=START_POSES) for record in raw]
+        starts = [table.iloc[:1] for table in first]
+        coefficients = [aerodynamic_coefficients(table, aircraft, thrust=None) for table in tables]
+        parts[split] = Records(tables, starts, coefficients), truth
+    (train, train_truth), (test, test_truth) = parts.values()
+    return Task(aircraft, train, test, train_truth, test_truth)
+
+
+def toy():
+    """Return a task of the same form that takes no time: a glider with linear coefficients."""
+    glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    slopes = np.zeros((9, 6))
+    slopes[[0, 1, 0, 2, 3, 4, 5, 6, 7], [2, 1, 4, 3, 4, 5, 4, 3, 5]] = -4.5, -0.4, -0.4, -0.4, -8, -0.1, -0.8, 0.1, 0.1
+    model = Aerodynamics(lambda X: X @ slopes + [-0.05, 0, -0.2, 0, 0.02, 0], REGRESSORS)
+    rng, tables = np.random.default_rng(0), []
+    for k in range(5):
+        moves = 0.1 * np.cumsum(rng.normal(0, 0.03, (131, 4)), axis=0)
+        controls = pd.DataFrame(moves, columns=[*SURFACES, "throttle"]).assign(time=STEP * np.arange(131))
+        start = {"airspeed": 12.0, "alpha": 0.05, "phi": rng.normal(0, 0.3), "altitude": 1.0}
+        flown = simulate(model, glider, start, controls, dt=STEP, thrust=None)
+        tables.append(flown.drop(columns=["ended", "beyond", *COEFFICIENTS]).assign(flight=str(k)))
+    coefficients = [aerodynamic_coefficients(table, glider, thrust=None) for table in tables]
+    both = Records(tables, [table.iloc[:1] for table in tables], coefficients)
+    return Task(glider, both.some(range(3)), both.some((3, 4)), tables[:3], tables[3:])
+
+
+# -- predictions and scores -----------------------------------------------------------------------------------------
+
+
+def learned(method, aircraft, records):
+    """Return the fitted pipeline of a method; None: hold the first state."""
+    if method == METHODS["hold"]:
+        return None
+    pipeline = make_identification_pipeline(aircraft, regressors=REGRESSORS, regressor=method.regressor)
+    seeds = {name: 0 for name in pipeline.get_params() if name.endswith("random_state")}
+    X, Y = (pd.concat(part, ignore_index=True) for part in (records.tables, records.coefficients))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return pipeline.set_params(**seeds).fit(X, Y)
+
+
+def flown(model, aircraft, records, **options):
+    """Return what the model makes of the records, from their first rows on, by start."""
+    starts = pd.concat(records.starts, ignore_index=True)
+    controls = [table[["time", *SURFACES, "throttle"]].reset_index(drop=True) for table in records.tables]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)
+        found = simulate(model, aircraft, starts, controls, dt=STEP, thrust=None, density=DENSITY, **options)
+    return found if "start" in found else found.assign(start=0)
+
+
+def predicted(model, aircraft, records):
+    """Return the 13 states of each record (n_records, n, 13)."""
+    if model is None:
+        return np.stack([straight_on(*pair) for pair in zip(records.starts, records.tables, strict=True)])
+    return np.stack([states(part) for _, part in flown(model, aircraft, records).groupby("start", sort=True)])
+
+
+def straight_on(start, table):
+    """Return the states of a flight straight on: the first velocity, attitude and rates."""
+    found = np.repeat(states(start), len(table), axis=0)
+    elapsed = table["time"].to_numpy() - table["time"].iloc[0]
+    found[:, :3] += elapsed[:, None] * start[["v_north", "v_east", "v_down"]].to_numpy()
+    return found
+
+
+def states(table):
+    """Return the 13 states (n, 13); quaternions as the file has them, because their range depends on their sign."""
+    known = set(QUATERNION) <= set(table)
+    quaternion = table[QUATERNION] if known else euler_to_quaternion(*table[GROUPS["attitude"]].to_numpy().T)
+    return np.hstack([table[STATES[:6]], quaternion, table[GROUPS["rates"]]])
+
+
+def scores(prediction, truth):
+    """Return the errors of the 13 states over their range, (13,); NaN where a record was not flown to its end."""
+    truth = np.stack([states(table) for table in truth])
+    sign = np.sign((prediction[..., 6:10] * truth[..., 6:10]).sum(axis=-1, keepdims=True))
+    prediction[..., 6:10] *= np.where(sign == 0, 1, sign)
+    return np.sqrt(((prediction - truth) ** 2).mean(axis=(0, 1))) / np.ptp(truth.reshape(-1, 13), axis=0)
+
+
+def inside(model, aircraft, records, truth, **options):
+    """Return whether the truth lies within 95 % bands, a table (n_records * n, 12) less the first rows."""
+    bands = trajectory_bands(flown(model, aircraft, records, **options), 0.95, STATES)
+    rows = []
+    for (_, band), table in zip(bands.groupby("start", sort=True), truth, strict=True):
+        off = table[STATES].to_numpy() - band[STATES].to_numpy()
+        turns = [STATES.index(name) for name in GROUPS["attitude"]]
+        off[:, turns] = np.angle(np.exp(1j * off[:, turns]))
+        low, high = (band[[f"{name}_{end}" for name in STATES]].to_numpy() for end in ("low", "high"))
+        middle = band[STATES].to_numpy()
+        rows.append(((low <= middle + off) & (middle + off <= high))[1:])
+    return pd.DataFrame(np.concatenate(rows), columns=STATES)
+
+
+def coverage(tables):
+    held = pd.concat(tables)
+    return {group: 100 * float(held[names].to_numpy().mean()) for group, names in GROUPS.items()}
+
+
+def run(task, method, n_paths):
+    """Return scores and coverage of one method: of the test records, and of training records left out in turn."""
+    start = time.process_time()
+    model = learned(method, task.aircraft, task.train)
+    result = {"cpu_seconds": time.process_time() - start}
+    result["test"] = scores(predicted(model, task.aircraft, task.test), task.test_truth).tolist()
+    if model is not None:
+        asked, mean = np.vstack(task.test.coefficients), np.vstack([model.predict(t) for t in task.test.tables])
+        result["coefficients"] = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
+    every = range(len(task.train.tables))
+    models = {}
+    if method.left_out:
+        models = {k: learned(method, task.aircraft, task.train.some([j for j in every if j != k])) for k in every}
+        out = [predicted(models[k], task.aircraft, task.train.some([k])) for k in every]
+        result["left_out"] = scores(np.concatenate(out), task.train_truth).tolist()
+    if method.bands:
+        structures = [getattr(each[-1], "structure_", None) for each in (model, *models.values())]
+        result["structures"] = [str(structure) for structure in structures]
+        for drift in (True, False):
+            held = partial(inside, n_paths=n_paths, drift=drift)
+            tables = [held(models[k], task.aircraft, task.train.some([k]), [task.train_truth[k]]) for k in every]
+            test = held(model, task.aircraft, task.test, task.test_truth)
+            result[f"bands_{'with' if drift else 'without'}_drift"] = {
+                "left out": coverage(tables),
+                "test": coverage([test]),
+            }
+        result["drift_std"] = np.sqrt(getattr(model[-1], "drift_variance_", np.zeros(6))).tolist()
+        result["drift_memory"] = np.asarray(getattr(model[-1], "drift_memory_", np.zeros(6))).tolist()
+    return result
+
+
+# -- tables ---------------------------------------------------------------------------------------------------------
+
+
+def tables(runs):
+    """Return the tables of the page."""
+    rows = {way: [] for way in ("direct", "poses")}
+    bands, chosen = [], []
+    for (way, name), run in sorted(runs.items(), key=lambda item: list(METHODS).index(item[0][1])):
+        row = {"method": METHODS[name].name}
+        for kind, shown in (("left_out", "left out"), ("test", "test")):
+            found = np.array(run[kind]) if kind in run else None
+            if way == "direct":
+                row[f"NRMSE of states, {shown}"] = mean_of(found)
+            row[f"NRMSE of poses, {shown}"] = mean_of(found, POSE)
+        row["NRMSE of coefficients, test"] = mean_of(run.get("coefficients"))
+        rows[way].append(row | {"CPU s": run["cpu_seconds"]})
+        for drift in ("with", "without"):
+            for part, held in run.get(f"bands_{drift}_drift", {}).items():
+                covered = {f"{group} %": share for group, share in held.items()}
+                bands.append({"method": METHODS[name].name, "states": way, "records": part, "drift": drift, **covered})
+        if "structures" in run:
+            first, *others = run["structures"]
+            counted = ", ".join(f"{one} {others.count(one)} times" for one in sorted(set(others)))
+            chosen.append({"method": METHODS[name].name, "states": way, "all records": first, "one left out": counted})
+    return {**{way: found for way, found in rows.items() if found}, "bands": bands, "chosen": chosen}
+
+
+def mean_of(errors, which=slice(None)):
+    return None if errors is None else float(np.array(errors)[which].mean())
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("folder", type=Path, nargs="?", help="unpacked copy of jgoppert/sysid_litreview_26")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--ways", nargs="+", choices=("direct", "poses"), default=["direct", "poses"])
+    parser.add_argument("--paths", type=int, default=100, help="functions drawn for bands")
+    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
+    options = parser.parse_args(words)
+    if options.smoke:
+        options.methods, options.ways, options.paths = ["hold", "least_squares", "pipeline"], ["direct"], 4
+    elif options.folder is None:
+        parser.error("the folder of the repository is needed")
+    kept = Kept(options.out, "sportcub")
+    for way in options.ways:
+        task = None
+        for name in options.methods:
+            if f"{way}-{name}" in kept and not options.redo:
+                continue
+            task = task or (toy() if options.smoke else task_of(options.folder, way))
+            method = METHODS[name]
+            if options.smoke and method.bands:
+                method = method._replace(regressor=structured("trend").set_params(max_iter=2))
+            kept.keep(f"{way}-{name}", run(task, method, options.paths))
+            print(f"{way}-{name}: {mean_of(kept.memory[f'{way}-{name}']['test']):.4f}", file=sys.stderr, flush=True)
+    finish(options, "sportcub", **tables({tuple(key.split("-")): run for key, run in kept.memory.items()}))
+
+
+if __name__ == "__main__":
+    main()

@@ -40,6 +40,7 @@ EXACT_LIMIT = 6000
 
 AUTO_LATENT = 2  # shared latents that structure="auto" compares with the trend if n_latent="auto"
 ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
+LEAST_GAIN = 0.1  # fraction by which processes must lower the held-out error of the trend
 MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
@@ -91,9 +92,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     structure : {"joint", "additive", "trend", "auto"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
         (main effects). "trend": the trend alone, with its weights integrated out. "auto" chooses between the trend and,
-        up to 5000 samples, "additive", else "joint": the one with the smaller mean squared error, averaged over the
-        outputs, in blocks of rows that are held out in turn; rows must be in the order of the log. The result is in
-        ``structure_`` and ``structure_errors_``.
+        up to 5000 samples, "additive", else "joint". The trend is left if that lowers the mean squared error, averaged
+        over the outputs, by 10 % in flights (``flight`` of ``fit``) or blocks of rows that are held out in turn; rows
+        must be in the order of the log. The result is in ``structure_`` and ``structure_errors_``.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -327,7 +328,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = standardize(Y, self.trend is not None, self.normalize_y)
         modelled = clock if self.drift == "likelihood" else None
-        best = task.run(self._search, X, Z, modelled)
+        best = task.run(self._search, X, Z, modelled, None if clock is None else clock[:, 1])
         warn_of_search(best, self.max_iter)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_ = best.posterior
@@ -345,7 +346,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         task.end()
         return self
 
-    def _search(self, X, Z, clock):
+    def _search(self, X, Z, clock, flights):
         """Return the best fit over the starting points."""
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
         root = input_root(self.input_noise, X, self._regressor_names())
@@ -354,7 +355,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         inputs = X if clock is None else np.column_stack([X, clock])
         record = fit_record(inputs, Z, seeds, self.get_params(deep=False))
         seeds = seeds if record is None else record.seeds
-        kernel, known = self._choose_kernel(X, Z, options | {"random_state": int(seeds[0]), "record": record})
+        choosing = options | {"random_state": int(seeds[0]), "record": record}
+        kernel, known = self._choose_kernel(X, Z, flights, choosing)
         names = [f"start-{k}" for k in range(len(seeds) if known is None else 1)]
         starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
         search = partial(search, kernel, X, Z, found=known, early_stopping=self.early_stopping, **options)
@@ -363,10 +365,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         best = max(fits, key=lambda fit: fit.value)
         return best._replace(interrupted=any(fit.interrupted for fit in fits))
 
-    def _choose_kernel(self, X, Z, options):
+    def _choose_kernel(self, X, Z, flights, options):
         """Return the kernel to fit, and the best hyperparameters so far if Ctrl-C ended its choice, else None."""
         self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
-        self.structure_, hyperparameters = self._choose_structure(X, Z, options)
+        self.structure_, hyperparameters = self._choose_structure(X, Z, flights, options)
         if self.structure_ == "trend":
             self.n_latent_ = 0
             return self._make_trend(), hyperparameters
@@ -381,7 +383,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
         return self._make_kernel(self.n_latent_), hyperparameters
 
-    def _choose_structure(self, X, Z, options):
+    def _choose_structure(self, X, Z, flights, options):
         """Return the structure, and the hyperparameters so far if Ctrl-C ended its choice, else None.
 
         It is the requested one or, of the trend and one with processes, that which predicts held-out blocks better.
@@ -405,13 +407,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
             processes = "additive" if len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1 else "joint"
             for name, kernel in (("trend", self._make_trend()), (processes, self._make_kernel(n_latent, processes))):
-                errors, found = held_out_errors(name, kernel, X, Z, **blocks)
+                errors, found = held_out_errors(name, kernel, X, Z, flights=flights, **blocks)
                 if found is not None and not isinstance(options["input_noise"], str):
                     found = found._replace(root=options["input_noise"])
                 if errors is None:
                     return (processes if found is None else name), found
                 self.structure_errors_[name] = errors
-            if np.nanmean(self.structure_errors_[processes]) <= np.nanmean(self.structure_errors_["trend"]):
+            simple, rich = (np.nanmean(self.structure_errors_[name]) for name in ("trend", processes))
+            if rich <= (1 - LEAST_GAIN) * simple:
                 return processes, None
         return "trend", None
 

@@ -52,6 +52,11 @@ WIDTHS = {
     "full": "a full matrix of widths",
     "tied": "one width for each regressor, common to all outputs",
 }
+STRUCTURES = {
+    "joint": "the trend and the dependent processes",
+    "additive": "the trend, main effects and the dependent processes",
+    "trend": "the trend alone",
+}
 THRUSTS = {
     "columns": "from the thrust columns of the flights",
     "propeller": "from the propeller's bench table",
@@ -524,10 +529,10 @@ class Identification:
             remarks["Lags"] = ", ".join(f"{name} {lag:.3g} s" for name, lag in lags.items()) or "none to correct"
         errors = {name: float(np.nanmean(values)) for name, values in fit.get("structure_errors", {}).items()}
         if errors:
-            chosen = "the trend alone" if fit["structure"] == "trend" else "the trend and the dependent processes"
+            words = " and ".join(f"{error:.3g} of {STRUCTURES[name]}" for name, error in errors.items())
             remarks["Structure"] = (
-                f"{chosen}: mean squared error in blocks of the training flights held out in turn, over the variance, "
-                f"{errors['joint']:.3g} of the joint model and {errors['trend']:.3g} of the trend alone"
+                f"{STRUCTURES[fit['structure']]}: mean squared error in parts of the training flights that were held "
+                f"out in turn, over the variance, {words}"
             )
         noisy = {name: value for name, value in fit["input_noise_std"].items() if value > 0}
         if noisy:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -13,7 +13,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows, stratified
 
 
@@ -93,6 +93,7 @@ def choose_kernel(
     return Choice(k, scores)
 
 
+FEWEST_FLIGHTS, MOST_GROUPS = 3, 8  # flights from which whole flights are held out, in at most so many groups
 BLOCKS = 4  # blocks of the log, held out in turn
 BLOCK_VALUES = 800  # largest number of observed values for a comparison by blocks
 BLOCK_ITERATIONS = 10  # largest number of iterations of each fit
@@ -112,12 +113,14 @@ def held_out_errors(
     input_noise: Any = None,
     record: Any = None,
     clock: Matrix | None = None,
+    flights: Vector | None = None,
 ) -> tuple[Vector | None, Hyperparameters | None]:
-    """Return the mean squared error of each output in held-out blocks of rows, over its variance.
+    """Return the mean squared error of each output in held-out flights or blocks of rows, over its variance.
 
-    Rows are in the order of the log, so a block is a continuous part of a flight, and predicting it resembles
-    predicting another flight. The marginal likelihood cannot replace this comparison: it explains residuals that are
-    correlated over seconds as structure.
+    Up to 8 groups of flights are held out in turn, or 4 blocks of fewer than 3 flights. Rows are in the order of the
+    log, so a block is a continuous part of a flight, and predicting it resembles predicting another flight. The
+    marginal likelihood cannot replace this comparison: it explains residuals that are correlated over seconds as
+    structure.
 
     Parameters
     ----------
@@ -127,6 +130,8 @@ def held_out_errors(
         Without values.
     X, Y, optimizer, max_iter, random_state, input_noise, record, clock
         As for ``choose_kernel``.
+    flights : ndarray (n,) or None
+        Number of the flight of each row, from 0 on.
 
     Returns
     -------
@@ -142,17 +147,27 @@ def held_out_errors(
         return None, None
     options = {"optimizer": optimizer, "max_iter": min(max_iter, BLOCK_ITERATIONS), "random_state": random_state}
     error = np.full((len(rows), Y.shape[1]), np.nan)
-    edges = np.linspace(0, len(rows), BLOCKS + 1).astype(int)
-    for k, (a, b) in enumerate(pairwise(edges)):
-        gap = int(GAP * (b - a))
-        train, test = np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]
+    for k, (train, test) in enumerate(_splits(rows, None if flights is None else flights[rows])):
         if (np.isfinite(Y[train]).sum(axis=0) < 2).any():
             return None, None
         block = {"input_noise": input_noise, "clock": None if clock is None else clock[train], **options}
         fit = run_recorded(record, f"{name}-block-{k}", partial(fit_exact, kernel, X[train], Y[train]), **block)
         if fit.interrupted:
             return None, fit.found(interrupted=True)
-        error[a:b] = (Y[test] - fit.posterior.predict(X[test])) ** 2
+        error[np.searchsorted(rows, test)] = (Y[test] - fit.posterior.predict(X[test])) ** 2
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # an output without values has no mean
         return np.nanmean(error, axis=0) / np.nanvar(Y[rows], axis=0), None
+
+
+def _splits(rows: Indices, flights: Indices | None) -> Iterator[tuple[Indices, Indices]]:
+    """Yield training rows and test rows: groups of whole flights, or blocks with a gap on either side."""
+    labels = np.unique([] if flights is None else flights)
+    if flights is not None and len(labels) >= FEWEST_FLIGHTS:
+        for group in np.array_split(labels, min(len(labels), MOST_GROUPS)):
+            held_out = np.isin(flights, group)
+            yield rows[~held_out], rows[held_out]
+        return
+    for a, b in pairwise(np.linspace(0, len(rows), BLOCKS + 1).astype(int)):
+        gap = int(GAP * (b - a))
+        yield np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]

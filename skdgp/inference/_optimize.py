@@ -13,8 +13,8 @@ from skdgp._compute.progress import notify
 from skdgp._compute.typing import Vector
 
 RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
-PATIENCE = 10  # iterations over which the held-out error must fall
-LEAST_GAIN = 0.002  # by this fraction
+PATIENCE = 5  # iterations over which the held-out error must fall
+LEAST_GAIN = 0.01  # by this fraction
 STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
 
 
@@ -103,7 +103,7 @@ def maximize(
         Stops the search before the next evaluation when it is set. Ctrl-C sets it.
     held_out_error : callable or None
         theta (n,) -> error at data that ``log_likelihood`` does not know. The search stops when it has not fallen by
-        0.2 % over 10 iterations. It is not called for an ``optimizer`` of the user.
+        1 % over 5 iterations. It is not called for an ``optimizer`` of the user.
 
     Returns
     -------

@@ -337,7 +337,7 @@ def _learn(
     noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y), clock)
     stop = Event()
     singles, n_evaluations, n_iter = None, 0, 0
-    if optimizer is not None and P > 1 and not open_kernel.has_values() and open_kernel.single_output() is not None:
+    if optimizer is not None and P > 1 and not open_kernel.has_values():
         singles, noise, n_evaluations = fit_singles(
             open_kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop
         )

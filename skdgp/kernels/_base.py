@@ -152,8 +152,8 @@ class MultiOutputKernel(Kernel):
         """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
         return self
 
-    def single_output(self) -> MultiOutputKernel | None:
-        """Return a kernel without values for a separate fit of one output, or None if such fits leave it out."""
+    def single_output(self) -> MultiOutputKernel:
+        """Return a kernel without values for a separate fit of one output."""
         raise NotImplementedError(
             f"{type(self).__name__} does not define single_output, the kernel of a separate fit of one output."
         )
@@ -410,13 +410,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
         coarse: Any = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
-        fitted = {name: getattr(self, name).single_output() is not None for name in ("k1", "k2")} if singles else {}
-
         def options(name):
-            hints = None
-            if singles and fitted[name]:
-                hints = [getattr(s, name) for s in singles] if all(fitted.values()) else singles
-            return {"singles": hints, "coarse": coarse and getattr(coarse, name), "width_factor": width_factor}
+            hints = singles and [getattr(s, name) for s in singles], coarse and getattr(coarse, name)
+            return dict(zip(("singles", "coarse"), hints, strict=True), width_factor=width_factor)
 
         first = self.k1.initialize(X, Y, random_state, **options("k1"))
         return Sum(first, self.k2.initialize(X, first.residual(X, Y), random_state, **options("k2")))
@@ -463,9 +459,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def peaks(self, i: int, j: int) -> Matrix:
         return np.concatenate([self.k1.peaks(i, j), self.k2.peaks(i, j)])
 
-    def single_output(self) -> MultiOutputKernel | None:
-        parts = [part for part in (self.k1.single_output(), self.k2.single_output()) if part is not None]
-        return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None
+    def single_output(self) -> MultiOutputKernel:
+        return Sum(self.k1.single_output(), self.k2.single_output())
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         return self.k2.residual(X, self.k1.residual(X, Y))

@@ -281,11 +281,11 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         return self
 
-    def single_output(self) -> MultiOutputKernel | None:
-        if self.regressors is not None:
-            return None
+    def single_output(self) -> MultiOutputKernel:
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
-        return ConvolvedGaussian(0, covariance_type=kind, length_scale_prior=self.length_scale_prior)
+        return ConvolvedGaussian(
+            0, covariance_type=kind, regressors=self.regressors, length_scale_prior=self.length_scale_prior
+        )
 
     def stationary_part(self) -> Any:
         return self

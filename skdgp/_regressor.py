@@ -91,10 +91,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         prior.
     structure : {"joint", "additive", "trend", "auto"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
-        (main effects). "trend": the trend alone, with its weights integrated out. "auto" chooses between the trend and,
-        up to 5000 samples, "additive", else "joint". The trend is left if that lowers the mean squared error, averaged
-        over the outputs, by 10 % in flights (``flight`` of ``fit``) or blocks of rows that are held out in turn; rows
-        must be in the order of the log. The result is in ``structure_`` and ``structure_errors_``.
+        (main effects). "trend": the trend alone, with its weights integrated out. "auto" is the trend unless "joint"
+        lowers the mean squared error, averaged over the outputs, by 10 % in flights (``flight`` of ``fit``) or blocks
+        of rows that are held out in turn; then it is "additive" up to 5000 samples, and else "joint". Rows must be in
+        the order of the log. The result is in ``structure_`` and ``structure_errors_``.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -163,7 +163,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Structure of the fitted model.
     structure_errors_ : dict
         Mean squared error of each output in held-out blocks, over its variance, (P,), of the two structures that were
-        compared; empty unless ``structure="auto"``.
+        compared, "trend" and "joint"; empty unless ``structure="auto"``.
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
@@ -406,14 +406,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             blocks = options | {"input_noise": None}  # exact regressors: faster, and the same for both structures
             n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
             processes = "additive" if len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1 else "joint"
-            for name, kernel in (("trend", self._make_trend()), (processes, self._make_kernel(n_latent, processes))):
+            for name, kernel in (("trend", self._make_trend()), ("joint", self._make_kernel(n_latent, "joint"))):
                 errors, found = held_out_errors(name, kernel, X, Z, flights=flights, **blocks)
                 if found is not None and not isinstance(options["input_noise"], str):
                     found = found._replace(root=options["input_noise"])
                 if errors is None:
-                    return (processes if found is None else name), found
+                    return ("joint" if found is None else name), found
                 self.structure_errors_[name] = errors
-            simple, rich = (np.nanmean(self.structure_errors_[name]) for name in ("trend", processes))
+            simple, rich = (np.nanmean(self.structure_errors_[name]) for name in ("trend", "joint"))
             if rich <= (1 - LEAST_GAIN) * simple:
                 return processes, None
         return "trend", None

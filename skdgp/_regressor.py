@@ -40,7 +40,6 @@ EXACT_LIMIT = 6000
 
 AUTO_LATENT = 2  # shared latents that structure="auto" compares with the trend if n_latent="auto"
 ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
-LEAST_GAIN = 0.1  # fraction by which processes must lower the held-out error of the trend
 MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
@@ -92,8 +91,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     structure : {"joint", "additive", "trend", "auto"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
         (main effects). "trend": the trend alone, with its weights integrated out. "auto" is the trend unless "joint"
-        lowers the mean squared error, averaged over the outputs, by 10 % in flights (``flight`` of ``fit``) or blocks
-        of rows that are held out in turn; then it is "additive" up to 5000 samples, and else "joint". Rows must be in
+        lowers the mean squared error, averaged over the outputs, in flights (``flight`` of ``fit``) or blocks of rows
+        that are held out in turn; then it is "additive" up to 5000 samples, and else "joint". Rows must be in
         the order of the log. The result is in ``structure_`` and ``structure_errors_``.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
@@ -414,7 +413,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                     return ("joint" if found is None else name), found
                 self.structure_errors_[name] = errors
             simple, rich = (np.nanmean(self.structure_errors_[name]) for name in ("trend", "joint"))
-            if rich <= (1 - LEAST_GAIN) * simple:
+            if rich <= simple:
                 return processes, None
         return "trend", None
 

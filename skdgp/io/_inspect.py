@@ -253,7 +253,8 @@ def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
 
 
 def _of_table(path, table) -> LogSummary:
-    rate = 1 / float(table.groupby("flight", sort=False)["time"].diff().median())
+    steps = table.groupby("flight", sort=False)["time"].diff().dropna()
+    rate = 1 / float(steps.median()) if len(steps) else np.nan
     columns = [
         ColumnSummary(name, "column", rate * table[name].notna().mean(), _constant(table[name]))
         for name in table.columns

@@ -373,14 +373,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             return self._make_trend(), hyperparameters
         if hyperparameters is not None:
             self.n_latent_ = AUTO_LATENT if self.n_latent_ == "auto" else self.n_latent_
-            return self._make_kernel(self.n_latent_), hyperparameters
+            return self._make_kernel(self.n_latent_, self.structure_), hyperparameters
         if self.n_latent_ == "auto":
             fewest = int(not self.private_latents)
             numbers = range(fewest, (MAX_LATENT if Z.shape[1] > 1 else fewest) + 1)
-            choice = choose_kernel([self._make_kernel(number) for number in numbers], X, Z, **options)
+            choice = choose_kernel([self._make_kernel(k, self.structure_) for k in numbers], X, Z, **options)
             self.n_latent_, hyperparameters = numbers[choice.index], choice.found
             self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
-        return self._make_kernel(self.n_latent_), hyperparameters
+        return self._make_kernel(self.n_latent_, self.structure_), hyperparameters
 
     def _choose_structure(self, X, Z, flights, options):
         """Return the structure, and the hyperparameters so far if Ctrl-C ended its choice, else None.
@@ -417,8 +417,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 return processes, None
         return "trend", None
 
-    def _make_kernel(self, n_latent, structure=None):
-        structure = structure or self.structure_
+    def _make_kernel(self, n_latent, structure):
         options = {
             "private_latents": self.private_latents,
             "covariance_type": self.covariance_type,

@@ -25,6 +25,7 @@ SUBSET = 1800  # values from which sparse inference learns hyperparameters
 BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
 GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
 HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
+COARSE_STEP = int(__import__("os").environ.get("CS", 2))
 FEWEST_VALUES = 20  # values of each output below which nothing is held out
 FEATURE_ITERATIONS = 4  # iterations that move and scale the inducing variables on the bound
 NOISE_STEPS = 10  # largest number of steps of expectation maximisation for the noise
@@ -137,8 +138,7 @@ def fit_exact(
     clock : ndarray (n, 2) or None
         Time and flight number of each sample. None: white noise. Otherwise the noise has a drift, see ``Drift``.
     early_stopping : bool
-        Whether hyperparameters are learned from a subset only until the error of held-out blocks no longer falls.
-        Inducing variables then stay where they start.
+        Whether hyperparameters are learned only until the error of held-out blocks no longer falls.
 
     Returns
     -------
@@ -178,7 +178,7 @@ def fit_sparse(
     n_inducing : int
         Inducing inputs of each latent process. They start at the centres of k-means and are then optimised.
     optimizer, max_iter, random_state, input_noise, spread, found, clock, early_stopping
-        As for ``fit_exact``.
+        As for ``fit_exact``. With ``early_stopping`` the inducing inputs stay where they start.
 
     Returns
     -------
@@ -374,7 +374,8 @@ def _learn(
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or input_noise is not None:
-        coarse, noise, best = optimize("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
+        few = Data.from_table(X[::COARSE_STEP], Y[::COARSE_STEP], None, None if clock is None else clock[::COARSE_STEP])
+        coarse, noise, best = optimize("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), few, spread)
         n_evaluations, n_iter, spread = n_evaluations + best.n_evaluations, best.n_iter, 0.0
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     root, bounds = input_noise, noise_bounds

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import joblib
@@ -44,7 +46,7 @@ class FreeParameter:
             )
         return isinstance(self.bounds, str)
 
-    @property
+    @cached_property
     def n_elements(self) -> int:
         """Number of entries of theta for this parameter."""
         return 0 if self.fixed else int(self.index.max(initial=-1)) + 1
@@ -312,6 +314,12 @@ class MultiOutputKernel(Kernel):
                 value[free] = (np.exp(part) if f.log else part)[f.index[free]]
                 setattr(self, f.name, value)
 
+    def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
+        """Return a copy of the kernel with other free hyperparameters."""
+        kernel = copy.copy(self)  # scikit-learn's clone copies every parameter, which costs more than a small matrix
+        kernel.theta = theta
+        return kernel
+
     @property
     def bounds(self) -> Matrix:
         """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
@@ -467,6 +475,15 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def diag(self, X: Matrix) -> Vector:
         return self.k1.diag(X) + self.k2.diag(X)
+
+    def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
+        n = self.k1.n_dims
+        return Sum(self.k1.clone_with_theta(theta[:n]), self.k2.clone_with_theta(theta[n:]))
+
+    @property
+    def bounds(self) -> Matrix:
+        """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
+        return np.concatenate([self.k1.bounds, self.k2.bounds])
 
     def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]

@@ -25,7 +25,6 @@ SUBSET = 1800  # values from which sparse inference learns hyperparameters
 BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
 GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
 HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
-COARSE_STEP = int(__import__("os").environ.get("CS", 2))
 FEWEST_VALUES = 20  # values of each output below which nothing is held out
 FEATURE_ITERATIONS = 4  # iterations that move and scale the inducing variables on the bound
 NOISE_STEPS = 10  # largest number of steps of expectation maximisation for the noise
@@ -374,8 +373,7 @@ def _learn(
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or input_noise is not None:
-        few = Data.from_table(X[::COARSE_STEP], Y[::COARSE_STEP], None, None if clock is None else clock[::COARSE_STEP])
-        coarse, noise, best = optimize("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), few, spread)
+        coarse, noise, best = optimize("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
         n_evaluations, n_iter, spread = n_evaluations + best.n_evaluations, best.n_iter, 0.0
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     root, bounds = input_noise, noise_bounds

@@ -247,8 +247,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by ``transform``. The
     regressor at the end may have ``predict_gradient`` (`HasGradient`), ``sample_paths`` (`HasPosterior`), and a drift
-    in time, ``drift_variance_`` and ``drift_memory_`` (P,). A
-    meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
+    in time, ``drift_variance_`` and ``drift_memory_`` (P,). A meta-estimator whose ``acts_on_outputs`` is true may hold
+    a pipeline in ``estimator_``.
 
     Examples
     --------

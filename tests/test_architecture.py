@@ -30,6 +30,7 @@ FLOORS = [
     ["plotting", "calibration"],
     ["report"],  # shows arrays; it knows no models
     ["identification"],  # calibrates its models, and fills their reports
+    ["export"],  # writes models of identification for other programs
     ["_cli"],
     ["__main__", "__init__"],
 ]

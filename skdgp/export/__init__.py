@@ -1,6 +1,17 @@
 """Models that leave Python: the portable model, its file, and the formats of other programs."""
 
+from skdgp.export._file import PortableFileError, load_portable, save_portable
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 from skdgp.export._pipeline import portable_model
 
-__all__ = ["Block", "Envelope", "PortableModel", "Readout", "Regressor", "portable_model"]
+__all__ = [
+    "Block",
+    "Envelope",
+    "PortableFileError",
+    "PortableModel",
+    "Readout",
+    "Regressor",
+    "load_portable",
+    "portable_model",
+    "save_portable",
+]

@@ -111,22 +111,18 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    r"""Weights of the mean and root of the variance for a basis of k functions g.
+    """Weights of the mean and root of the variance for a basis of k functions g.
 
     Parameters
     ----------
     weights : ndarray (k,)
         w of the mean.
-    packed_root : ndarray
-        The trapezoidal root R (k, r) of the explained variance: column c has c + 1 - (r - k) entries, at least none,
-        and zeros below. They stand one column after the other.
-    rank : int
-        r.
+    packed_root : ndarray (k (k + 1) / 2,)
+        The upper triangle U (k, k) of the explained variance, column by column: 1, 2, ... k entries.
     """
 
     weights: Vector
     packed_root: Vector
-    rank: int
 
     @property
     def size(self) -> int:
@@ -135,13 +131,9 @@ class Readout:
 
     @cached_property
     def root(self) -> Matrix:
-        """R (k, r)."""
-        root = np.zeros((self.size, self.rank))
-        place = 0
-        for column in range(self.rank):
-            length = max(0, column + 1 - (self.rank - self.size))
-            root[:length, column] = self.packed_root[place : place + length]
-            place += length
+        """U (k, k)."""
+        root = np.zeros((self.size, self.size))
+        root.T[np.tril_indices(self.size)] = self.packed_root
         return root
 
 
@@ -168,7 +160,7 @@ class Envelope:
     def inside(self, X: Matrix) -> np.ndarray:
         """Return whether each row of X (n, d) is within the range of every regressor, (n,)."""
         X = np.asarray(X, dtype=float)
-        return ((X >= self.low) & (X <= self.high)).all(axis=1)
+        return ((self.low <= X) & (self.high >= X)).all(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,10 +171,12 @@ class PortableModel:
     output i (:class:`Block`), mean and variance of the coefficient are
 
     .. math:: m_i &= c_i + s_i (v_i^T p + w^T g), \\
-              \sigma_i^2 &= t_i^2 \left(a_i + |\tau_i \circ p|^2 - |T_i^T p + R^T g|^2\right),
+              \sigma_i^2 &= t_i^2 \left(a_i + |\tau_i \circ p|^2 - |h|^2\right), \quad
+              h = T_i^T p + \begin{bmatrix} 0 \\ U^T g \end{bmatrix},
 
     with c ``center``, s ``output_scale``, t ``deviation_scale``, a ``prior_variance``, v ``trend_weights``, tau
-    ``trend_scale``, T ``trend_roots``, and w and R of the output's :class:`Readout`. This is the posterior of the
+    ``trend_scale``, T ``trend_roots``, and w and U of the output's :class:`Readout`, which
+    acts on the last k entries of h. This is the posterior of the
     function at exact regressors: ``DependentGPRegressor.predict(X, return_std=True, include_input_noise=False)``.
 
     Parameters
@@ -202,7 +196,7 @@ class PortableModel:
     trend_center : ndarray (d,)
     trend_scale, trend_weights : ndarray (P, d + 1)
     trend_roots : tuple of ndarray (d + 1, r)
-        One for each output.
+        One for each output, with k <= r <= k + d + 1.
     prior_variance : ndarray (P,)
         Of the Gaussian functions, of normalised outputs.
     noise_variance : ndarray (P,)
@@ -285,7 +279,7 @@ class PortableModel:
         found = hashlib.sha256(repr((self.regressors, self.outputs)).encode())
         for name, array in sorted(self.arrays().items()):
             found.update(f"{name} {array.shape} ".encode())
-            found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+            found.update(np.ascontiguousarray(array, dtype="<f8"))
         return found.hexdigest()
 
     # -- evaluation ------------------------------------------------------------------------------------
@@ -342,7 +336,7 @@ class PortableModel:
         return np.concatenate([self._gradient(Z[rows]) for rows in self._chunks(len(Z))])
 
     def _chunks(self, n):
-        widest = max((readout.size + readout.rank for readout in self.readouts), default=1) + 1
+        widest = 3 * max(root.shape[1] for root in self.trend_roots) + 1
         step = max(1, CHUNK_BYTES // (8 * widest))
         return [slice(a, min(a + step, n)) for a in range(0, max(n, 1), step)]
 
@@ -372,7 +366,8 @@ class PortableModel:
             mean[:, i] = trend @ self.trend_weights[i] + basis @ readout.weights
             if return_std:
                 prior = self.prior_variance[i] + ((trend * self.trend_scale[i]) ** 2).sum(axis=1)
-                half = trend @ self.trend_roots[i] + basis @ readout.root
+                half = trend @ self.trend_roots[i]
+                half[:, half.shape[1] - readout.size :] += basis @ readout.root
                 std[:, i] = np.sqrt(np.maximum(prior - np.einsum("nr,nr->n", half, half), ROUNDING * prior))
         return self.center + self.output_scale * mean, self.deviation_scale * std
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,7 @@ def _inputs(pipeline):
         scale = scale * (1.0 if step.scale_ is None else step.scale_)
     regressors = tuple(_regressor(name, by_role.get("rates"), by_role.get("controls")) for name in names)
     low, high = (getattr(selector, name, None) for name in ("data_min_", "data_max_"))
-    return regressors, shift, scale, None if low is None or high is None else np.array([low, high])
+    return regressors, shift, scale, None if low is None or high is None else (low, high)
 
 
 def _regressor(name, rates, controls) -> Regressor:
@@ -127,7 +128,9 @@ def _envelope(posterior, shift, scale, limits) -> Envelope:
     else:
         X = training_inputs(posterior) * scale + shift
         quantiles = np.quantile(X, LEVELS, axis=0)
-        limits = quantiles[[0, -1]] if limits is None else limits
+        extremes = quantiles[[0, -1]]
+        limits = extremes if limits is None else limits
+        limits = np.minimum(limits[0], extremes[0]), np.maximum(limits[1], extremes[1])
     if limits is None:
         limits = np.tile([[-np.inf], [np.inf]], len(shift))
     rows = np.unique(np.linspace(0, max(len(X) - 1, 0), MAX_SAMPLES).astype(int)) if len(X) else []
@@ -157,11 +160,11 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
     inverse = np.tril(inverse)
     center, tau = _trend_values(trend, P, d)
     weights, roots = np.zeros((P, d + 1)), []
-    for i, (a, b) in enumerate(zip(places[:-1], places[1:], strict=True)):
+    for i, (a, b) in enumerate(pairwise(places)):
         columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
         weights[i] = posterior.alpha[a:b] @ columns
         roots.append((inverse[:, a:b] @ columns).T)
-    readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))], len(inverse))
+    readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
     centres = np.concatenate(X)
     return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
 
@@ -199,7 +202,7 @@ def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
             root[:n] *= tau[i][:, None]
         roots.append(root[:n] if n else np.zeros((d + 1, len(order))))
         lower = np.tril_indices(len(of_gaussians))
-        readouts.append(Readout(w[n:], root[n:, n:].T[lower], len(order)))
+        readouts.append(Readout(w[n:], root[n:, n:].T[lower]))
     return _form(gaussians, center, tau, centres, blocks, readouts, np.arange(P), weights, roots)
 
 

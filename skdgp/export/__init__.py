@@ -1,5 +1,6 @@
 """Models that leave Python: the portable model, its file, and the formats of other programs."""
 
+from skdgp.export._c import write_c
 from skdgp.export._file import PortableFileError, load_portable, save_portable
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 from skdgp.export._pipeline import portable_model
@@ -14,4 +15,5 @@ __all__ = [
     "load_portable",
     "portable_model",
     "save_portable",
+    "write_c",
 ]

@@ -3,442 +3,199 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from typing import Any
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from string import Template
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Array, Matrix
-from skdgp.export._model import PortableModel
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp.export._model import PortableModel, Readout
+from skdgp.export._reduce import reduced
+from skdgp.identification._model_file import write_together
 
-PRECISIONS = {"double": (8, "double", "", 1e-9), "float": (4, "float", "f", 1e-4)}
-"""Bytes, type, suffix of literals and functions, and tolerance of the self-test."""
-MAX_BYTES = 2**26  # of tables; more is no source that a compiler takes
+TOLERANCE = {"double": 1e-9, "float": 1e-4}
+"""Of the self-test, relative to the largest value."""
+ROUNDED = 2e-5  # largest change of a deviation, relative to the largest, by a root of 32-bit numbers
+MAX_BYTES = 2**26  # a compiler takes no larger source in reasonable time
+MAX_REGRESSORS = 32  # bits of an unsigned long
 N_VECTORS = 40
 PER_LINE = 8
-
-HEADER = """\
-/* Aerodynamic coefficients of {aircraft}, with their standard deviations.
- *
- * A posterior mean and deviation of Gaussian processes, written by skdgp. Tables: {size} bytes.
- * Content {hash}
- *
- * SI units and radians, body axes x forward, y right, z down. Force = dynamic pressure * AERO_WING_AREA * coefficient;
- * moment = the same times AERO_SPAN (Cl, Cn) or AERO_CHORD (Cm). Every function is reentrant, allocates nothing and uses
- * at most {stack} bytes of stack for its arrays.
- */
-#ifndef AERO_H
-#define AERO_H
-
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
-typedef {real} aero_real;
-
-#define AERO_SOURCES {n_sources}
-#define AERO_INPUTS {d}
-#define AERO_OUTPUTS {P}
-
-/* Sources, columns of a flight: {sources}
- * Inputs, regressors:           {inputs}
- * Outputs, coefficients:        {outputs} */
-extern const char *const aero_source_names[AERO_SOURCES];
-extern const char *const aero_input_names[AERO_INPUTS];
-extern const char *const aero_output_names[AERO_OUTPUTS];
-
-/* Smallest and largest value of each input that the model was learned from. */
-extern const aero_real aero_low[AERO_INPUTS], aero_high[AERO_INPUTS];
-
-{constants}
-
-/* Inputs of the sources: non-dimensional rates, mixed controls. */
-void aero_inputs(const aero_real source[AERO_SOURCES], aero_real x[AERO_INPUTS]);
-
-/* Mean of every coefficient and, unless std is NULL, its standard deviation at exact inputs. */
-void aero_predict(const aero_real x[AERO_INPUTS], aero_real mean[AERO_OUTPUTS], aero_real std[AERO_OUTPUTS]);
-
-/* Slopes of the means, d mean[i] / d x[k]. */
-void aero_gradient(const aero_real x[AERO_INPUTS], aero_real slope[AERO_OUTPUTS][AERO_INPUTS]);
-
-/* Zero within the flown envelope; else bit k is set for each input k outside of its range. */
-unsigned long aero_beyond(const aero_real x[AERO_INPUTS]);
-
-#ifdef __cplusplus
-}}
-#endif
-
-#endif
-"""
-
-SOURCE = """\
-/* See aero.h. */
-#include "aero.h"
-
-#include <math.h>
-#include <stddef.h>
-
-#define FUNCTIONS {functions} /* of the largest basis, at least 1 */
-
-/* Gaussian functions gain * exp(-|F (z - shift - centre)|^2 / 2) of some inputs, one for each centre. */
-typedef struct {{
-    int column, size, n_used;
-    const unsigned char *used;
-    const aero_real *centres, *shift, *root;
-    aero_real gain;
-}} block;
-
-{tables}
-
-static void scaled(const aero_real x[], aero_real z[])
-{{
-    int k;
-    for (k = 0; k < AERO_INPUTS; k++)
-        z[k] = (x[k] - shift[k]) / scale[k];
-}}
-
-/* The exponential of one function, and away = S (z - shift - centre), if it is asked for. */
-static aero_real exponential(const block *b, int c, const aero_real u[], aero_real away[])
-{{
-    const aero_real *centre = b->centres + (size_t)c * (size_t)b->n_used;
-    aero_real square = 0;
-    int k{more};
-{exponent}
-    return b->gain * {exp}(-square / 2);
-}}
-
-static void relative(const block *b, const aero_real z[], aero_real u[])
-{{
-    int k;
-    for (k = 0; k < b->n_used; k++)
-        u[k] = z[b->used[k]] - b->shift[k];
-}}
-
-void aero_inputs(const aero_real source[AERO_SOURCES], aero_real x[AERO_INPUTS])
-{{
-{formulas}
-}}
-
-void aero_predict(const aero_real x[AERO_INPUTS], aero_real mean[AERO_OUTPUTS], aero_real std[AERO_OUTPUTS])
-{{
-    aero_real z[AERO_INPUTS], u[AERO_INPUTS], p[AERO_INPUTS + 1], g[FUNCTIONS];
-    int i, b, c, k, r;
-    scaled(x, z);
-    p[0] = 1;
-    for (k = 0; k < AERO_INPUTS; k++)
-        p[k + 1] = z[k] - trend_center[k];
-    for (i = 0; i < AERO_OUTPUTS; i++) {{
-        const int n = n_functions[i], rank = n_columns[i];
-        const aero_real *T = trend_root[i], *U = root[i];
-        aero_real value = 0, prior = prior_variance[i], explained = 0;
-        for (c = 0; c < n; c++)
-            g[c] = 0;
-        for (b = first_block[i]; b < first_block[i + 1]; b++) {{
-            relative(&blocks[b], z, u);
-            for (c = 0; c < blocks[b].size; c++)
-                g[blocks[b].column + c] += exponential(&blocks[b], c, u, NULL);
-        }}
-        for (k = 0; k <= AERO_INPUTS; k++)
-            value += p[k] * trend_weights[i][k];
-        for (c = 0; c < n; c++)
-            value += g[c] * weights[i][c];
-        mean[i] = center[i] + output_scale[i] * value;
-        if (std == NULL)
-            continue;
-        for (k = 0; k <= AERO_INPUTS; k++) {{
-            const aero_real t = p[k] * trend_scale[i][k];
-            prior += t * t;
-        }}
-        for (r = 0; r < rank; r++) {{
-            const int length = r + 1 - (rank - n);
-            aero_real half = 0;
-            for (k = 0; k <= AERO_INPUTS; k++)
-                half += p[k] * *T++;
-            for (c = 0; c < length; c++)
-                half += g[c] * *U++;
-            explained += half * half;
-        }}
-        std[i] = prior - explained > {eps} * prior ? prior - explained : {eps} * prior;
-        std[i] = deviation_scale[i] * {sqrt}(std[i]);
-    }}
-}}
-
-void aero_gradient(const aero_real x[AERO_INPUTS], aero_real slope[AERO_OUTPUTS][AERO_INPUTS])
-{{
-    aero_real z[AERO_INPUTS], u[AERO_INPUTS], away[AERO_INPUTS];
-    int i, b, c, k;
-    scaled(x, z);
-    for (i = 0; i < AERO_OUTPUTS; i++) {{
-        for (k = 0; k < AERO_INPUTS; k++)
-            slope[i][k] = trend_weights[i][k + 1];
-        for (b = first_block[i]; b < first_block[i + 1]; b++) {{
-            const block *of = &blocks[b];
-            relative(of, z, u);
-            for (c = 0; c < of->size; c++) {{
-                const aero_real e = weights[i][of->column + c] * exponential(of, c, u, away);
-                for (k = 0; k < of->n_used; k++)
-                    slope[i][of->used[k]] -= e * away[k];
-            }}
-        }}
-        for (k = 0; k < AERO_INPUTS; k++)
-            slope[i][k] *= output_scale[i] / scale[k];
-    }}
-}}
-
-unsigned long aero_beyond(const aero_real x[AERO_INPUTS])
-{{
-    unsigned long found = 0;
-    int k;
-    for (k = 0; k < AERO_INPUTS; k++)
-        if (!(x[k] >= aero_low[k] && x[k] <= aero_high[k]))
-            found |= 1UL << k;
-    return found;
-}}
-"""
-
-DIAGONAL = """\
-    for (k = 0; k < b->n_used; k++) {
-        const aero_real a = (u[k] - centre[k]) * b->root[k];
-        if (away != NULL)
-            away[k] = a * b->root[k];
-        square += a * a;
-    }"""
-
-FULL = """\
-    if (away != NULL)
-        for (k = 0; k < b->n_used; k++)
-            away[k] = 0;
-    for (l = 0; l < b->n_used; l++) {
-        aero_real a = 0;
-        for (k = 0; k < b->n_used; k++)
-            a += (u[k] - centre[k]) * b->root[k * b->n_used + l];
-        if (away != NULL)
-            for (k = 0; k < b->n_used; k++)
-                away[k] += a * b->root[k * b->n_used + l];
-        square += a * a;
-    }"""
-
-TEST = """\
-/* Compares aero.c with the model that wrote it, and measures the time of a row. */
-#include "aero.h"
-
-#include <math.h>
-#include <stddef.h>
-#include <stdio.h>
-#include <time.h>
-
-#define VECTORS {n}
-#define TOLERANCE {tolerance}
-
-{tables}
-
-static double larger(double worst, double error, double size)
-{{
-    error = fabs(error) / size;
-    return error > worst || error != error ? error : worst; /* NaN is an error */
-}}
-
-static double seconds(int with_std, int rows)
-{{
-    aero_real mean[AERO_OUTPUTS], std[AERO_OUTPUTS];
-    const clock_t start = clock();
-    int n;
-    for (n = 0; n < rows; n++)
-        aero_predict(at[n % VECTORS], mean, with_std ? std : NULL);
-    return (double)(clock() - start) / CLOCKS_PER_SEC / rows;
-}}
-
-int main(void)
-{{
-    double mean_error = 0, std_error = 0, slope_error = 0;
-    int n, i, k, wrong = 0, rows;
-    for (n = 0; n < VECTORS; n++) {{
-        aero_real mean[AERO_OUTPUTS], alone[AERO_OUTPUTS], std[AERO_OUTPUTS], slope[AERO_OUTPUTS][AERO_INPUTS];
-        aero_predict(at[n], mean, std);
-        aero_predict(at[n], alone, NULL);
-        aero_gradient(at[n], slope);
-        wrong += aero_beyond(at[n]) != beyond[n];
-        for (i = 0; i < AERO_OUTPUTS; i++) {{
-            wrong += alone[i] != mean[i];
-            mean_error = larger(mean_error, mean[i] - says_mean[n][i], mean_size[i]);
-            std_error = larger(std_error, std[i] - says_std[n][i], std_size[i]);
-            for (k = 0; k < AERO_INPUTS; k++)
-                slope_error = larger(slope_error, slope[i][k] - says_slope[n][i][k], slope_size[i][k]);
-        }}
-    }}
-    for (rows = 64; seconds(1, rows) * rows < 0.1; rows *= 2)
-        ;
-    printf("largest errors over scale: mean %.2g, deviation %.2g, slope %.2g\\n", mean_error, std_error, slope_error);
-    printf("time of a row: mean %.3g us, with deviation %.3g us\\n", 1e6 * seconds(0, rows), 1e6 * seconds(1, rows));
-    if (wrong || !(mean_error < TOLERANCE && std_error < TOLERANCE && slope_error < TOLERANCE)) {{
-        printf("FAILED: %d other values differ, and errors are to be below %g\\n", wrong, TOLERANCE);
-        return 1;
-    }}
-    printf("passed: {n} points\\n");
-    return 0;
-}}
-"""
-
-MAKEFILE = """\
-CC = gcc
-CFLAGS = -O2 -std=c99 -Wall -Wextra -Werror -pedantic
-
-aero.o: aero.c aero.h
-\t$(CC) $(CFLAGS) -c aero.c
-
-test_aero: test_aero.c aero.o
-\t$(CC) $(CFLAGS) -o test_aero test_aero.c aero.o -lm
-
-test: test_aero
-\t./test_aero
-
-clean:
-\trm -f aero.o test_aero
-
-.PHONY: test clean
-"""
+BLOCK_BYTES = 56
+CODE_BYTES = 4096  # of the functions and names, and alignment
+UNBOUNDED = 1e30  # edge of an envelope that is not known
+_TEMPLATES = Path(__file__).with_name("c")
+_AXES = [("XX", 0, 0), ("YY", 1, 1), ("ZZ", 2, 2), ("XY", 0, 1), ("XZ", 0, 2), ("YZ", 1, 2)]
 
 
-def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
-    """Return the texts of aero.h, aero.c, test_aero.c and the Makefile by name.
+def write_c(
+    folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double", max_kb: float | None = None
+) -> PortableModel:
+    """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile; return the model as written.
+
+    ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
+    regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
+    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value.
+
+    Parameters
+    ----------
+    folder : path-like
+        It must exist. All files are written or none.
+    model : PortableModel
+    precision : {"double", "float"}
+        "float": arguments and results are of type float, and the root of the variance is rounded to 32 bits where this
+        changes no deviation visibly. Arithmetic is in double, since the explained variance nearly cancels the prior.
+    max_kb : float, optional
+        Largest size in flash, tables and code [kB of 1024 bytes]; a larger model gets fewer basis functions, whose loss is in
+        ``provenance["reduction"]`` of the model that is returned. None: the whole model.
+
+    Returns
+    -------
+    PortableModel
+        What the C code computes: ``model`` itself, or the reduced one.
 
     Raises
     ------
     ValueError
-        If the precision is another, the model has more than 32 regressors, or its tables are too large for C.
+        If ``precision`` or ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or
+        there are more than 32 regressors.
     """
-    if precision not in PRECISIONS:
-        raise ValueError(f"Got precision={precision!r}, but expected one of {list(PRECISIONS)}.")
+    model = sized_for_c(model, precision, max_kb)
+    texts = c_files(model, precision)
+    write_together(Path(folder), {name: _writer(text) for name, text in texts.items()})
+    return model
+
+
+def _writer(text):
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def sized_for_c(model: PortableModel, precision: str = "double", max_kb: float | None = None) -> PortableModel:
+    """Return the model in at most ``max_kb``; errors as of :func:`write_c`."""
+    _check_precision(precision)
+    if max_kb is None:
+        return model
+    if not 0 < max_kb < np.inf:
+        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
+    return reduced(model, lambda smaller: c_bytes(smaller, precision), int(1024 * max_kb))
+
+
+def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
+    """Return the texts of aero.h, aero.c, test_aero.c and the Makefile by name; errors as of :func:`write_c`."""
+    _check_precision(precision)
     size = c_bytes(model, precision)
     if size > MAX_BYTES:
         raise ValueError(
-            f"Got a model whose tables take {size / 1e6:.0f} MB in C, but expected at most {MAX_BYTES / 1e6:.0f} MB: "
-            "compact it first with max_kb=256, or another size."
+            f"Got a model that takes {size / 1e6:.0f} MB in C, but expected at most {MAX_BYTES / 1e6:.0f} MB: "
+            "give max_kb=256, or another size."
         )
-    if len(model.regressors) > 32:
-        raise ValueError(f"Got {len(model.regressors)} regressors, but expected at most 32: name fewer.")
-    return {
-        "aero.h": _header(model, precision, size),
-        "aero.c": _source(model, precision),
-        "test_aero.c": _test(model, precision),
-        "Makefile": MAKEFILE,
-    }
+    if len(model.regressors) > MAX_REGRESSORS:
+        raise ValueError(f"Got {len(model.regressors)} regressors, but expected at most {MAX_REGRESSORS}: name fewer.")
+    values = {"aero.h": _header(model, precision, size), "aero.c": _source(model, precision)}
+    values["test_aero.c"] = _test(model, precision)
+    texts = {name: Template(_template(name)).substitute(value) for name, value in values.items()}
+    return texts | {"Makefile": _template("Makefile")}
+
+
+def _template(name: str) -> str:
+    return (_TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _check_precision(precision: str) -> None:
+    if precision not in TOLERANCE:
+        raise ValueError(f"Got precision={precision!r}, but expected one of {list(TOLERANCE)}.")
+
+
+# -- tables --------------------------------------------------------------------------------------------------------
+
+
+class _Rounded(NamedTuple):
+    """A packed triangle of 32-bit numbers: entry (c, r) is row[c] * values * column[r]."""
+
+    values: Array
+    row: Vector
+    column: Vector
+
+    @classmethod
+    def of(cls, readout: Readout) -> _Rounded:
+        row = np.abs(readout.root).max(axis=1, initial=0.0)
+        row[row == 0] = 1.0
+        scaled = readout.root / row[:, None]
+        column = np.maximum(np.abs(scaled).max(axis=0, initial=0.0), 1e-300) / (2**31 - 1)
+        return cls(np.rint((scaled / column).T[np.tril_indices(readout.size)]), row, column)
+
+    def in_full(self) -> Vector:
+        """Return the packed triangle."""
+        rows, columns = np.tril_indices(len(self.row))
+        return self.values * self.row[columns] * self.column[rows]
+
+
+def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
+    """Return the rounded root of each readout, or None where it stays as it is."""
+    if precision == "double":
+        return [None] * len(model.readouts)
+    rounded = [_Rounded.of(readout) for readout in model.readouts]
+    readouts = [
+        Readout(readout.weights, root.in_full()) for readout, root in zip(model.readouts, rounded, strict=True)
+    ]
+    X = _points(model)
+    std, other = (m.predict(X, return_std=True)[1] for m in (model, replace(model, readouts=tuple(readouts))))
+    visible = np.abs(other - std).max(axis=0) > ROUNDED * std.max(axis=0)
+    return [None if visible[model.readout_of == k].any() else root for k, root in enumerate(rounded)]
+
+
+class _Table(NamedTuple):
+    """The constants of a model: blocks with their used regressors, and centres, shifts and roots, each set once."""
+
+    rows: list[tuple]
+    used: list[int]
+    centres: Vector
+    shifts: Vector
+    roots: Vector
+    full: bool
+
+
+def _blocks(model: PortableModel) -> _Table:
+    full = any(block.root.ndim == 2 for block in model.blocks)
+    parts: dict[str, list[Vector]] = {"centres": [], "shifts": [], "roots": []}
+    rows, used, places = [], [], {}
+    sizes = dict.fromkeys(parts, 0)
+
+    def add(name, values):
+        parts[name].append(np.ravel(values))
+        sizes[name] += np.size(values)
+        return sizes[name] - np.size(values)
+
+    for block in sorted(model.blocks, key=lambda block: block.output):
+        index = list(range(len(model.regressors)) if full else block.regressors)
+        key = block.first_centre, block.size, tuple(index)
+        if key not in places:
+            places[key] = add("centres", model.centres[block.rows][:, index])
+        root = np.diag(block.root) if full and block.root.ndim == 1 else block.root[index]
+        place = places[key], add("shifts", block.shift[index]), add("roots", root)
+        rows.append((block.first_column, block.size, len(index), len(used), *place, block.gain))
+        used += index
+    arrays = [np.concatenate([*values, np.zeros(int(not values))]) for values in parts.values()]
+    return _Table(rows, used, *arrays, full)
 
 
 def c_bytes(model: PortableModel, precision: str = "double") -> int:
-    """Return the bytes of the tables in flash."""
-    tables = _tables(model)
-    numbers = sum(np.size(values) for values in tables.numbers.values())
-    numbers += sum(len(root) * (root.shape[1]) for root in model.trend_roots)
-    numbers += sum(readout.size + len(readout.packed_root) for readout in model.readouts)
-    return numbers * PRECISIONS[precision][0] + len(tables.used) + 48 * len(model.blocks)
+    """Return the bytes of a model in C, tables and code: an estimate from above for a processor of 64 bits."""
+    table, triangles = _blocks(model), [len(readout.packed_root) for readout in model.readouts]
+    numbers = sum(len(values) for values in (table.centres, table.shifts, table.roots))
+    numbers += sum(np.size(getattr(model, name)) for name in _VECTORS) + 2 * len(model.regressors)
+    numbers += sum(root.size for root in model.trend_roots) + sum(readout.size for readout in model.readouts)
+    size = CODE_BYTES + 8 * numbers + len(table.used) + BLOCK_BYTES * len(model.blocks)
+    if precision == "double" or size + 4 * sum(triangles) > MAX_BYTES:
+        return size + 8 * sum(triangles)
+    roots = _roots(model, precision)
+    return size + sum(8 * n if root is None else 4 * n + 16 * len(root.row) for n, root in zip(triangles, roots, strict=True))
 
 
-class _tables:
-    """The tables of the blocks: centres of the used regressors, each once, and the rows of the array of blocks."""
-
-    def __init__(self, model: PortableModel) -> None:
-        self.full = any(block.root.ndim == 2 for block in model.blocks)
-        centres: list[Array] = []
-        shifts: list[Array] = []
-        roots: list[Array] = []
-        self.used: list[int] = []
-        self.rows: list[tuple] = []
-        places: dict[tuple, int] = {}
-        n_centres = n_shifts = n_roots = 0
-        for block in sorted(model.blocks, key=lambda block: block.output):
-            used = tuple(range(len(model.regressors))) if block.root.ndim == 2 else block.regressors
-            index = list(used)
-            key = block.first_centre, block.size, used
-            if key not in places:
-                places[key] = n_centres
-                centres.append(model.centres[block.rows][:, index].ravel())
-                n_centres += len(centres[-1])
-            root = block.root if block.root.ndim == 2 else block.root[index]
-            root = np.diag(root) if self.full and root.ndim == 1 else root
-            self.rows.append(
-                (block.first_column, block.size, len(used), len(self.used), places[key], n_shifts, n_roots, block.gain)
-            )
-            self.used += index
-            shifts.append(block.shift[index])
-            roots.append(root.ravel())
-            n_shifts += len(index)
-            n_roots += root.size
-        self.numbers = {
-            name: np.concatenate(parts) if parts else np.zeros(1)
-            for name, parts in (("centres", centres), ("shifts", shifts), ("roots", roots))
-        }
-
-
-def _header(model, precision, size) -> str:
-    aircraft, width = model.aircraft, PRECISIONS[precision][0]
-    functions = max(readout.size for readout in model.readouts)
-    names = [("MASS", aircraft.mass), ("WING_AREA", aircraft.wing_area), ("SPAN", aircraft.span)]
-    names += [("CHORD", aircraft.chord)]
-    names += [(f"I{a}{b}", aircraft.inertia[i, j]) for a, b, i, j in _AXES]
-    lines = [f"#define AERO_{name} {float(value)!r}" for name, value in names]
-    return HEADER.format(
-        aircraft=_comment(aircraft.name),
-        size=size,
-        hash=model.content_hash,
-        stack=width * (functions + 3 * len(model.regressors) + 1),
-        real=PRECISIONS[precision][1],
-        n_sources=len(_sources(model)),
-        d=len(model.regressors),
-        P=len(model.outputs),
-        sources=_comment(", ".join(_sources(model))),
-        inputs=_comment(", ".join(model.regressor_names)),
-        outputs=_comment(", ".join(model.outputs)),
-        constants="/* kg, m^2, m, m; the inertia tensor in kg m^2, off its diagonal minus the products of inertia. */\n"
-        + "\n".join(lines),
-    )
-
-
-_AXES = [("X", "X", 0, 0), ("Y", "Y", 1, 1), ("Z", "Z", 2, 2), ("X", "Y", 0, 1), ("X", "Z", 0, 2), ("Y", "Z", 1, 2)]
-
-
-def _sources(model) -> list[str]:
-    """Return every column of a flight that the regressors are computed from, each once."""
-    return list(dict.fromkeys(name for regressor in model.regressors for name in regressor.columns))
-
-
-def _source(model, precision) -> str:
-    _, _, suffix, _ = PRECISIONS[precision]
-    P, tables = len(model.outputs), _tables(model)
-    order = sorted(block.output for block in model.blocks)
-    first = np.searchsorted(order, np.arange(P + 1)).tolist()
-    readouts = [model.readouts[k] for k in model.readout_of]
-    texts = [
-        _names("aero_source_names", _sources(model)),
-        _names("aero_input_names", model.regressor_names),
-        _names("aero_output_names", model.outputs),
-        _table("aero_low", np.maximum(model.envelope.low, -1e30), suffix, static=False),
-        _table("aero_high", np.minimum(model.envelope.high, 1e30), suffix, static=False),
-        *(_table(name, getattr(model, name), suffix) for name in _VECTORS),
-        *(_table(name, values, suffix) for name, values in tables.numbers.items()),
-        f"static const unsigned char used[{max(1, len(tables.used))}] = {{{', '.join(map(str, tables.used or [0]))}}};",
-        _blocks(tables.rows, suffix),
-        _integers("first_block", first),
-        _integers("n_functions", [readout.size for readout in readouts]),
-        _integers("n_columns", [root.shape[1] for root in model.trend_roots]),
-        *(_table(f"weights_{k}", r.weights, suffix) for k, r in enumerate(model.readouts)),
-        *(_table(f"root_{k}", r.packed_root, suffix) for k, r in enumerate(model.readouts)),
-        *(_table(f"trend_root_{i}", root.T.ravel(), suffix) for i, root in enumerate(model.trend_roots)),
-        _pointers("weights", [f"weights_{k}" for k in model.readout_of]),
-        _pointers("root", [f"root_{k}" for k in model.readout_of]),
-        _pointers("trend_root", [f"trend_root_{i}" for i in range(P)]),
-    ]
-    return SOURCE.format(
-        functions=max(1, *(readout.size for readout in model.readouts)),
-        tables="\n".join(texts),
-        more=", l" if tables.full else "",
-        exponent=FULL if tables.full else DIAGONAL,
-        exp=f"exp{suffix}",
-        sqrt=f"sqrt{suffix}",
-        eps=f"{np.finfo(float if precision == 'double' else np.float32).eps:.9g}{suffix}",
-        formulas="\n".join(_formulas(model, suffix)),
-    )
-
+# -- texts ---------------------------------------------------------------------------------------------------------
 
 _VECTORS = (
     *("shift", "scale", "center", "output_scale", "deviation_scale", "prior_variance", "trend_center", "trend_scale"),
@@ -446,29 +203,102 @@ _VECTORS = (
 )
 
 
-def _test(model, precision) -> str:
-    _, _, suffix, tolerance = PRECISIONS[precision]
-    X = _points(model)
-    if precision == "float":
-        X = X.astype(np.float32).astype(float)
+def _header(model, precision, size) -> dict[str, Any]:
+    aircraft = model.aircraft
+    constants = {name.upper(): getattr(aircraft, name) for name in ("mass", "wing_area", "span", "chord")}
+    constants |= {f"I{axes}": aircraft.inertia[i, j] for axes, i, j in _AXES}
+    functions = max(readout.size for readout in model.readouts)
+    return {
+        "aircraft": _comment(aircraft.name),
+        "size": size,
+        "hash": model.content_hash,
+        "stack": 8 * (functions + 4 * len(model.regressors) + 1),
+        "real": precision,
+        "n_sources": len(_sources(model)),
+        "d": len(model.regressors),
+        "P": len(model.outputs),
+        "sources": _comment(", ".join(_sources(model))),
+        "inputs": _comment(", ".join(model.regressor_names)),
+        "outputs": _comment(", ".join(model.outputs)),
+        "constants": "\n".join(f"#define AERO_{name} {float(value)!r}" for name, value in constants.items()),
+    }
+
+
+def _source(model, precision) -> dict[str, Any]:
+    P, table = len(model.outputs), _blocks(model)
+    order = sorted(block.output for block in model.blocks)
+    readouts = [model.readouts[k] for k in model.readout_of]
+    roots = _roots(model, precision)
+    blocks = [
+        f"{{{column}, {size}, {n}, used + {used}, centres + {centre}, shifts + {shift}, roots + {root}, {gain!r}}}"
+        for column, size, n, used, centre, shift, root, gain in table.rows
+    ] or ["{0, 0, 0, used, centres, shifts, roots, 0}"]
+    texts = [
+        _names("aero_source_names", _sources(model)),
+        _names("aero_input_names", model.regressor_names),
+        _names("aero_output_names", model.outputs),
+        *(_array(f"aero_{name}", edge, "const aero_real") for name, edge in zip(("low", "high"), _edges(model, precision), strict=True)),
+        *(_array(name, getattr(model, name)) for name in _VECTORS),
+        *(_array(name, getattr(table, name)) for name in ("centres", "shifts", "roots")),
+        _array("used", table.used or [0], "static const unsigned char"),
+        f"static const block blocks[{len(blocks)}] = {{" + ",\n".join(blocks) + "};",
+        _array("first_block", np.searchsorted(order, np.arange(P + 1)), _INT),
+        _array("n_functions", [readout.size for readout in readouts], _INT),
+        _array("n_columns", [root.shape[1] for root in model.trend_roots], _INT),
+        *(_array(f"weights_{k}", readout.weights) for k, readout in enumerate(model.readouts)),
+        *(text for k, root in enumerate(roots) for text in _triangle(k, root, model.readouts[k])),
+        *(_array(f"trend_root_{i}", root.T.ravel()) for i, root in enumerate(model.trend_roots)),
+        _pointers("weights", [f"weights_{k}" for k in model.readout_of]),
+        _pointers("trend_root", [f"trend_root_{i}" for i in range(P)]),
+        f"static const triangle root[{P}] = {{" + ",\n".join(_pointer(k, roots[k]) for k in model.readout_of) + "};",
+    ]
+    return {
+        "functions": max(1, *(readout.size for readout in model.readouts)),
+        "full": int(table.full),
+        "tables": "\n".join(texts),
+        "formulas": "\n".join(_formulas(model)),
+    }
+
+
+def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
+    """Yield the arrays of one root."""
+    if root is None:
+        yield _array(f"root_{k}", readout.packed_root)
+        return
+    yield _array(f"root_{k}", root.values, "static const int32_t")
+    yield _array(f"row_{k}", root.row)
+    yield _array(f"column_{k}", root.column)
+
+
+def _pointer(k: int, root: _Rounded | None) -> str:
+    return f"{{root_{k}, NULL, NULL, NULL}}" if root is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
+
+
+def _test(model, precision) -> dict[str, Any]:
+    X = _rounded(_points(model), precision)
     mean, std = model.predict(X, return_std=True)
     slope = model.predict_gradient(X)
     size = np.abs(slope * model.scale).max(axis=(0, 2))[:, None] / model.scale
-    low, high = (edge.astype(np.float32 if precision == "float" else float) for edge in _edges(model))
-    bits = (((low > X) | (high < X)) * 2 ** np.arange(X.shape[1])).sum(axis=1).astype(int)
+    low, high = _edges(model, precision)
+    bits = (((low > X) | (high < X)) * 2 ** np.arange(X.shape[1])).sum(axis=1)
+    numbers = {"says_mean": mean, "says_std": std, "says_slope": slope}
+    numbers |= {"mean_size": np.abs(mean).max(axis=0), "std_size": std.max(axis=0)}
+    numbers |= {"slope_size": np.where(size > 0, size, 1.0)}
     texts = [
-        _table("at", X, suffix),
-        f"static const unsigned long beyond[VECTORS] = {{{', '.join(f'{b}UL' for b in bits)}}};",
-        *(_table(*table, "", real="double") for table in (("says_mean", mean), ("says_std", std), ("says_slope", slope))),
-        _table("mean_size", np.abs(mean).max(axis=0), "", real="double"),
-        _table("std_size", std.max(axis=0), "", real="double"),
-        _table("slope_size", np.where(size > 0, size, 1.0), "", real="double"),
+        _array("at", X, "static const aero_real"),
+        _array("beyond", bits, "static const unsigned long"),
+        *(_array(name, values) for name, values in numbers.items()),
     ]
-    return TEST.format(n=len(X), tolerance=tolerance, tables="\n".join(texts))
+    return {"n": len(X), "tolerance": TOLERANCE[precision], "tables": "\n".join(texts)}
 
 
-def _edges(model):
-    return np.maximum(model.envelope.low, -1e30), np.minimum(model.envelope.high, 1e30)
+def _rounded(values: Array, precision: str) -> Array:
+    return values.astype(np.float32).astype(float) if precision == "float" else values
+
+
+def _edges(model, precision) -> list[Vector]:
+    envelope = model.envelope
+    return [_rounded(np.clip(edge, -UNBOUNDED, UNBOUNDED), precision) for edge in (envelope.low, envelope.high)]
 
 
 def _points(model) -> Matrix:
@@ -483,40 +313,50 @@ def _points(model) -> Matrix:
     return X
 
 
+def _sources(model) -> list[str]:
+    """Return every column of a flight that the regressors are computed from, each once."""
+    return list(dict.fromkeys(name for regressor in model.regressors for name in regressor.columns))
+
+
+def _formulas(model) -> Iterator[str]:
+    """Yield the statement of each input."""
+    place = {name: k for k, name in enumerate(_sources(model))}
+    for k, regressor in enumerate(model.regressors):
+        terms = [
+            f"source[{place[name]}]" if factor == 1 else f"{factor!r} * source[{place[name]}]"
+            for name, factor in zip(regressor.sources, regressor.factors, strict=True)
+        ]
+        text = " + ".join(terms)
+        if regressor.power:
+            rate = f" * ({regressor.length!r} / (2 * source[{place['airspeed']}]))"
+            text = (f"({text})" if len(terms) > 1 else text) + rate * regressor.power
+        yield f"    x[{k}] = (aero_real)({text}); /* {_comment(regressor.name)} */"
+
+
 # -- C -------------------------------------------------------------------------------------------------------------
 
+_INT = "static const int"
 
-def _table(name, values, suffix, *, static=True, real="aero_real") -> str:
+
+def _array(name: str, values: Any, kind: str = "static const double") -> str:
     """Return a constant array of its shape; an empty one has one zero, since C has none."""
-    values = np.asarray(values, dtype=float)
+    values = np.asarray(values)
     values = values if values.size else np.zeros(1)
-    digits = 9 if suffix else 17
     shape = "".join(f"[{n}]" for n in values.shape)
-    return f"{'static ' * static}const {real} {name}{shape} = {_braces(values, suffix, digits)};"
+    is_real = kind.endswith(("double", "real"))
+    return f"{kind} {name}{shape} = {_braces(values.astype(float if is_real else np.int64))};"
 
 
-def _braces(values: Array, suffix: str, digits: int) -> str:
+def _braces(values: Array) -> str:
     if values.ndim > 1:
-        return "{" + ",\n".join(_braces(row, suffix, digits) for row in values) + "}"
-    words = [_literal(value, suffix, digits) for value in values.tolist()]
+        return "{" + ",\n".join(_braces(row) for row in values) + "}"
+    words = [repr(value) for value in values.tolist()]
     lines = [", ".join(words[a : a + PER_LINE]) for a in range(0, len(words), PER_LINE)]
     return "{" + ",\n".join(lines) + "}"
 
 
-def _literal(value: float, suffix: str, digits: int) -> str:
-    if suffix:  # subnormal numbers of float are zero on many processors
-        value = float(np.float32(value)) if abs(value) > np.finfo(np.float32).tiny else 0.0
-    text = f"{value:.{digits}g}"
-    return f"{text if '.' in text or 'e' in text else text + '.0'}{suffix}"
-
-
-def _integers(name: str, values: Iterable[int]) -> str:
-    values = list(values)
-    return f"static const int {name}[{len(values)}] = {{{', '.join(map(str, values))}}};"
-
-
 def _pointers(name: str, tables: list[str]) -> str:
-    return f"static const aero_real *const {name}[{len(tables)}] = {{{', '.join(tables)}}};"
+    return f"static const double *const {name}[{len(tables)}] = {{{', '.join(tables)}}};"
 
 
 def _names(name: str, values: Iterable[str]) -> str:
@@ -524,30 +364,7 @@ def _names(name: str, values: Iterable[str]) -> str:
     return f"const char *const {name}[{len(values)}] = {{{', '.join(json.dumps(value) for value in values)}}};"
 
 
-def _blocks(rows: list[tuple], suffix: str) -> str:
-    lines = [
-        f"{{{column}, {size}, {n}, used + {used}, centres + {centre}, shifts + {shift}, roots + {root}, "
-        f"{_literal(gain, suffix, 9 if suffix else 17)}}}"
-        for column, size, n, used, centre, shift, root, gain in rows
-    ] or ["{0, 0, 0, used, centres, shifts, roots, 0}"]
-    return f"static const block blocks[{len(lines)}] = {{" + ",\n".join(lines) + "};"
-
-
-def _formulas(model, suffix) -> Iterable[str]:
-    """Yield the statement of each input."""
-    place = {name: k for k, name in enumerate(_sources(model))}
-    for k, regressor in enumerate(model.regressors):
-        terms = [
-            f"source[{place[name]}]" if factor == 1 else f"{_literal(factor, suffix, 17)} * source[{place[name]}]"
-            for name, factor in zip(regressor.sources, regressor.factors, strict=True)
-        ]
-        text = " + ".join(terms)
-        if regressor.power:
-            rate = f" * ({_literal(regressor.length, suffix, 17)} / (2 * source[{place['airspeed']}]))"
-            text = (f"({text})" if len(terms) > 1 else text) + rate * regressor.power
-        yield f"    x[{k}] = {text}; /* {_comment(regressor.name)} */"
-
-
-def _comment(text: Any) -> str:
+def _comment(text: str) -> str:
     """Return a text that can stand in a comment of C."""
-    return "".join(c if c.isascii() and c.isprintable() else "?" for c in str(text)).replace("*/", "* /").replace("/*", "/ *")
+    words = "".join(c if c.isascii() and c.isprintable() and c not in "*\\$" else "?" for c in text)
+    return words.replace("??", "? ?")

@@ -97,11 +97,21 @@ def portable(kind):
 
 
 @pytest.fixture
-def exact(short_fits):
-    """Return the portable model of one exact posterior."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return exported("exact")
+def portable_of(short_fits):
+    """Return the portable model of one kind."""
+
+    def portable_of(kind):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return exported(kind)
+
+    return portable_of
+
+
+@pytest.fixture
+def exact(portable_of):
+    """Return the portable model of an exact posterior."""
+    return portable_of("exact")
 
 
 @pytest.fixture

@@ -164,7 +164,11 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
         columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
         weights[i] = posterior.alpha[a:b] @ columns
         roots.append((inverse[:, a:b] @ columns).T)
-    readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
+    if gaussians:
+        readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
+    else:
+        readout, roots = Readout(np.empty(0), np.empty(0)), [np.array(rq(root, mode="r"))[:, -d - 1 :] for root in roots]
+        X = [np.empty((0, d))]
     centres = np.concatenate(X)
     return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
 

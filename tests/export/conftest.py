@@ -57,7 +57,7 @@ def fitted(kind):
     flight, Y = make_flight()
     regressor = DependentGPRegressor(**KINDS[kind])
     if kind == "calibrated":
-        regressor = CalibratedRegressor(regressor, method="variance", level=0.5)
+        regressor = CalibratedRegressor(regressor, method="variance", level=0.5, cv=2)
     model = make_identification_pipeline(
         AIRCRAFT, regressors=REGRESSORS, reconstruction="passthrough", cutoff=None, regressor=regressor
     )

@@ -78,7 +78,7 @@ ${formulas}
 
 void aero_predict(const aero_real x[AERO_INPUTS], aero_real mean[AERO_OUTPUTS], aero_real std[AERO_OUTPUTS])
 {
-    double z[AERO_INPUTS], u[AERO_INPUTS], p[AERO_INPUTS + 1], g[FUNCTIONS];
+    double z[AERO_INPUTS], u[AERO_INPUTS], p[AERO_INPUTS + 1], g[FUNCTIONS] = {0};
     int i, b, c, k, r;
     scaled(x, z);
     p[0] = 1;

@@ -2,16 +2,19 @@
 
 from skdgp.export._c import write_c
 from skdgp.export._file import PortableFileError, load_portable, save_portable
+from skdgp.export._formats import FORMATS, export_model
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 from skdgp.export._pipeline import portable_model
 
 __all__ = [
+    "FORMATS",
     "Block",
     "Envelope",
     "PortableFileError",
     "PortableModel",
     "Readout",
     "Regressor",
+    "export_model",
     "load_portable",
     "portable_model",
     "save_portable",

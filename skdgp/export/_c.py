@@ -49,8 +49,8 @@ def write_c(
         "float": arguments and results are of type float, and the root of the variance is rounded to 32 bits where this
         changes no deviation visibly. Arithmetic is in double, since the explained variance nearly cancels the prior.
     max_kb : float, optional
-        Largest size in flash, tables and code [kB of 1024 bytes]; a larger model gets fewer basis functions, whose loss is in
-        ``provenance["reduction"]`` of the model that is returned. None: the whole model.
+        Largest size in flash, tables and code [kB of 1024 bytes]. A larger model gets fewer basis functions; the loss
+        is in ``provenance["reduction"]`` of the model that is returned. None: the whole model.
 
     Returns
     -------
@@ -138,9 +138,7 @@ def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
     if precision == "double":
         return [None] * len(model.readouts)
     rounded = [_Rounded.of(readout) for readout in model.readouts]
-    readouts = [
-        Readout(readout.weights, root.in_full()) for readout, root in zip(model.readouts, rounded, strict=True)
-    ]
+    readouts = [Readout(readout.weights, root.in_full()) for readout, root in zip(model.readouts, rounded, strict=True)]
     X = _points(model)
     std, other = (m.predict(X, return_std=True)[1] for m in (model, replace(model, readouts=tuple(readouts))))
     visible = np.abs(other - std).max(axis=0) > ROUNDED * std.max(axis=0)
@@ -161,7 +159,9 @@ class _Table(NamedTuple):
 def _blocks(model: PortableModel) -> _Table:
     full = any(block.root.ndim == 2 for block in model.blocks)
     parts: dict[str, list[Vector]] = {"centres": [], "shifts": [], "roots": []}
-    rows, used, places = [], [], {}
+    rows: list[tuple] = []
+    used: list[int] = []
+    places: dict[tuple, int] = {}
     sizes = dict.fromkeys(parts, 0)
 
     def add(name, values):
@@ -178,8 +178,8 @@ def _blocks(model: PortableModel) -> _Table:
         place = places[key], add("shifts", block.shift[index]), add("roots", root)
         rows.append((block.first_column, block.size, len(index), len(used), *place, block.gain))
         used += index
-    arrays = [np.concatenate([*values, np.zeros(int(not values))]) for values in parts.values()]
-    return _Table(rows, used, *arrays, full)
+    centres, shifts, roots = (np.concatenate([*values, np.zeros(int(not values))]) for values in parts.values())
+    return _Table(rows, used, centres, shifts, roots, full)
 
 
 def c_bytes(model: PortableModel, precision: str = "double") -> int:
@@ -192,7 +192,9 @@ def c_bytes(model: PortableModel, precision: str = "double") -> int:
     if precision == "double" or size + 4 * sum(triangles) > MAX_BYTES:
         return size + 8 * sum(triangles)
     roots = _roots(model, precision)
-    return size + sum(8 * n if root is None else 4 * n + 16 * len(root.row) for n, root in zip(triangles, roots, strict=True))
+    return size + sum(
+        8 * n if root is None else 4 * n + 16 * len(root.row) for n, root in zip(triangles, roots, strict=True)
+    )
 
 
 # -- texts ---------------------------------------------------------------------------------------------------------
@@ -237,7 +239,10 @@ def _source(model, precision) -> dict[str, Any]:
         _names("aero_source_names", _sources(model)),
         _names("aero_input_names", model.regressor_names),
         _names("aero_output_names", model.outputs),
-        *(_array(f"aero_{name}", edge, "const aero_real") for name, edge in zip(("low", "high"), _edges(model, precision), strict=True)),
+        *(
+            _array(f"aero_{name}", edge, "const aero_real")
+            for name, edge in zip(("low", "high"), _edges(model, precision), strict=True)
+        ),
         *(_array(name, getattr(model, name)) for name in _VECTORS),
         *(_array(name, getattr(table, name)) for name in ("centres", "shifts", "roots")),
         _array("used", table.used or [0], "static const unsigned char"),

@@ -9,7 +9,7 @@ import os
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -27,8 +27,15 @@ SHAPES = {
     **dict.fromkeys(("center", "output_scale", "deviation_scale", "prior_variance", "noise_variance"), "P"),
     **dict.fromkeys(("drift_variance", "drift_memory", "readout_of"), "P"),
     **dict.fromkeys(("trend_scale", "trend_weights"), "P e"),
-    **{"centres": "m d", "input_covariance": "d d", "block_place": "B 4", "block_gain": "B", "block_shift": "B d"},
-    **{"block_regressors": "B d", "envelope_levels": "q", "envelope_quantiles": "q d", "envelope_samples": "s d"},
+    "centres": "m d",
+    "input_covariance": "d d",
+    "block_place": "B 4",
+    "block_gain": "B",
+    "block_shift": "B d",
+    "block_regressors": "B d",
+    "envelope_levels": "q",
+    "envelope_quantiles": "q d",
+    "envelope_samples": "s d",
 }
 """Shapes by sizes: d regressors, e = d + 1, P outputs, m centres, B blocks, q quantiles, s samples."""
 TYPES = {"block_place": "<i8", "readout_of": "<i8", "block_regressors": "|u1"}  # else "<f8"
@@ -250,8 +257,8 @@ def _blocks(arrays, sizes) -> tuple[Block, ...]:
             raise ValueError("block_place is outside of the centres or columns")
     columns = (arrays["block_gain"], arrays["block_shift"], arrays["block_root"], arrays["block_regressors"])
     return tuple(
-        Block(*place, float(gain), shift, root, tuple(np.flatnonzero(used).tolist()))
-        for place, gain, shift, root, used in zip(places.tolist(), *columns, strict=True)
+        Block(i, centre, column, size, float(gain), shift, root, tuple(np.flatnonzero(used).tolist()))
+        for (i, centre, column, size), gain, shift, root, used in zip(places.tolist(), *columns, strict=True)
     )
 
 

@@ -157,10 +157,10 @@ class Envelope:
     quantiles: Matrix
     samples: Matrix
 
-    def inside(self, X: Matrix) -> np.ndarray:
+    def inside(self, X: Matrix) -> Any:
         """Return whether each row of X (n, d) is within the range of every regressor, (n,)."""
         X = np.asarray(X, dtype=float)
-        return ((self.low <= X) & (self.high >= X)).all(axis=1)
+        return np.logical_and(self.low <= X, self.high >= X).all(axis=1)
 
 
 @dataclass(frozen=True, eq=False)

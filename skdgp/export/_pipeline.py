@@ -118,7 +118,7 @@ def _regressor(name, rates, controls) -> Regressor:
         used = [(str(surface), float(c)) for surface, c in zip(controls.surfaces, row, strict=True) if c]
         seen = getattr(controls, "feature_names_in_", ())
         if used and set(controls.surfaces) <= set(seen):
-            return Regressor(name, unit, *map(tuple, zip(*used, strict=True)))
+            return Regressor(name, unit, tuple(surface for surface, _ in used), tuple(c for _, c in used))
     return Regressor(name, unit, (name,))
 
 
@@ -133,7 +133,7 @@ def _envelope(posterior, shift, scale, limits) -> Envelope:
         limits = np.minimum(limits[0], extremes[0]), np.maximum(limits[1], extremes[1])
     if limits is None:
         limits = np.tile([[-np.inf], [np.inf]], len(shift))
-    rows = np.unique(np.linspace(0, max(len(X) - 1, 0), MAX_SAMPLES).astype(int)) if len(X) else []
+    rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int)) if len(X) else np.empty(0, dtype=int)
     levels = np.array(LEVELS if len(X) else ())
     return Envelope(np.array(limits[0]), np.array(limits[1]), levels, quantiles, X[rows])
 
@@ -167,7 +167,10 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
     if gaussians:
         readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
     else:
-        readout, roots = Readout(np.empty(0), np.empty(0)), [np.array(rq(root, mode="r"))[:, -d - 1 :] for root in roots]
+        readout, roots = (
+            Readout(np.empty(0), np.empty(0)),
+            [np.array(rq(root, mode="r"))[:, -d - 1 :] for root in roots],
+        )
         X = [np.empty((0, d))]
     centres = np.concatenate(X)
     return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
@@ -181,7 +184,9 @@ def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
     places, centres = _centres(posterior.features)
     blocks, readouts, weights, roots = [], [], np.zeros((P, d + 1)), []
     for i in range(P):
-        of_trend, of_gaussians, first = [], [], 0
+        of_trend: list[int] = []
+        of_gaussians: list[int] = []
+        first = 0
         for features, start in _leaves(posterior.features):
             columns = features.columns(i)
             index = list(range(first, first + len(columns)))

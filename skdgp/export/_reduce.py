@@ -78,8 +78,7 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     best = _assembled(model, [output.fit(0) for output in outputs])
     if size(best) > most:
         raise ValueError(
-            f"Got a size of at most {most} bytes, but the smallest form of this model takes {size(best)}: allow more, "
-            "or learn from fewer regressors."
+            f"Got a size of at most {most} bytes, but the smallest form of this model takes {size(best)}: allow more."
         )
     while True:
         fits = [output.fit(n) for output, n in zip(outputs, numbers, strict=True)]
@@ -94,7 +93,7 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
 
 
 def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
-    """Return the loss by reduction of each output, ``{"CX": {"mean": ..., "std": ...}, ...}``; empty if there is none."""
+    """Return the loss by reduction, ``{"CX": {"mean": ..., "std": ...}, ...}``; empty if there was none."""
     return model.provenance.get("reduction", {})
 
 
@@ -134,7 +133,7 @@ class _Output:
         self.sizes = [0, *sizes[sizes < min(self.readout.size, len(rest))].tolist()]
         self.fit = cache(self._fit)
 
-    def _predicted(self, p, mean, half):
+    def _predicted(self, p: Matrix, mean: Any, half: Any) -> Any:
         """Return mean and deviation, normalised."""
         prior = self.prior + ((p * self.tau) ** 2).sum(axis=1)
         whole = p @ self.T
@@ -144,11 +143,12 @@ class _Output:
 
     def _fit(self, number: int) -> _Fit:
         kept, n = np.sort(self.order[: self.sizes[number]]), self.p.shape[1]
-        P = np.linalg.lstsq(np.hstack([self.p, self.g[:, kept]]), self.g, rcond=RCOND)[0]
-        w, H = P @ self.readout.weights, P @ self.readout.root
+        P: Any = np.linalg.lstsq(np.hstack([self.p, self.g[:, kept]]), self.g, rcond=RCOND)[0]
+        w: Any = P @ self.readout.weights
+        H: Any = P @ self.readout.root
         columns = np.hstack([self.check[0], self.check[1][:, kept]])
         mean, std = self._predicted(self.check[0], columns @ w, columns @ H)
-        root = np.vstack([self.T, np.zeros((len(kept), self.T.shape[1]))])
+        root: Any = np.vstack([self.T, np.zeros((len(kept), self.T.shape[1]))])
         root[:, root.shape[1] - H.shape[1] :] += H
         if root.shape[1] < len(root):
             root = np.hstack([np.zeros((len(root), len(root) - root.shape[1])), root])
@@ -177,8 +177,8 @@ def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
             places[key] = n
             centres.append(model.centres[rows])
             n += len(rows)
-        place = {"first_centre": places[key], "first_column": int(first), "size": int(last - first)}
-        blocks.append(replace(block, **place))
+        first_column, size = int(first), int(last - first)
+        blocks.append(replace(block, first_centre=places[key], first_column=first_column, size=size))
     losses = {name: fit.loss._asdict() for name, fit in zip(model.outputs, fits, strict=True)}
     return replace(
         model,

@@ -33,7 +33,12 @@ KINDS = {
     "calibrated": QUICK,
 }
 AIRCRAFT = Aircraft(
-    name="glider", mass=2.0, inertia=[[0.2, 0, -0.01], [0, 0.3, 0], [-0.01, 0, 0.4]], wing_area=0.5, span=2.0, chord=0.25
+    name="glider",
+    mass=2.0,
+    inertia=[[0.2, 0, -0.01], [0, 0.3, 0], [-0.01, 0, 0.4]],
+    wing_area=0.5,
+    span=2.0,
+    chord=0.25,
 )
 
 

@@ -86,7 +86,7 @@ def test_predicts_the_same_bits(portable, flight, tmp_path):
 
 def test_the_reader_of_the_examples(portable, flight, tmp_path):
     model = reader().Model(save_portable(tmp_path / "model.npz", portable))
-    X = model.regressor_values(dict(flight))
+    X = model.regressors(dict(flight))
     np.testing.assert_array_equal(X, portable.regressor_values(flight))
     for ours, theirs in zip(portable.predict(flight, True), model.predict(X), strict=True):
         np.testing.assert_allclose(theirs, ours, rtol=1e-10, atol=1e-12 * np.abs(ours).max())
@@ -146,6 +146,9 @@ def test_any_changed_byte_and_any_missing_end_is_noticed(path):
             load_portable(path)
 
 
+ABSURD = (b"\x93NUMPY\x01\x00\x76\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000,), }").ljust(
+    127
+) + b"\n"
 HOSTILE = {
     "no JSON": {"head": b"{"},
     "a list": {"head": b"[]"},
@@ -165,9 +168,7 @@ HOSTILE = {
     "no weights": {"drop": ["weights_0.npy"]},
     "compressed members": {"compress": True},
     "no array": {"arrays": {"shift": b"junk"}},
-    "an absurd shape": {
-        "arrays": {"shift": b"\x93NUMPY\x01\x00\x76\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000,), }".ljust(117) + b"\n"}
-    },
+    "an absurd shape": {"arrays": {"shift": ABSURD}},
     "objects": {"arrays": {"shift": np.array([None] * 5, dtype=object)}},
     "not a number": {"arrays": {"shift": np.full(5, np.nan)}},
     "another type": {"arrays": {"shift": np.zeros(5, dtype=np.float32)}},

@@ -74,7 +74,6 @@ def portable_model_of(model, **changes):
     return type(model)(**{name: getattr(model, name) for name in model.__dataclass_fields__} | changes)
 
 
-
 @pytest.mark.parametrize(
     ("steps", "words"),
     [

@@ -83,9 +83,7 @@ def exported(kind):
 
 @pytest.fixture(params=KINDS)
 def kind(request, short_fits):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of so short fits
-        fitted(request.param)
+    quietly(fitted)(request.param)
     return request.param
 
 
@@ -101,16 +99,27 @@ def portable(kind):
     return exported(kind)
 
 
+def quietly(function):
+    """Return the function without the warnings of so short fits."""
+
+    def quiet(kind):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return function(kind)
+
+    return quiet
+
+
+@pytest.fixture
+def fitted_of(short_fits):
+    """Return what the model file of one kind holds."""
+    return quietly(fitted)
+
+
 @pytest.fixture
 def portable_of(short_fits):
     """Return the portable model of one kind."""
-
-    def portable_of(kind):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return exported(kind)
-
-    return portable_of
+    return quietly(exported)
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from skdgp.export._model import Block, PortableModel, Readout
 
 FIRST, GROWTH = 4, 1.15  # numbers of functions that are tried: the first, and the ratio of one to the next
 SKETCH = 600  # rows of random combinations of points, from which functions are chosen
-COPIES = 3  # of the points that the functions are fitted at, moved at random
-MOVED = 0.5  # standard deviations of the regressors
+MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points that functions are fitted at are moved
+MOVED_CHECK = (0.5,)  # the same of the points that the loss is measured at
 RCOND = 1e-11
 
 
@@ -103,12 +103,11 @@ def _points(model) -> tuple[Matrix, Matrix]:
     samples = (model.envelope.samples - model.shift) / model.scale
     if len(samples) < 2:  # a compact model has none, but its inducing inputs lie among them
         samples = model.centres if len(model.centres) > 1 else rng.standard_normal((200, len(model.scale)))
-    spread = MOVED * samples.std(axis=0)
 
-    def around(Z, copies):
-        return np.concatenate([Z, *(Z + spread * rng.standard_normal(Z.shape) for _ in range(copies))])
+    def around(Z, moved):
+        return np.concatenate([Z, *(Z + by * samples.std(axis=0) * rng.standard_normal(Z.shape) for by in moved)])
 
-    return around(samples[::2], COPIES), around(samples[1::2], 1)
+    return around(samples[::2], MOVED), around(samples[1::2], MOVED_CHECK)
 
 
 class _Output:

@@ -22,6 +22,7 @@ TOLERANCE = {"double": 1e-9, "float": 1e-4}
 ROUNDED = 2e-5  # largest change of a deviation, relative to the largest, by a root of 32-bit numbers
 MAX_BYTES = 2**26  # a compiler takes no larger source in reasonable time
 MAX_REGRESSORS = 32  # bits of an unsigned long
+LARGE = 2**20  # numbers of roots from which their rounding is not tried before it is needed
 N_VECTORS = 40
 PER_LINE = 8
 BLOCK_BYTES = 56
@@ -189,7 +190,7 @@ def c_bytes(model: PortableModel, precision: str = "double") -> int:
     numbers += sum(np.size(getattr(model, name)) for name in _VECTORS) + 2 * len(model.regressors)
     numbers += sum(root.size for root in model.trend_roots) + sum(readout.size for readout in model.readouts)
     size = CODE_BYTES + 8 * numbers + len(table.used) + BLOCK_BYTES * len(model.blocks)
-    if precision == "double" or size + 4 * sum(triangles) > MAX_BYTES:
+    if precision == "double" or sum(triangles) > LARGE:
         return size + 8 * sum(triangles)
     roots = _roots(model, precision)
     return size + sum(

@@ -108,6 +108,13 @@ class Block:
         """Its columns of the basis."""
         return slice(self.first_column, self.first_column + self.size)
 
+    def functions(self, Z: Matrix, centres: Matrix) -> Matrix:
+        """Return its functions of any centres (k, d) at scaled regressors Z (n, d), (n, k)."""
+        z = Z - self.shift
+        full = self.root.ndim == 2
+        pair = (z @ self.root, centres @ self.root) if full else (z * self.root, centres * self.root)
+        return self.gain * np.exp(-0.5 * cdist(*pair, "sqeuclidean"))
+
 
 @dataclass(frozen=True, eq=False)
 class Readout:
@@ -343,19 +350,12 @@ class PortableModel:
     def _trend(self, Z):
         return np.column_stack([np.ones(len(Z)), Z - self.trend_center])
 
-    def _gaussians(self, Z, block):
-        """Return the functions of a block at scaled regressors, (n, size)."""
-        centres, z = self.centres[block.rows], Z - block.shift
-        full = block.root.ndim == 2
-        pair = (z @ block.root, centres @ block.root) if full else (z * block.root, centres * block.root)
-        return block.gain * np.exp(-0.5 * cdist(*pair, "sqeuclidean"))
-
     def _basis(self, Z, i):
         """Return the basis of output i at scaled regressors, (n, k)."""
         basis = np.zeros((len(Z), self.readouts[self.readout_of[i]].size))
         for block in self.blocks:
             if block.output == i:
-                basis[:, block.columns] += self._gaussians(Z, block)
+                basis[:, block.columns] += block.functions(Z, self.centres[block.rows])
         return basis
 
     def _predict(self, Z, return_std):
@@ -374,8 +374,10 @@ class PortableModel:
     def _gradient(self, Z):
         slopes = np.repeat(self.trend_weights[None, :, 1:], len(Z), axis=0)
         for block in self.blocks:
-            E = self._gaussians(Z, block) * self.readouts[self.readout_of[block.output]].weights[block.columns]
-            pull = E @ self.centres[block.rows] - E.sum(axis=1)[:, None] * (Z - block.shift)
+            weights = self.readouts[self.readout_of[block.output]].weights[block.columns]
+            centres = self.centres[block.rows]
+            E = block.functions(Z, centres) * weights
+            pull = E @ centres - E.sum(axis=1)[:, None] * (Z - block.shift)
             root = block.root
             slopes[:, block.output] += pull @ (root @ root.T) if root.ndim == 2 else pull * root**2
         return slopes * self.output_scale[:, None] / self.scale

@@ -8,16 +8,19 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import qr, rq
+from scipy.linalg import qr, rq, solve_triangular
+from scipy.linalg.blas import dtrmm
 
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.export._model import Block, PortableModel, Readout
 
 FIRST, GROWTH = 4, 1.15  # numbers of functions that are tried: the first, and the ratio of one to the next
-SKETCH = 600  # rows of random combinations of points, from which functions are chosen
+MAX_CANDIDATES, MAX_FUNCTIONS = 3000, 500  # functions of an output to choose from, and that may stay
+MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
+PATIENCE = 8  # sizes without a smaller loss after which an output grows no more
 MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points that functions are fitted at are moved
 MOVED_CHECK = (0.5,)  # the same of the points that the loss is measured at
-RCOND = 1e-11
+NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
 
 
 class Loss(NamedTuple):
@@ -36,9 +39,10 @@ class Loss(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """The functions that stay for one output, the new weights and root, and the loss."""
+    """The blocks and centres that stay for one output, its new weights and root, and the loss."""
 
-    kept: Indices
+    blocks: list[Block]
+    centres: Matrix
     trend_weights: Vector
     weights: Vector
     trend_root: Matrix
@@ -49,10 +53,10 @@ class _Fit(NamedTuple):
 def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
     r"""Return the model with so few basis functions that ``size(model) <= most``, at the least loss.
 
-    The functions g of an output overlap, so a few of them, g_S, and the trend p span the others nearly:
-    g = P^T (p, g_S), an interpolative decomposition (Cheng et al. 2005) by a pivoted QR factorisation at flown points.
-    Mean and explained variance keep their form, with P w in place of w and P U in place of U. The output with the
-    largest loss gets the next functions, until the size is reached. ``provenance["reduction"]`` holds the loss.
+    The Gaussian functions of an output overlap, so that a few of them, g_S, and the trend p span the others nearly. A
+    pivoted QR factorisation at flown points chooses them, as in an interpolative decomposition (Cheng et al. 2005).
+    Least squares fit mean and explained root as functions of p and g_S. The output with the largest loss gets the next
+    functions, until the size is reached. ``provenance["reduction"]`` holds the loss.
 
     Parameters
     ----------
@@ -74,22 +78,19 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     if size(model) <= most:
         return model
     outputs = [_Output(model, i, *_points(model)) for i in range(len(model.outputs))]
-    numbers = [0] * len(outputs)
-    best = _assembled(model, [output.fit(0) for output in outputs])
+    best = _assembled(model, [output.best() for output in outputs])
     if size(best) > most:
         raise ValueError(
             f"Got a size of at most {most} bytes, but the smallest form of this model takes {size(best)}: allow more."
         )
-    while True:
-        fits = [output.fit(n) for output, n in zip(outputs, numbers, strict=True)]
-        growing = [k for k, output in enumerate(outputs) if numbers[k] + 1 < len(output.sizes)]
-        if not growing:
-            return best
-        numbers[max(growing, key=lambda k: max(fits[k].loss))] += 1
-        trial = _assembled(model, [output.fit(n) for output, n in zip(outputs, numbers, strict=True)])
+    while growing := [output for output in outputs if output.can_grow()]:
+        worst = max(growing, key=lambda output: max(output.best().loss))
+        worst.number += 1
+        trial = _assembled(model, [output.best() for output in outputs])
         if size(trial) > most:
             return best
         best = trial
+    return best
 
 
 def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
@@ -103,6 +104,8 @@ def _points(model) -> tuple[Matrix, Matrix]:
     samples = (model.envelope.samples - model.shift) / model.scale
     if len(samples) < 2:  # a compact model has none, but its inducing inputs lie among them
         samples = model.centres if len(model.centres) > 1 else rng.standard_normal((200, len(model.scale)))
+    if max(readout.size for readout in model.readouts) > MANY:
+        samples = samples[np.linspace(0, len(samples) - 1, min(len(samples), FEWER)).astype(int)]
 
     def around(Z, moved):
         return np.concatenate([Z, *(Z + by * samples.std(axis=0) * rng.standard_normal(Z.shape) for by in moved)])
@@ -114,26 +117,62 @@ class _Output:
     """One output: its functions in the order of their use, and the fit of the first ones."""
 
     def __init__(self, model: PortableModel, i: int, Z: Matrix, check: Matrix) -> None:
-        self.readout = model.readouts[model.readout_of[i]]
+        readout = model.readouts[model.readout_of[i]]
         self.v, self.T = model.trend_weights[i], model.trend_roots[i]
         self.prior, self.tau = model.prior_variance[i], model.trend_scale[i]
-        p, g = model._trend(Z), model._basis(Z, i)
-        weight = 1 / self._predicted(p, g @ self.readout.weights, g @ self.readout.root)[1][:, None]
-        self.p, self.g = weight * p, weight * g
-        rest = self.g - self.p @ np.linalg.lstsq(self.p, self.g, rcond=None)[0]
-        if len(rest) > SKETCH:
-            rest = np.random.default_rng(1).standard_normal((SKETCH, len(rest))) @ rest
-        self.order = qr(rest, mode="r", pivoting=True)[1]
-        self.check = model._trend(check), model._basis(check, i)
-        self.truth = self._predicted(
-            self.check[0], self.check[1] @ self.readout.weights, self.check[1] @ self.readout.root
-        )
-        sizes = np.unique((FIRST * GROWTH ** np.arange(100)).astype(int))
-        self.sizes = [0, *sizes[sizes < min(self.readout.size, len(rest))].tolist()]
+        self.p = model._trend(check)
+        self.truth = self._predicted(*_readout(readout, model._basis(check, i)))
+        p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, i))
+        weight = 1 / self._predicted(mean, half, p)[1][:, None]
+        self.blocks = [block for block in model.blocks if block.output == i]
+        self.model = model
+        candidates = self._candidates()
+        g = weight * self._functions(Z, candidates)
+        trend, _ = qr(weight * p, mode="economic")
+        rest = g - trend @ (trend.T @ g)
+        _, R, order = qr(rest, mode="economic", pivoting=True)
+        size = np.abs(np.diag(R))
+        n = min(int(np.sum(size > NEGLIGIBLE * size.max(initial=0.0))), MAX_FUNCTIONS)
+        self.kept = candidates[order[:n]]
+        Q, self.R = qr(np.hstack([weight * p, g[:, order[:n]]]), mode="economic")
+        self.targets = Q.T @ (weight * np.column_stack([mean, half]))
+        self.checked = np.hstack([self.p, self._functions(check, self.kept)])
+        sizes = np.unique((FIRST * GROWTH ** np.arange(50)).astype(int))
+        self.sizes, self.number = [0, *sizes[sizes <= n].tolist()], 0
         self.fit = cache(self._fit)
 
-    def _predicted(self, p: Matrix, mean: Any, half: Any) -> Any:
-        """Return mean and deviation, normalised."""
+    def best(self) -> _Fit:
+        """Return the fit of the least loss among the sizes so far."""
+        return self.fit(self._best())
+
+    def can_grow(self) -> bool:
+        """Whether more functions may lose less."""
+        return self.number + 1 < len(self.sizes) and self.number - self._best() < PATIENCE
+
+    def _best(self) -> int:
+        return min(range(self.number + 1), key=lambda number: max(self.fit(number).loss))
+
+    def _candidates(self):
+        """Return block and place of functions to choose from, (n, 2), evenly from each block."""
+        step = max(1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES))
+        found = [np.column_stack([np.full(len(k), b), k]) for b, k in self._every(step)]
+        return np.concatenate([np.empty((0, 2), dtype=int), *found])
+
+    def _every(self, step):
+        return [(b, np.arange(0, block.size, step)) for b, block in enumerate(self.blocks)]
+
+    def _functions(self, Z, places) -> Matrix:
+        """Return Gaussian functions, each alone, at scaled regressors, (n, len(places))."""
+        found = np.empty((len(Z), len(places)))
+        for b, block in enumerate(self.blocks):
+            columns = np.flatnonzero(places[:, 0] == b)
+            centres = self.model.centres[block.first_centre + places[columns, 1]]
+            found[:, columns] = block.functions(Z, centres)
+        return found
+
+    def _predicted(self, mean: Any, half: Any, p: Any = None) -> Any:
+        """Return mean and deviation, normalised, from what the functions add to mean and root."""
+        p = self.p if p is None else p
         prior = self.prior + ((p * self.tau) ** 2).sum(axis=1)
         whole = p @ self.T
         whole[:, whole.shape[1] - half.shape[1] :] += half
@@ -141,51 +180,57 @@ class _Output:
         return p @ self.v + mean, np.sqrt(np.maximum(prior - explained, np.finfo(float).eps * prior))
 
     def _fit(self, number: int) -> _Fit:
-        kept, n = np.sort(self.order[: self.sizes[number]]), self.p.shape[1]
-        P: Any = np.linalg.lstsq(np.hstack([self.p, self.g[:, kept]]), self.g, rcond=RCOND)[0]
-        w: Any = P @ self.readout.weights
-        H: Any = P @ self.readout.root
-        columns = np.hstack([self.check[0], self.check[1][:, kept]])
-        mean, std = self._predicted(self.check[0], columns @ w, columns @ H)
-        root: Any = np.vstack([self.T, np.zeros((len(kept), self.T.shape[1]))])
-        root[:, root.shape[1] - H.shape[1] :] += H
-        if root.shape[1] < len(root):
-            root = np.hstack([np.zeros((len(root), len(root) - root.shape[1])), root])
-        root = np.asarray(rq(root, mode="r"))[:, -len(root) :]
+        n, size = self.p.shape[1], self.sizes[number]
+        kept = self.kept[:size]
+        solved: Any = solve_triangular(self.R[: n + size, : n + size], self.targets[: n + size])
+        columns = self.checked[:, : n + size]
+        mean, std = self._predicted(columns @ solved[:, 0], columns @ solved[:, 1:])
         loss = Loss(
             float(np.sqrt(np.mean(((mean - self.truth[0]) / self.truth[1]) ** 2))),
             float(np.sqrt(np.mean((std / self.truth[1] - 1) ** 2))),
         )
-        return _Fit(kept, self.v + w[:n], w[n:], root[:n], root[n:, n:].T[np.tril_indices(len(kept))], loss)
+        order = np.lexsort((kept[:, 1], kept[:, 0]))
+        solved = np.concatenate([solved[:n], solved[n:][order]])
+        root: Any = np.zeros((n + size, max(self.T.shape[1], n + size)))
+        root[:n, root.shape[1] - self.T.shape[1] :] = self.T
+        root[:, root.shape[1] - solved.shape[1] + 1 :] += solved[:, 1:]
+        root = np.asarray(rq(root, mode="r"))[:, -(n + size) :]
+        blocks, centres = self._blocks(kept[order])
+        packed = root[n:, n:].T[np.tril_indices(size)]
+        return _Fit(blocks, centres, self.v + solved[:n, 0], solved[n:, 0], root[:n], packed, loss)
+
+    def _blocks(self, kept) -> tuple[list[Block], Matrix]:
+        """Return the blocks of the functions that stay, and their centres."""
+        blocks, centres = [], [np.empty((0, len(self.model.scale)))]
+        for b, block in enumerate(self.blocks):
+            rows = np.flatnonzero(kept[:, 0] == b)
+            if len(rows):
+                first = int(rows[0])
+                blocks.append(replace(block, first_centre=first, first_column=first, size=len(rows)))
+                centres.append(self.model.centres[block.first_centre + kept[rows, 1]])
+        return blocks, np.concatenate(centres)
+
+
+def _readout(readout: Readout, g: Matrix) -> tuple[Vector, Matrix]:
+    """Return what a basis (n, k) adds to the mean (n,) and to the root (n, k)."""
+    return g @ readout.weights, dtrmm(1.0, readout.root, g.T, trans_a=1).T if g.size else g
 
 
 def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
     """Return the model with the functions that stay."""
-    blocks: list[Block] = []
-    centres: list[Any] = [np.empty((0, len(model.scale)))]
-    places: dict[tuple, int] = {}
-    n = 0
-    for block in model.blocks:
-        kept = fits[block.output].kept
-        first, last = np.searchsorted(kept, [block.first_column, block.first_column + block.size])
-        if first == last:
-            continue
-        rows = kept[first:last] - block.first_column + block.first_centre
-        key = tuple(rows.tolist())
-        if key not in places:
-            places[key] = n
-            centres.append(model.centres[rows])
-            n += len(rows)
-        first_column, size = int(first), int(last - first)
-        blocks.append(replace(block, first_centre=places[key], first_column=first_column, size=size))
-    losses = {name: fit.loss._asdict() for name, fit in zip(model.outputs, fits, strict=True)}
+    places = np.cumsum([0, *(len(fit.centres) for fit in fits)]).tolist()
     return replace(
         model,
-        centres=np.concatenate(centres),
-        blocks=tuple(blocks),
+        centres=np.concatenate([fit.centres for fit in fits]),
+        blocks=tuple(
+            replace(block, first_centre=block.first_centre + place)
+            for place, fit in zip(places, fits, strict=False)
+            for block in fit.blocks
+        ),
         readouts=tuple(Readout(fit.weights, fit.packed_root) for fit in fits),
         readout_of=np.arange(len(fits)),
         trend_weights=np.stack([fit.trend_weights for fit in fits]),
         trend_roots=tuple(fit.trend_root for fit in fits),
-        provenance=model.provenance | {"reduction": losses},
+        provenance=model.provenance
+        | {"reduction": {name: fit.loss._asdict() for name, fit in zip(model.outputs, fits, strict=True)}},
     )

@@ -65,7 +65,10 @@ def test_c_of_a_portable_model(run, path, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--to", "portable", "--precision", "float"], r"options \['precision'\] for the format portable, but expected"),
+        (
+            ["--to", "portable", "--precision", "float"],
+            r"options \['precision'\] for the format portable",
+        ),
         (["--to", "c", "--max-kb", "1"], "smallest form of this model takes"),
         (["--to", "c", "--aircraft", "no.json"], "no.json"),
     ],

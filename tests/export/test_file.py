@@ -115,6 +115,37 @@ def test_a_model_of_the_first_version_loads_for_ever():
     assert model.aircraft.name == "glider"
 
 
+def agrees(value, schema):
+    """Whether a value agrees with a JSON schema, as far as ours go."""
+    kinds = {"object": dict, "array": list, "string": str, "number": (int, float), "integer": int}
+    return (
+        isinstance(value, kinds.get(schema.get("type"), object))
+        and value == schema.get("const", value)
+        and value in schema.get("enum", [value])
+        and all(name in value for name in schema.get("required", ()))
+        and all(agrees(value[k], sub) for k, sub in schema.get("properties", {}).items() if k in value)
+        and all(agrees(item, schema["items"]) for item in (value if "items" in schema else ()))
+    )
+
+
+def test_the_schema_of_the_page(path):
+    schema = json.loads((ROOT / "docs" / "portable.schema.json").read_text())
+    for file in (path, STORED):
+        with zipfile.ZipFile(file) as archive:
+            head = json.loads(archive.read("model.json"))
+        assert agrees(head, schema)
+        assert set(head) == set(schema["required"]) == set(schema["properties"])
+    assert not agrees(head | {"version": 2}, schema)
+    assert not agrees(head | {"outputs": [1]}, schema)
+
+
+def test_every_array_is_on_the_page(path):
+    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
+    with np.load(path) as file:
+        names = {re.sub(r"_\d+$", "_0", name) for name in file.files} - {"model.json"}
+    assert not [name for name in names if f"`{name}`" not in page]
+
+
 def test_equal_models_are_equal_files(path, exact, tmp_path):
     assert save_portable(tmp_path / "again.npz", exact).read_bytes() == path.read_bytes()
 

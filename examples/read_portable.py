@@ -10,8 +10,8 @@ Predict mean and standard deviation of the coefficients from ``model.npz``, arra
 It needs NumPy and nothing else; a reader in another language has the same lines.
 """
 
+import argparse
 import json
-import sys
 
 import numpy as np
 
@@ -55,8 +55,16 @@ class Model:
         return a["center"] + a["output_scale"] * mean, a["deviation_scale"] * np.sqrt(variance)
 
 
-if __name__ == "__main__" and len(sys.argv) > 1:
-    model = Model(sys.argv[1])
-    mean, std = model.predict(model.arrays["envelope_samples"][:1])
-    for name, value, deviation in zip(model.head["outputs"], mean[0], std[0], strict=True):
-        print(f"{name:4} {value:9.5f} +- {deviation:.5f}")
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", nargs="?", help="model.npz: its coefficients at a flown point are printed")
+    path = parser.parse_args(arguments).file
+    if path is not None:
+        model = Model(path)
+        mean, std = model.predict(model.arrays["envelope_samples"][:1])
+        for name, value, deviation in zip(model.head["outputs"], mean[0], std[0], strict=True):
+            print(f"{name:4} {value:9.5f} +- {deviation:.5f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -71,7 +71,7 @@ class Regressor:
 class Block:
     r"""Gaussian functions of one width, which add to neighbouring columns of the basis of one output.
 
-    .. math:: g_k(z) = \mathrm{gain} \, \exp\left(-\tfrac12 |F^T (z - \mathrm{shift} - Z_k)|^2\right)
+    .. math:: g_k(z) = \mathrm{gain} \, \exp\left(-\frac{1}{2} |F^T (z - \mathrm{shift} - Z_k)|^2\right)
 
     with the scaled regressors z and Z the rows ``first_centre`` to ``first_centre + size`` of the model's centres.
 
@@ -177,9 +177,9 @@ class PortableModel:
     For regressors x (d,), with z = (x - ``shift``) / ``scale``, p = (1, z - ``trend_center``) and the basis g(z) of
     output i (:class:`Block`), mean and variance of the coefficient are
 
-    .. math:: m_i &= c_i + s_i (v_i^T p + w^T g), \\
-              \sigma_i^2 &= t_i^2 \left(a_i + |\tau_i \circ p|^2 - |h|^2\right), \quad
-              h = T_i^T p + \begin{bmatrix} 0 \\ U^T g \end{bmatrix},
+    .. math:: m_i = c_i + s_i (v_i^T p + w^T g), \quad
+              \sigma_i^2 = t_i^2 \left(a_i + |\tau_i \circ p|^2 - |h|^2\right), \quad
+              h = T_i^T p + (0, U^T g),
 
     with c ``center``, s ``output_scale``, t ``deviation_scale``, a ``prior_variance``, v ``trend_weights``, tau
     ``trend_scale``, T ``trend_roots``, and w and U of the output's :class:`Readout`, which
@@ -209,7 +209,7 @@ class PortableModel:
     noise_variance : ndarray (P,)
         Of measurements of the coefficients; it is no part of the deviation.
     drift_variance, drift_memory : ndarray (P,)
-        Of the errors along a flight, tau^2 exp(-|t - t'| / T); zero where there is none.
+        Of the errors along a flight, ``tau^2 exp(-|t - t'| / T)``; zero where there is none.
     input_covariance : ndarray (d, d)
         Noise of the regressors of the flights; it is no part of the deviation.
     envelope : Envelope

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -96,3 +97,17 @@ def test_what_is_no_model(path, tmp_path, capsys):
     assert end.value.code == 2
     error = capsys.readouterr().err
     assert all(name in error for name in FORMATS)
+
+
+def test_code_of_the_page_runs(fitted_of, flight, tmp_path, monkeypatch):
+    """The Python of export.md, in one namespace with a flight."""
+    page = Path(__file__).parents[2] / "docs" / "export.md"
+    if not page.is_file():
+        pytest.skip("the documentation is not beside the tests")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results").mkdir()
+    save_model("results/model.joblib", **fitted_of("sparse"))
+    names = {"flight": flight}
+    for block in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+        exec(compile(block, "export.md", "exec"), names)
+    assert names["slopes"].shape == (30, 6, 5)

@@ -14,6 +14,7 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
+from skdgp.dynamics._equations.aerodynamics import SCALERS
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 from skdgp.identification._model_file import plain
 from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
@@ -48,6 +49,25 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         If ``pipeline`` is no pipeline, or ``aircraft`` no `Aircraft`.
     ValueError
         If a step, the kernel or the trend has no portable form.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.export import portable_model
+    >>> from skdgp.identification import make_identification_pipeline
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> t = np.arange(0, 4, 0.1)
+    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
+    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
+    >>> pipeline = make_identification_pipeline(
+    ...     glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough"
+    ... ).fit(flight, Y)
+    >>> model = portable_model(pipeline, glider)
+    >>> model
+    PortableModel(CZ, Cm of alpha, q_hat)
+    >>> model.predict({"alpha": [0.05], "q": [0.02], "airspeed": [12.0]}).round(2)
+    array([[-0.2 , -0.03]])
     """
     check_aircraft(aircraft)
     if not isinstance(pipeline, Pipeline):
@@ -91,8 +111,10 @@ def _inputs(pipeline):
     if "regressors" not in roles:
         raise ValueError(f"Got a pipeline without RegressorSelector, so its regressors have no names. {REMEDY}")
     place = len(roles) - 1 - roles[::-1].index("regressors")
-    by_role = dict(zip(roles, steps, strict=True))
-    selector = steps[place]
+    by_role, selector = dict(zip(roles[:place], steps, strict=False)), steps[place]
+    scaled = [type(step).__name__ for step in steps[:place] if isinstance(step, SCALERS)]
+    if scaled:
+        raise ValueError(f"Got {scaled} before RegressorSelector, so regressors are not in their units. {REMEDY}")
     names = [str(name) for name in selector.regressors_]
     shift, scale = np.zeros(len(names)), np.ones(len(names))
     for step in steps[place + 1 :]:
@@ -167,11 +189,8 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
     if gaussians:
         readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
     else:
-        readout, roots = (
-            Readout(np.empty(0), np.empty(0)),
-            [np.array(rq(root, mode="r"))[:, -d - 1 :] for root in roots],
-        )
-        X = [np.empty((0, d))]
+        readout, X = Readout(np.empty(0), np.empty(0)), [np.empty((0, d))]
+        roots = [np.array(rq(root, mode="r"))[:, -d - 1 :] for root in roots]
     centres = np.concatenate(X)
     return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
 
@@ -205,7 +224,6 @@ def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
         n = len(of_trend)
         w = posterior.weights[posterior.features.columns(i)][order]
         root = np.array(rq(posterior.roots[i][order], mode="r"))
-        root *= np.sign(np.diag(root)) + (np.diag(root) == 0)
         if n:
             weights[i] = w[:n] * tau[i]
             root[:n] *= tau[i][:, None]

@@ -79,6 +79,14 @@ def portable_model_of(model, **changes):
     [
         ([RegressorSelector(["alpha"]), LinearRegression()], "LinearRegression at the end"),
         ([DependentGPRegressor(optimizer=None)], "without RegressorSelector"),
+        (
+            [
+                MinMaxScaler().set_output(transform="pandas"),
+                RegressorSelector(["alpha"]),
+                DependentGPRegressor(optimizer=None),
+            ],
+            "'MinMaxScaler'. before RegressorSelector",
+        ),
         ([RegressorSelector(["alpha"]), MinMaxScaler(), DependentGPRegressor(optimizer=None)], "MinMaxScaler behind"),
         (
             [RegressorSelector(["alpha"]), DependentGPRegressor(optimizer=None, trend=PolynomialFeatures(2))],

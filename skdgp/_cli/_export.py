@@ -20,6 +20,9 @@ def export(run: Run) -> None:
     portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
     c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
 
+    casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
+    onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
+
     MODEL is the model.joblib that identify wrote, or a model.npz. With --max-kb the form gets fewer basis functions;
     the loss is printed in standard deviations of the posterior. All files are written into DIR, or none, with
     config.toml, all options of this run.
@@ -82,7 +85,9 @@ EXPORT = Command(
             opt.Option(("--to",), {"choices": list(FORMATS), "required": True, "help": "the format"}),
             opt.FOLDER,
             opt.option(
-                "--max-kb KB", "largest size [kB], of portable and c (default: the whole model)", opt.positive("kB")
+                "--max-kb KB",
+                "largest size [kB] of code or portable form (default: the whole model)",
+                opt.positive("kB"),
             ),
             opt.Option(
                 ("--precision",),

@@ -13,8 +13,10 @@ import numpy as np
 from sklearn.utils import Bunch
 
 from skdgp.export._c import write_c
+from skdgp.export._casadi import write_casadi
 from skdgp.export._file import save_portable
 from skdgp.export._model import PortableModel
+from skdgp.export._onnx import write_onnx
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced
 
@@ -58,11 +60,7 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
 
 def _portable(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
     """Write model.npz."""
-    portable = _as_portable(model)
-    if max_kb is not None:
-        if not 0 < max_kb < np.inf:
-            raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
-        portable = reduced(portable, _file_bytes, int(1024 * max_kb))
+    portable = _sized(model, max_kb)
     return {"files": [save_portable(folder / "model.npz", portable)], "loss": loss_of(portable)}
 
 
@@ -75,6 +73,28 @@ def _c(folder: Path, model: Any, *, precision: str = "double", max_kb: float | N
     }
 
 
+def _casadi(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
+    """Write aero.casadi."""
+    portable = _sized(model, max_kb)
+    return {"files": [write_casadi(folder / "aero.casadi", portable)], "loss": loss_of(portable)}
+
+
+def _onnx(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
+    """Write aero.onnx."""
+    portable = _sized(model, max_kb)
+    return {"files": [write_onnx(folder / "aero.onnx", portable)], "loss": loss_of(portable)}
+
+
+def _sized(model: Any, max_kb: float | None) -> PortableModel:
+    """Return the portable model, whose file takes at most ``max_kb``."""
+    portable = _as_portable(model)
+    if max_kb is None:
+        return portable
+    if not 0 < max_kb < np.inf:
+        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
+    return reduced(portable, _file_bytes, int(1024 * max_kb))
+
+
 def _as_portable(model: Any) -> PortableModel:
     return portable_model(**model) if isinstance(model, Bunch) else model
 
@@ -85,5 +105,10 @@ def _file_bytes(model: PortableModel) -> int:
     return arrays + 4 * MEMBER_BYTES * (1 + len(model.regressors)) + len(json.dumps(model.provenance, indent=1))
 
 
-FORMATS: dict[str, Callable[..., dict[str, Any]]] = {"portable": _portable, "c": _c}
+FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
+    "portable": _portable,
+    "c": _c,
+    "casadi": _casadi,
+    "onnx": _onnx,
+}
 """What writes each format: called with a folder, a model and the options of the format, it returns facts."""

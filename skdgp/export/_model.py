@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -279,6 +280,13 @@ class PortableModel:
             **{f"root_{k}": readout.packed_root for k, readout in enumerate(self.readouts)},
             **{f"envelope_{name}": getattr(self.envelope, name) for name in Envelope.__dataclass_fields__},
         }
+
+    def terms(self, i: int) -> Iterator[tuple[Block, Vector, Matrix]]:
+        """Yield every block of output i, with the weights (size,) and the rows of U (size, k) of its functions."""
+        readout = self.readouts[self.readout_of[i]]
+        for block in self.blocks:
+            if block.output == i:
+                yield block, readout.weights[block.columns], readout.root[block.columns]
 
     @cached_property
     def content_hash(self) -> str:

@@ -20,6 +20,7 @@ MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are us
 PATIENCE = 8  # sizes without a smaller loss after which an output grows no more
 MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points that functions are fitted at are moved
 MOVED_CHECK = (0.5,)  # the same of the points that the loss is measured at
+MAX_TERMS = 2**28  # bytes
 NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
 
 
@@ -96,6 +97,16 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
 def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
     """Return the loss by reduction, ``{"CX": {"mean": ..., "std": ...}, ...}``; empty if there was none."""
     return model.provenance.get("reduction", {})
+
+
+def check_terms(model: PortableModel) -> None:
+    """Raise ValueError if the terms of a model, each with its own rows of the root, are too large for a graph."""
+    sizes = [block.size * model.readouts[model.readout_of[block.output]].size for block in model.blocks]
+    if 8 * sum(sizes) > MAX_TERMS:
+        raise ValueError(
+            f"Got a model whose terms take {8e-6 * sum(sizes):.0f} MB, but expected at most {MAX_TERMS / 1e6:.0f} MB: "
+            "give max_kb=256, or another size."
+        )
 
 
 def _points(model) -> tuple[Matrix, Matrix]:

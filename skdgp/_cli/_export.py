@@ -19,7 +19,6 @@ def export(run: Run) -> None:
 
     portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
     c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
-
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
 

@@ -291,7 +291,8 @@ class PortableModel:
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the numbers and names that predictions depend on, as hexadecimal digits."""
-        found = hashlib.sha256(repr((self.regressors, self.outputs)).encode())
+        formulas = [(r.name, r.unit, r.sources, r.factors, r.length, r.power) for r in self.regressors]
+        found = hashlib.sha256(repr((formulas, self.outputs)).encode())
         for name, array in sorted(self.arrays().items()):
             found.update(f"{name} {array.shape} ".encode())
             found.update(np.ascontiguousarray(array, dtype="<f8"))

@@ -111,3 +111,6 @@ def test_code_of_the_page_runs(fitted_of, flight, tmp_path, monkeypatch):
     for block in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
         exec(compile(block, "export.md", "exec"), names)
     assert names["slopes"].shape == (30, 6, 5)
+    X = names["model"].regressor_values(flight)
+    np.testing.assert_array_equal(names["aerodynamics"](X), names["mean"])
+    np.testing.assert_array_equal(names["aerodynamics"].gradient(X), names["slopes"])

@@ -175,7 +175,7 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
     for i in range(P):
         for kernel in gaussians:
             for j, first in enumerate(places[:-1]):
-                blocks += _blocks(kernel, i, i, j, first, first, len(X[j]))
+                blocks += _blocks(kernel, i, j, first, first, len(X[j]))
     inverse, info = lapack.dtrtri(posterior.L, lower=1)
     if info:
         raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri info {info}).")
@@ -200,7 +200,7 @@ def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
     gaussians, trend = _parts(posterior.kernel)
     P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
     center, tau = _trend_values(trend, P, d)
-    places, centres = _centres(posterior.features)
+    places, centres = _centres(posterior.features, d)
     blocks, readouts, weights, roots = [], [], np.zeros((P, d + 1)), []
     for i in range(P):
         of_trend: list[int] = []
@@ -215,9 +215,7 @@ def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
                 continue
             for f in features._blocks[i]:
                 size = len(features.Z[f])
-                blocks += _blocks(
-                    features.joint, i, i, P + f, places[start, f], len(of_gaussians), size, features.kernel
-                )
+                blocks += _blocks(features.joint, i, P + f, places[start, f], len(of_gaussians), size, features.kernel)
                 of_gaussians += index[:size]
                 index = index[size:]
         order = of_trend + of_gaussians
@@ -273,11 +271,11 @@ def _trend_values(trend, P, d):
     return center, np.column_stack([trend._value("intercept_scale"), trend._value("slope_scale")])
 
 
-def _blocks(kernel, output, i, j, first_centre, first_column, size, of=None) -> list[Block]:
-    """Return the blocks of the covariance of outputs i and j of a kernel, one for each common latent."""
+def _blocks(kernel, i, j, first_centre, first_column, size, of=None) -> list[Block]:
+    """Return the blocks of output i for the covariance with output j of a kernel, one for each common latent."""
     _, gains, _, roots, shifts = kernel._pair(i, j)
     (regressors,) = (kernel if of is None else of).term_regressors()
-    place = int(output), int(first_centre), int(first_column), int(size)
+    place = i, int(first_centre), int(first_column), int(size)
     return [
         Block(*place, float(gain), shift, root, regressors)
         for gain, root, shift in zip(gains, roots, shifts, strict=True)
@@ -296,16 +294,12 @@ def _leaves(features, start=0):
         raise ValueError(f"Got {type(features).__name__} as inducing variables, which have no form. {REMEDY}")
 
 
-def _centres(features):
+def _centres(features, d):
     """Return the first centre of every block of variables, and all centres (m, d)."""
-    places, centres = {}, [np.empty((0, features.kernel.n_features if hasattr(features, "kernel") else 0))]
-    first = 0
+    places, centres, first = {}, [np.empty((0, d))], 0
     for leaf, start in _leaves(features):
-        if isinstance(leaf, LatentFeatures):
-            for f, Z in enumerate(leaf.Z):
-                places[start, f] = first
-                first += len(Z)
-                centres.append(Z)
-    found = [Z for Z in centres if len(Z)]
-    d = next((leaf.kernel.n_features for leaf, _ in _leaves(features)), 0)
-    return places, np.concatenate(found) if found else np.empty((0, d))
+        for f, Z in enumerate(leaf.Z if isinstance(leaf, LatentFeatures) else ()):
+            places[start, f] = first
+            first += len(Z)
+            centres.append(Z)
+    return places, np.concatenate(centres)

@@ -166,11 +166,8 @@ class _Output:
     def _candidates(self):
         """Return block and place of functions to choose from, (n, 2), evenly from each block."""
         step = max(1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES))
-        found = [np.column_stack([np.full(len(k), b), k]) for b, k in self._every(step)]
-        return np.concatenate([np.empty((0, 2), dtype=int), *found])
-
-    def _every(self, step):
-        return [(b, np.arange(0, block.size, step)) for b, block in enumerate(self.blocks)]
+        found = [[b, k] for b, block in enumerate(self.blocks) for k in range(0, block.size, step)]
+        return np.array(found, dtype=int).reshape(-1, 2)
 
     def _functions(self, Z, places) -> Matrix:
         """Return Gaussian functions, each alone, at scaled regressors, (n, len(places))."""

@@ -30,6 +30,7 @@ FLOORS = [
     ["plotting", "calibration"],
     ["report"],  # shows arrays; it knows no models
     ["identification"],  # calibrates its models, and fills their reports
+    ["export"],  # writes models of identification for other programs
     ["_cli"],
     ["__main__", "__init__"],
 ]
@@ -37,7 +38,7 @@ FLOOR = {part: number for number, parts in enumerate(FLOORS, start=1) for part i
 LEARNING = {"kernels", "inference", "_regressor"}
 AIRCRAFT = {"_flight", "io", "preprocessing", "dynamics", "datasets"}
 # Imported inside the functions that use them, or not at all.
-EXTRAS = {"matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"}
+EXTRAS = {"matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink", "casadi", "onnx"}
 
 
 class Import(NamedTuple):

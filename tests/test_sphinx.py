@@ -87,7 +87,7 @@ def test_the_gallery_gives_an_example_what_it_takes(path, monkeypatch):
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop)
     with pytest.raises(KeyboardInterrupt):
         load(path).main(words)
-    assert parsed[0].output.endswith(".png")
+    assert getattr(parsed[0], "output", ".png").endswith(".png")  # of an example that draws
 
 
 def test_citations_name_the_version():

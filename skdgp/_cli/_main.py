@@ -14,6 +14,7 @@ from pathlib import Path
 
 from skdgp._cli._console import Console
 from skdgp._cli._derivatives import DERIVATIVES
+from skdgp._cli._export import EXPORT
 from skdgp._cli._identify import CHECKPOINT, DEMO, IDENTIFY
 from skdgp._cli._inspect import INSPECT
 from skdgp._cli._output import OutputFolder, Run
@@ -23,13 +24,16 @@ from skdgp._cli._simulate import SIMULATE
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-COMMANDS = {command.name: command for command in (DEMO, INSPECT, IDENTIFY, VALIDATE, PREDICT, SIMULATE, DERIVATIVES)}
+COMMANDS = {
+    command.name: command for command in (DEMO, INSPECT, IDENTIFY, VALIDATE, PREDICT, SIMULATE, DERIVATIVES, EXPORT)
+}
 OPTIONS = {
     "thrust=None": "--thrust none",
     "thin_targets(": "--samples 755",
     "inference='sparse'": "--inference sparse",
     "airborne=False": "--airborne all or --airborne 6",
     "regressors.": "--regressors",
+    "max_kb=": "--max-kb",
 }
 """How the command line writes what remedies of the library name."""
 DESCRIPTION = """\
@@ -42,6 +46,7 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
   python -m skdgp predict results/model.joblib c.csv -o coefficients.csv
   python -m skdgp simulate results/model.joblib --trim 35 -o flown
   python -m skdgp derivatives results/model.joblib --airspeed 30 35 40
+  python -m skdgp export results/model.joblib --to c -o flight_code
 
 COMMAND --help explains each. SI units and radians throughout. Exit codes: 0 done, 1 an error, in one line, 2 wrong
 usage, 130 stopped by Ctrl-C.

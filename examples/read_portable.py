@@ -1,0 +1,70 @@
+"""
+Read a portable model with NumPy alone
+======================================
+
+Predict mean and standard deviation of the coefficients from ``model.npz``, arrays and JSON without code, which
+``python -m skdgp export model.joblib --to portable -o portable`` writes::
+
+    python examples/read_portable.py portable/model.npz
+
+It needs NumPy and nothing else; a reader in another language has the same lines.
+"""
+
+import argparse
+import json
+
+import numpy as np
+
+
+class Model:
+    def __init__(self, path):
+        with np.load(path, allow_pickle=False) as file:
+            self.head, self.arrays = json.loads(file["model.json"]), {name: file[name] for name in file.files[1:]}
+        if (self.head["format"], self.head["version"]) != ("skdgp portable model", 1):
+            raise ValueError(f"{path} is of the format {self.head['format']} {self.head['version']}")
+
+    def regressors(self, table):
+        """Regressors (n, d) of a flight table, a dict of columns in SI units and radians."""
+        columns = []
+        for r in self.head["regressors"]:
+            x = sum(c * np.asarray(table[name]) for c, name in zip(r["factors"], r["sources"], strict=True))
+            columns.append(x * (r["length"] / (2 * np.asarray(table["airspeed"]))) ** r["power"] if r["power"] else x)
+        return np.column_stack(columns)
+
+    def predict(self, X):
+        """Mean and standard deviation (n, P) at regressors X (n, d), some thousands at most."""
+        a = self.arrays
+        z = (np.asarray(X, dtype=float) - a["shift"]) / a["scale"]
+        p = np.column_stack([np.ones(len(z)), z - a["trend_center"]])
+        mean, variance = np.empty((2, len(z), len(self.head["outputs"])))
+        for i, k in enumerate(a["readout_of"]):
+            w, g = a[f"weights_{k}"], np.zeros((len(z), len(a[f"weights_{k}"])))
+            blocks = (a[f"block_{name}"] for name in ("place", "gain", "shift", "root"))
+            for (output, centre, column, size), gain, shift, root in zip(*blocks, strict=True):
+                if output == i:
+                    away = (z - shift)[:, None] - a["centres"][centre : centre + size]
+                    away = away * root if root.ndim == 1 else away @ root
+                    g[:, column : column + size] += gain * np.exp(-0.5 * (away**2).sum(axis=2))
+            triangle = np.zeros((len(w), len(w)))
+            triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
+            half = p @ a[f"trend_root_{i}"]
+            half[:, half.shape[1] - len(w) :] += g @ triangle
+            prior = a["prior_variance"][i] + ((p * a["trend_scale"][i]) ** 2).sum(axis=1)
+            mean[:, i] = p @ a["trend_weights"][i] + g @ w
+            variance[:, i] = np.maximum(prior - (half**2).sum(axis=1), np.finfo(float).eps * prior)
+        return a["center"] + a["output_scale"] * mean, a["deviation_scale"] * np.sqrt(variance)
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", nargs="?", help="model.npz: its coefficients at a flown point are printed")
+    path = parser.parse_args(arguments).file
+    if path is not None:
+        model = Model(path)
+        mean, std = model.predict(model.arrays["envelope_samples"][:1])
+        for name, value, deviation in zip(model.head["outputs"], mean[0], std[0], strict=True):
+            print(f"{name:4} {value:9.5f} +- {deviation:.5f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""The command ``export``: a model in a form that other programs read."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+from skdgp._cli import _options as opt
+from skdgp._cli._output import Run, Writer
+from skdgp._cli._parser import Command
+from skdgp._cli._predict import read_model
+from skdgp.export import FORMATS, export_model, load_portable
+from skdgp.export._c import TOLERANCE
+
+
+def export(run: Run) -> None:
+    """Write a model in a form that other programs read, without Python or without pickle.
+
+    portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
+    c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
+    casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
+    onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
+
+    MODEL is the model.joblib that identify wrote, or a model.npz. With --max-kb the form gets fewer basis functions;
+    the loss is printed in standard deviations of the posterior. All files are written into DIR, or none, with
+    config.toml, all options of this run.
+
+    For example:
+      python -m skdgp export results/model.joblib --to portable -o portable
+      python -m skdgp export results/model.joblib --to c --max-kb 256 -o flight_code
+    """
+    options = run.options
+    run.console.stage("reading")
+    model = _read(options)
+    run.console.stage(f"exporting to {options.to}")
+    given = {name: getattr(options, name) for name in ("max_kb", "precision")}
+    given = {name: value for name, value in given.items() if value is not None}
+    with tempfile.TemporaryDirectory(dir=run.folder.path if run.folder else None) as temporary:
+        facts = export_model(temporary, model, options.to, **given)
+        files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
+        sizes = {name: path.stat().st_size for name, path in files.items()}
+        for name in files:
+            (Path(options.output) / name).parent.mkdir(parents=True, exist_ok=True)
+        run.write({name: _mover(path) for name, path in files.items()})
+    numbers = {"model": options.model, "to": options.to, "files": sizes, **facts} | {"files": sizes}
+    run.print(_text(options.output, numbers), numbers)
+
+
+def _read(options):
+    """Return the model file, or the portable model, that the options name."""
+    if Path(options.model).suffix != ".npz":
+        return read_model(options)
+    if options.aircraft is not None:
+        raise ValueError(
+            "Got --aircraft with a portable model, but expected model.joblib: a portable model has its own."
+        )
+    return load_portable(options.model)
+
+
+def _mover(path: Path) -> Writer:
+    return lambda target: shutil.copyfile(path, target)
+
+
+def _text(folder, numbers) -> str:
+    width = max(map(len, numbers["files"])) + 2
+    lines = [f"{name:<{width}}{size / 1024:>9.1f} kB" for name, size in numbers["files"].items()]
+    if numbers.get("loss"):
+        lines += [
+            "",
+            "loss by the smaller size, root mean square in posterior deviations",
+            f"{'':6}{'mean':>10}{'deviation':>12}",
+        ]
+        lines += [f"{name:6}{loss['mean']:>10.3f}{loss['std']:>12.3f}" for name, loss in numbers["loss"].items()]
+    return "\n".join([*lines, "", f"written into {folder}"])
+
+
+EXPORT = Command(
+    export,
+    {
+        "": [
+            opt.option("model MODEL", "the model.joblib that identify wrote, or a portable model.npz"),
+            opt.AIRCRAFT,
+            opt.Option(("--to",), {"choices": list(FORMATS), "required": True, "help": "the format"}),
+            opt.FOLDER,
+            opt.option(
+                "--max-kb KB",
+                "largest size [kB] of code or portable form (default: the whole model)",
+                opt.positive("kB"),
+            ),
+            opt.Option(
+                ("--precision",),
+                {"choices": list(TOLERANCE), "help": "of arguments and results, of c (default: double)"},
+            ),
+        ]
+    },
+)

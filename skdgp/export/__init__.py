@@ -1,0 +1,26 @@
+"""Models that leave Python: the portable model, its file, and the formats of other programs."""
+
+from skdgp.export._c import write_c
+from skdgp.export._casadi import casadi_function
+from skdgp.export._file import PortableFileError, load_portable, save_portable
+from skdgp.export._formats import FORMATS, export_model
+from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
+from skdgp.export._onnx import onnx_model
+from skdgp.export._pipeline import portable_model
+
+__all__ = [
+    "FORMATS",
+    "Block",
+    "Envelope",
+    "PortableFileError",
+    "PortableModel",
+    "Readout",
+    "Regressor",
+    "casadi_function",
+    "export_model",
+    "load_portable",
+    "onnx_model",
+    "portable_model",
+    "save_portable",
+    "write_c",
+]

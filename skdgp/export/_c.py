@@ -1,0 +1,376 @@
+"""The model as C99: one header, one source, no allocation, and a self-test with vectors of the model."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from string import Template
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp.export._model import PortableModel, Readout
+from skdgp.export._reduce import reduced
+from skdgp.identification._model_file import write_together
+
+TOLERANCE = {"double": 1e-9, "float": 1e-4}
+"""Of the self-test, relative to the largest value."""
+ROUNDED = 2e-5  # largest change of a deviation, relative to the largest, by a root of 32-bit numbers
+MAX_BYTES = 2**26  # a compiler takes no larger source in reasonable time
+MAX_REGRESSORS = 32  # bits of an unsigned long
+LARGE = 2**20  # numbers of roots from which their rounding is not tried before it is needed
+N_VECTORS = 40
+PER_LINE = 8
+BLOCK_BYTES = 56
+CODE_BYTES = 4096  # of the functions and names, and alignment
+UNBOUNDED = 1e30  # edge of an envelope that is not known
+_TEMPLATES = Path(__file__).with_name("c")
+_AXES = [("XX", 0, 0), ("YY", 1, 1), ("ZZ", 2, 2), ("XY", 0, 1), ("XZ", 0, 2), ("YZ", 1, 2)]
+
+
+def write_c(
+    folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double", max_kb: float | None = None
+) -> PortableModel:
+    """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile; return the model as written.
+
+    ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
+    regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
+    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value.
+
+    Parameters
+    ----------
+    folder : path-like
+        It must exist. All files are written or none.
+    model : PortableModel
+    precision : {"double", "float"}
+        "float": arguments and results are of type float, and the root of the variance is rounded to 32 bits where this
+        changes no deviation visibly. Arithmetic is in double, since the explained variance nearly cancels the prior.
+    max_kb : float, optional
+        Largest size in flash, tables and code [kB of 1024 bytes]. A larger model gets fewer basis functions; the loss
+        is in ``provenance["reduction"]`` of the model that is returned. None: the whole model.
+
+    Returns
+    -------
+    PortableModel
+        What the C code computes: ``model`` itself, or the reduced one.
+
+    Raises
+    ------
+    ValueError
+        If ``precision`` or ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or
+        there are more than 32 regressors.
+    """
+    model = sized_for_c(model, precision, max_kb)
+    texts = c_files(model, precision)
+    write_together(Path(folder), {name: _writer(text) for name, text in texts.items()})
+    return model
+
+
+def _writer(text):
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def sized_for_c(model: PortableModel, precision: str = "double", max_kb: float | None = None) -> PortableModel:
+    """Return the model in at most ``max_kb``; errors as of :func:`write_c`."""
+    _check_precision(precision)
+    if max_kb is None:
+        return model
+    if not 0 < max_kb < np.inf:
+        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
+    return reduced(model, lambda smaller: c_bytes(smaller, precision), int(1024 * max_kb))
+
+
+def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
+    """Return the texts of aero.h, aero.c, test_aero.c and the Makefile by name; errors as of :func:`write_c`."""
+    _check_precision(precision)
+    size = c_bytes(model, precision)
+    if size > MAX_BYTES:
+        raise ValueError(
+            f"Got a model that takes {size / 1e6:.0f} MB in C, but expected at most {MAX_BYTES / 1e6:.0f} MB: "
+            "give max_kb=256, or another size."
+        )
+    if len(model.regressors) > MAX_REGRESSORS:
+        raise ValueError(f"Got {len(model.regressors)} regressors, but expected at most {MAX_REGRESSORS}: name fewer.")
+    values = {"aero.h": _header(model, precision, size), "aero.c": _source(model, precision)}
+    values["test_aero.c"] = _test(model, precision)
+    texts = {name: Template(_template(name)).substitute(value) for name, value in values.items()}
+    return texts | {"Makefile": _template("Makefile")}
+
+
+def _template(name: str) -> str:
+    return (_TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _check_precision(precision: str) -> None:
+    if precision not in TOLERANCE:
+        raise ValueError(f"Got precision={precision!r}, but expected one of {list(TOLERANCE)}.")
+
+
+# -- tables --------------------------------------------------------------------------------------------------------
+
+
+class _Rounded(NamedTuple):
+    """A packed triangle of 32-bit numbers: entry (c, r) is row[c] * values * column[r]."""
+
+    values: Array
+    row: Vector
+    column: Vector
+
+    @classmethod
+    def of(cls, readout: Readout) -> _Rounded:
+        row = np.abs(readout.root).max(axis=1, initial=0.0)
+        row[row == 0] = 1.0
+        scaled = readout.root / row[:, None]
+        column = np.maximum(np.abs(scaled).max(axis=0, initial=0.0), 1e-300) / (2**31 - 1)
+        return cls(np.rint((scaled / column).T[np.tril_indices(readout.size)]), row, column)
+
+    def in_full(self) -> Vector:
+        """Return the packed triangle."""
+        rows, columns = np.tril_indices(len(self.row))
+        return self.values * self.row[columns] * self.column[rows]
+
+
+def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
+    """Return the rounded root of each readout, or None where it stays as it is."""
+    if precision == "double":
+        return [None] * len(model.readouts)
+    rounded = [_Rounded.of(readout) for readout in model.readouts]
+    readouts = [Readout(readout.weights, root.in_full()) for readout, root in zip(model.readouts, rounded, strict=True)]
+    X = _points(model)
+    std, other = (m.predict(X, return_std=True)[1] for m in (model, replace(model, readouts=tuple(readouts))))
+    visible = np.abs(other - std).max(axis=0) > ROUNDED * std.max(axis=0)
+    return [None if visible[model.readout_of == k].any() else root for k, root in enumerate(rounded)]
+
+
+class _Table(NamedTuple):
+    """The constants of a model: blocks with their used regressors, and centres, shifts and roots, each set once."""
+
+    rows: list[tuple]
+    used: list[int]
+    centres: Vector
+    shifts: Vector
+    roots: Vector
+    full: bool
+
+
+def _blocks(model: PortableModel) -> _Table:
+    full = any(block.root.ndim == 2 for block in model.blocks)
+    parts: dict[str, list[Vector]] = {"centres": [], "shifts": [], "roots": []}
+    rows: list[tuple] = []
+    used: list[int] = []
+    places: dict[tuple, int] = {}
+    sizes = dict.fromkeys(parts, 0)
+
+    def add(name, values):
+        parts[name].append(np.ravel(values))
+        sizes[name] += np.size(values)
+        return sizes[name] - np.size(values)
+
+    for block in sorted(model.blocks, key=lambda block: block.output):
+        index = list(range(len(model.regressors)) if full else block.regressors)
+        key = block.first_centre, block.size, tuple(index)
+        if key not in places:
+            places[key] = add("centres", model.centres[block.rows][:, index])
+        root = np.diag(block.root) if full and block.root.ndim == 1 else block.root[index]
+        place = places[key], add("shifts", block.shift[index]), add("roots", root)
+        rows.append((block.first_column, block.size, len(index), len(used), *place, block.gain))
+        used += index
+    centres, shifts, roots = (np.concatenate([*values, np.zeros(int(not values))]) for values in parts.values())
+    return _Table(rows, used, centres, shifts, roots, full)
+
+
+def c_bytes(model: PortableModel, precision: str = "double") -> int:
+    """Return the bytes of a model in C, tables and code: an estimate from above for a processor of 64 bits."""
+    table, triangles = _blocks(model), [len(readout.packed_root) for readout in model.readouts]
+    numbers = sum(len(values) for values in (table.centres, table.shifts, table.roots))
+    numbers += sum(np.size(getattr(model, name)) for name in _VECTORS) + 2 * len(model.regressors)
+    numbers += sum(root.size for root in model.trend_roots) + sum(readout.size for readout in model.readouts)
+    size = CODE_BYTES + 8 * numbers + len(table.used) + BLOCK_BYTES * len(model.blocks)
+    if precision == "double" or sum(triangles) > LARGE:
+        return size + 8 * sum(triangles)
+    roots = _roots(model, precision)
+    return size + sum(
+        8 * n if root is None else 4 * n + 16 * len(root.row) for n, root in zip(triangles, roots, strict=True)
+    )
+
+
+# -- texts ---------------------------------------------------------------------------------------------------------
+
+_VECTORS = (
+    *("shift", "scale", "center", "output_scale", "deviation_scale", "prior_variance", "trend_center", "trend_scale"),
+    "trend_weights",
+)
+
+
+def _header(model, precision, size) -> dict[str, Any]:
+    aircraft = model.aircraft
+    constants = {name.upper(): getattr(aircraft, name) for name in ("mass", "wing_area", "span", "chord")}
+    constants |= {f"I{axes}": aircraft.inertia[i, j] for axes, i, j in _AXES}
+    functions = max(readout.size for readout in model.readouts)
+    return {
+        "aircraft": _comment(aircraft.name),
+        "size": size,
+        "hash": model.content_hash,
+        "stack": 8 * (functions + 4 * len(model.regressors) + 1),
+        "real": precision,
+        "n_sources": len(_sources(model)),
+        "d": len(model.regressors),
+        "P": len(model.outputs),
+        "sources": _comment(", ".join(_sources(model))),
+        "inputs": _comment(", ".join(model.regressor_names)),
+        "outputs": _comment(", ".join(model.outputs)),
+        "constants": "\n".join(f"#define AERO_{name} {float(value)!r}" for name, value in constants.items()),
+    }
+
+
+def _source(model, precision) -> dict[str, Any]:
+    P, table = len(model.outputs), _blocks(model)
+    order = sorted(block.output for block in model.blocks)
+    readouts = [model.readouts[k] for k in model.readout_of]
+    roots = _roots(model, precision)
+    blocks = [
+        f"{{{column}, {size}, {n}, used + {used}, centres + {centre}, shifts + {shift}, roots + {root}, {gain!r}}}"
+        for column, size, n, used, centre, shift, root, gain in table.rows
+    ] or ["{0, 0, 0, used, centres, shifts, roots, 0}"]
+    texts = [
+        _names("aero_source_names", _sources(model)),
+        _names("aero_input_names", model.regressor_names),
+        _names("aero_output_names", model.outputs),
+        *(
+            _array(f"aero_{name}", edge, "const aero_real")
+            for name, edge in zip(("low", "high"), _edges(model, precision), strict=True)
+        ),
+        *(_array(name, getattr(model, name)) for name in _VECTORS),
+        *(_array(name, getattr(table, name)) for name in ("centres", "shifts", "roots")),
+        _array("used", table.used or [0], "static const unsigned char"),
+        f"static const block blocks[{len(blocks)}] = {{" + ",\n".join(blocks) + "};",
+        _array("first_block", np.searchsorted(order, np.arange(P + 1)), _INT),
+        _array("n_functions", [readout.size for readout in readouts], _INT),
+        _array("n_columns", [root.shape[1] for root in model.trend_roots], _INT),
+        *(_array(f"weights_{k}", readout.weights) for k, readout in enumerate(model.readouts)),
+        *(text for k, root in enumerate(roots) for text in _triangle(k, root, model.readouts[k])),
+        *(_array(f"trend_root_{i}", root.T.ravel()) for i, root in enumerate(model.trend_roots)),
+        _pointers("weights", [f"weights_{k}" for k in model.readout_of]),
+        _pointers("trend_root", [f"trend_root_{i}" for i in range(P)]),
+        f"static const triangle root[{P}] = {{" + ",\n".join(_pointer(k, roots[k]) for k in model.readout_of) + "};",
+    ]
+    return {
+        "functions": max(1, *(readout.size for readout in model.readouts)),
+        "full": int(table.full),
+        "tables": "\n".join(texts),
+        "formulas": "\n".join(_formulas(model)),
+    }
+
+
+def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
+    """Yield the arrays of one root."""
+    if root is None:
+        yield _array(f"root_{k}", readout.packed_root)
+        return
+    yield _array(f"root_{k}", root.values, "static const int32_t")
+    yield _array(f"row_{k}", root.row)
+    yield _array(f"column_{k}", root.column)
+
+
+def _pointer(k: int, root: _Rounded | None) -> str:
+    return f"{{root_{k}, NULL, NULL, NULL}}" if root is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
+
+
+def _test(model, precision) -> dict[str, Any]:
+    X = _rounded(_points(model), precision)
+    mean, std = model.predict(X, return_std=True)
+    slope = model.predict_gradient(X)
+    size = np.abs(slope * model.scale).max(axis=(0, 2))[:, None] / model.scale
+    low, high = _edges(model, precision)
+    bits = (((low > X) | (high < X)) * 2 ** np.arange(X.shape[1])).sum(axis=1)
+    numbers = {"says_mean": mean, "says_std": std, "says_slope": slope}
+    numbers |= {"mean_size": np.abs(mean).max(axis=0), "std_size": std.max(axis=0)}
+    numbers |= {"slope_size": np.where(size > 0, size, 1.0)}
+    texts = [
+        _array("at", X, "static const aero_real"),
+        _array("beyond", bits, "static const unsigned long"),
+        *(_array(name, values) for name, values in numbers.items()),
+    ]
+    return {"n": len(X), "tolerance": TOLERANCE[precision], "tables": "\n".join(texts)}
+
+
+def _rounded(values: Array, precision: str) -> Array:
+    return values.astype(np.float32).astype(float) if precision == "float" else values
+
+
+def _edges(model, precision) -> list[Vector]:
+    envelope = model.envelope
+    return [_rounded(np.clip(edge, -UNBOUNDED, UNBOUNDED), precision) for edge in (envelope.low, envelope.high)]
+
+
+def _points(model) -> Matrix:
+    """Return points of the envelope and around it, the same at every call."""
+    rng = np.random.default_rng(0)
+    samples = model.envelope.samples
+    if not len(samples):
+        low, high = (np.where(np.isfinite(e), e, model.shift) for e in (model.envelope.low, model.envelope.high))
+        samples = rng.uniform(low, high, (N_VECTORS, len(low)))
+    X = samples[np.linspace(0, len(samples) - 1, N_VECTORS).astype(int)].copy()
+    X[1::2] += 0.5 * model.scale * rng.standard_normal(X[1::2].shape)
+    return X
+
+
+def _sources(model) -> list[str]:
+    """Return every column of a flight that the regressors are computed from, each once."""
+    return list(dict.fromkeys(name for regressor in model.regressors for name in regressor.columns))
+
+
+def _formulas(model) -> Iterator[str]:
+    """Yield the statement of each input."""
+    place = {name: k for k, name in enumerate(_sources(model))}
+    for k, regressor in enumerate(model.regressors):
+        terms = [
+            f"source[{place[name]}]" if factor == 1 else f"{factor!r} * source[{place[name]}]"
+            for name, factor in zip(regressor.sources, regressor.factors, strict=True)
+        ]
+        text = " + ".join(terms)
+        if regressor.power:
+            rate = f" * ({regressor.length!r} / (2 * source[{place['airspeed']}]))"
+            text = (f"({text})" if len(terms) > 1 else text) + rate * regressor.power
+        yield f"    x[{k}] = (aero_real)({text}); /* {_comment(regressor.name)} */"
+
+
+# -- C -------------------------------------------------------------------------------------------------------------
+
+_INT = "static const int"
+
+
+def _array(name: str, values: Any, kind: str = "static const double") -> str:
+    """Return a constant array of its shape; an empty one has one zero, since C has none."""
+    values = np.asarray(values)
+    values = values if values.size else np.zeros(1)
+    shape = "".join(f"[{n}]" for n in values.shape)
+    is_real = kind.endswith(("double", "real"))
+    return f"{kind} {name}{shape} = {_braces(values.astype(float if is_real else np.int64))};"
+
+
+def _braces(values: Array) -> str:
+    if values.ndim > 1:
+        return "{" + ",\n".join(_braces(row) for row in values) + "}"
+    words = [repr(value) for value in values.tolist()]
+    lines = [", ".join(words[a : a + PER_LINE]) for a in range(0, len(words), PER_LINE)]
+    return "{" + ",\n".join(lines) + "}"
+
+
+def _pointers(name: str, tables: list[str]) -> str:
+    return f"static const double *const {name}[{len(tables)}] = {{{', '.join(tables)}}};"
+
+
+def _names(name: str, values: Iterable[str]) -> str:
+    values = list(values)
+    return f"const char *const {name}[{len(values)}] = {{{', '.join(json.dumps(value) for value in values)}}};"
+
+
+def _comment(text: str) -> str:
+    """Return a text that can stand in a comment of C."""
+    words = "".join(c if c.isascii() and c.isprintable() and c not in "*\\$" else "?" for c in text)
+    return words.replace("??", "? ?")

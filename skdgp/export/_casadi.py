@@ -1,0 +1,71 @@
+"""The model as a CasADi function: mean, deviation and Jacobian, for optimisation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skdgp.export._model import PortableModel
+from skdgp.export._reduce import check_terms
+
+NEEDED = 'This format needs CasADi, which is not installed: pip install "skdgp[export]".'
+
+
+def casadi_function(model: PortableModel) -> Any:
+    """Return a ``casadi.Function`` from regressors ``x`` (d,) to ``mean`` (P,), ``std`` (P,) and ``jacobian`` (P, d).
+
+    The regressors are in their units, in the order of ``model.regressor_names``. The Jacobian is that of the mean. The
+    function can be differentiated further, also the deviation, and be saved with its method ``save``.
+
+    Parameters
+    ----------
+    model : PortableModel
+        Not an exact one of many samples; a reduced one (``export --max-kb``) is faster.
+
+    Returns
+    -------
+    casadi.Function
+        Named ``aero``.
+
+    Raises
+    ------
+    ImportError
+        If CasADi is not installed.
+    ValueError
+        If the model is too large.
+    """
+    try:
+        import casadi as ca
+    except ImportError as error:
+        raise ImportError(NEEDED) from error
+    check_terms(model)
+    x = ca.MX.sym("x", len(model.regressors))
+    z = (x - ca.DM(model.shift)) / ca.DM(model.scale)
+    p = ca.vertcat(1, z - ca.DM(model.trend_center))
+    mean, std = [], []
+    for i in range(len(model.outputs)):
+        value = ca.dot(ca.DM(model.trend_weights[i]), p)
+        root = model.trend_roots[i]
+        half = ca.mtimes(ca.DM(root.T), p)
+        for block, weights, rows in model.terms(i):
+            away = ca.repmat(z - ca.DM(block.shift), 1, block.size) - ca.DM(model.centres[block.rows].T)
+            F = np.diag(block.root) if block.root.ndim == 1 else block.root.T
+            g = block.gain * ca.exp(-0.5 * ca.sum1(ca.mtimes(ca.DM(F), away) ** 2)).T
+            value += ca.dot(ca.DM(weights), g)
+            padded = np.hstack([np.zeros((len(rows), root.shape[1] - rows.shape[1])), rows])
+            half += ca.mtimes(ca.DM(padded.T), g)
+        prior = model.prior_variance[i] + ca.sumsqr(ca.DM(model.trend_scale[i]) * p)
+        variance = ca.fmax(prior - ca.sumsqr(half), np.finfo(float).eps * prior)
+        mean.append(model.center[i] + model.output_scale[i] * value)
+        std.append(model.deviation_scale[i] * ca.sqrt(variance))
+    outputs = ca.vertcat(*mean)
+    values = [outputs, ca.vertcat(*std), ca.jacobian(outputs, x)]
+    return ca.Function("aero", [x], values, ["x"], ["mean", "std", "jacobian"])
+
+
+def write_casadi(path: Path, model: PortableModel) -> Path:
+    """Save the function of a model; ``casadi.Function.load`` reads it, in Python, C++ and MATLAB."""
+    casadi_function(model).save(str(path))
+    return path

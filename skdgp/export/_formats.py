@@ -1,0 +1,114 @@
+"""The formats that a model is exported to, by name."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sklearn.utils import Bunch
+
+from skdgp.export._c import write_c
+from skdgp.export._casadi import write_casadi
+from skdgp.export._file import save_portable
+from skdgp.export._model import PortableModel
+from skdgp.export._onnx import write_onnx
+from skdgp.export._pipeline import portable_model
+from skdgp.export._reduce import loss_of, reduced
+
+MEMBER_BYTES = 300  # of an array in a file, besides its numbers
+
+
+def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options: Any) -> dict[str, Any]:
+    """Write a model in one of the ``FORMATS`` into a folder.
+
+    Parameters
+    ----------
+    folder : path-like
+        It must exist.
+    model : Bunch or PortableModel
+        What :func:`skdgp.identification.load_model` or :func:`load_portable` returns.
+    to : str
+        Name of the format.
+    **options
+        Of the format: ``max_kb``, ``precision``.
+
+    Returns
+    -------
+    dict
+        Facts: ``files`` is the list of paths, ``loss`` the loss of each coefficient by a smaller size.
+
+    Raises
+    ------
+    ValueError
+        If there is no such format, it has no such option, or the model has no such form.
+    OSError
+        If a file cannot be written.
+    """
+    if to not in FORMATS:
+        raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
+    known = [name for name in inspect.signature(FORMATS[to]).parameters if name not in ("folder", "model")]
+    unknown = [name for name in options if name not in known]
+    if unknown:
+        raise ValueError(f"Got the options {unknown} for the format {to}, but expected {known or 'none'}.")
+    return FORMATS[to](Path(folder), model, **options)
+
+
+def _portable(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
+    """Write model.npz."""
+    portable = _sized(model, max_kb)
+    return {"files": [save_portable(folder / "model.npz", portable)], "loss": loss_of(portable)}
+
+
+def _c(folder: Path, model: Any, *, precision: str = "double", max_kb: float | None = None) -> dict[str, Any]:
+    """Write aero.h, aero.c, their test and a Makefile."""
+    written = write_c(folder, _as_portable(model), precision=precision, max_kb=max_kb)
+    return {
+        "files": [folder / name for name in ("aero.h", "aero.c", "test_aero.c", "Makefile")],
+        "loss": loss_of(written),
+    }
+
+
+def _casadi(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
+    """Write aero.casadi."""
+    portable = _sized(model, max_kb)
+    return {"files": [write_casadi(folder / "aero.casadi", portable)], "loss": loss_of(portable)}
+
+
+def _onnx(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
+    """Write aero.onnx."""
+    portable = _sized(model, max_kb)
+    return {"files": [write_onnx(folder / "aero.onnx", portable)], "loss": loss_of(portable)}
+
+
+def _sized(model: Any, max_kb: float | None) -> PortableModel:
+    """Return the portable model, whose file takes at most ``max_kb``."""
+    portable = _as_portable(model)
+    if max_kb is None:
+        return portable
+    if not 0 < max_kb < np.inf:
+        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
+    return reduced(portable, _file_bytes, int(1024 * max_kb))
+
+
+def _as_portable(model: Any) -> PortableModel:
+    return portable_model(**model) if isinstance(model, Bunch) else model
+
+
+def _file_bytes(model: PortableModel) -> int:
+    """Return the size of the file of a model."""
+    arrays = sum(array.nbytes + MEMBER_BYTES for array in model.arrays().values())
+    return arrays + 4 * MEMBER_BYTES * (1 + len(model.regressors)) + len(json.dumps(model.provenance, indent=1))
+
+
+FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
+    "portable": _portable,
+    "c": _c,
+    "casadi": _casadi,
+    "onnx": _onnx,
+}
+"""What writes each format: called with a folder, a model and the options of the format, it returns facts."""

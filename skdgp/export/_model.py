@@ -1,0 +1,392 @@
+"""The portable model: the posterior of an identified aircraft as arrays, evaluated by NumPy alone."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp.dynamics import Aircraft
+
+CHUNK_BYTES = 2**26  # working memory of one chunk of rows
+ROUNDING = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Regressor:
+    r"""One regressor, and the columns of a flight table that it is computed from.
+
+    .. math:: x = \left(\frac{L}{2V}\right)^n \sum_k c_k u_k
+
+    Parameters
+    ----------
+    name, unit : str
+        Such as ``q_hat`` and "".
+    sources : tuple of str
+        Columns u of a flight table.
+    factors : tuple of float
+        Their factors c: those of the mixing for a control, else 1.
+    length : float
+        Reference length L [m] of a non-dimensional rate.
+    power : {0, 1, 2}
+        n: 0 for a column itself, 1 for a rate, 2 for an angular acceleration. V is the column ``airspeed`` [m/s].
+    """
+
+    name: str
+    unit: str
+    sources: tuple[str, ...]
+    factors: tuple[float, ...] = (1.0,)
+    length: float = 1.0
+    power: int = 0
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Every column that it needs."""
+        return (*self.sources, "airspeed") if self.power else self.sources
+
+    def values(self, table: Any) -> Vector:
+        """Return the regressor (n,) of a table, from its own column where the table has no sources."""
+        if self.name in table and not all(name in table for name in self.columns):
+            return np.asarray(table[self.name], dtype=float)
+        lacking = [name for name in self.columns if name not in table]
+        if lacking:
+            raise ValueError(
+                f"Got a table without {lacking}, but the regressor {self.name} is computed from {list(self.columns)}: "
+                f"add them, or a column {self.name}."
+            )
+        mixed = sum(
+            factor * np.asarray(table[name], float) for factor, name in zip(self.factors, self.sources, strict=True)
+        )
+        if not self.power:
+            return np.asarray(mixed)
+        return mixed * (self.length / (2 * np.asarray(table["airspeed"], dtype=float))) ** self.power
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    r"""Gaussian functions of one width, which add to neighbouring columns of the basis of one output.
+
+    .. math:: g_k(z) = \mathrm{gain} \, \exp\left(-\frac{1}{2} |F^T (z - \mathrm{shift} - Z_k)|^2\right)
+
+    with the scaled regressors z and Z the rows ``first_centre`` to ``first_centre + size`` of the model's centres.
+
+    Parameters
+    ----------
+    output : int
+        The output i.
+    first_centre, first_column, size : int
+        Rows of ``PortableModel.centres``, and columns of the basis of the output's readout.
+    gain : float
+    shift : ndarray (d,)
+    root : ndarray (d,) or (d, d)
+        F, or its diagonal.
+    regressors : tuple of int
+        Regressors that the functions depend on; the others have no visible effect.
+    """
+
+    output: int
+    first_centre: int
+    first_column: int
+    size: int
+    gain: float
+    shift: Vector
+    root: Array
+    regressors: tuple[int, ...]
+
+    @property
+    def rows(self) -> slice:
+        """Its centres, among those of the model."""
+        return slice(self.first_centre, self.first_centre + self.size)
+
+    @property
+    def columns(self) -> slice:
+        """Its columns of the basis."""
+        return slice(self.first_column, self.first_column + self.size)
+
+    def functions(self, Z: Matrix, centres: Matrix) -> Matrix:
+        """Return its functions of any centres (k, d) at scaled regressors Z (n, d), (n, k)."""
+        z = Z - self.shift
+        full = self.root.ndim == 2
+        pair = (z @ self.root, centres @ self.root) if full else (z * self.root, centres * self.root)
+        return self.gain * np.exp(-0.5 * cdist(*pair, "sqeuclidean"))
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """Weights of the mean and root of the variance for a basis of k functions g.
+
+    Parameters
+    ----------
+    weights : ndarray (k,)
+        w of the mean.
+    packed_root : ndarray (k (k + 1) / 2,)
+        The upper triangle U (k, k) of the explained variance, column by column: 1, 2, ... k entries.
+    """
+
+    weights: Vector
+    packed_root: Vector
+
+    @property
+    def size(self) -> int:
+        """Number of basis functions k."""
+        return len(self.weights)
+
+    @cached_property
+    def root(self) -> Matrix:
+        """U (k, k)."""
+        root = np.zeros((self.size, self.size))
+        root.T[np.tril_indices(self.size)] = self.packed_root
+        return root
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """Regressors that the model was learned from, in their own units.
+
+    Parameters
+    ----------
+    low, high : ndarray (d,)
+        Smallest and largest value.
+    levels, quantiles : ndarray (q,), ndarray (q, d)
+        Probabilities, and the quantile of each regressor; empty where no samples are known.
+    samples : ndarray (n, d)
+        Some of the rows themselves, spread over the training data; none of a compact model.
+    """
+
+    low: Vector
+    high: Vector
+    levels: Vector
+    quantiles: Matrix
+    samples: Matrix
+
+    def inside(self, X: Matrix) -> Any:
+        """Return whether each row of X (n, d) is within the range of every regressor, (n,)."""
+        X = np.asarray(X, dtype=float)
+        return np.logical_and(self.low <= X, self.high >= X).all(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class PortableModel:
+    r"""The posterior of the coefficients of an aircraft, as arrays.
+
+    For regressors x (d,), with z = (x - ``shift``) / ``scale``, p = (1, z - ``trend_center``) and the basis g(z) of
+    output i (:class:`Block`), mean and variance of the coefficient are
+
+    .. math:: m_i = c_i + s_i (v_i^T p + w^T g), \quad
+              \sigma_i^2 = t_i^2 \left(a_i + |\tau_i \circ p|^2 - |h|^2\right), \quad
+              h = T_i^T p + (0, U^T g),
+
+    with c ``center``, s ``output_scale``, t ``deviation_scale``, a ``prior_variance``, v ``trend_weights``, tau
+    ``trend_scale``, T ``trend_roots``, and w and U of the output's :class:`Readout`, which
+    acts on the last k entries of h. This is the posterior of the
+    function at exact regressors: ``DependentGPRegressor.predict(X, return_std=True, include_input_noise=False)``.
+
+    Parameters
+    ----------
+    regressors : tuple of Regressor
+    outputs : tuple of str
+    aircraft : Aircraft
+    shift, scale : ndarray (d,)
+        Of the regressors.
+    center, output_scale, deviation_scale : ndarray (P,)
+    centres : ndarray (m, d)
+        Centres of Gaussian functions, in scaled regressors.
+    blocks : tuple of Block
+    readouts : tuple of Readout
+    readout_of : ndarray (P,) of int
+        The readout of each output; outputs may share one.
+    trend_center : ndarray (d,)
+    trend_scale, trend_weights : ndarray (P, d + 1)
+    trend_roots : tuple of ndarray (d + 1, r)
+        One for each output, with k <= r <= k + d + 1.
+    prior_variance : ndarray (P,)
+        Of the Gaussian functions, of normalised outputs.
+    noise_variance : ndarray (P,)
+        Of measurements of the coefficients; it is no part of the deviation.
+    drift_variance, drift_memory : ndarray (P,)
+        Of the errors along a flight, ``tau^2 exp(-|t - t'| / T)``; zero where there is none.
+    input_covariance : ndarray (d, d)
+        Noise of the regressors of the flights; it is no part of the deviation.
+    envelope : Envelope
+    provenance : dict
+        Facts: creation, versions, options and fit, as JSON knows them.
+
+    Examples
+    --------
+    ``portable_model(**load_model("model.joblib"))`` makes one.
+    """
+
+    regressors: tuple[Regressor, ...]
+    outputs: tuple[str, ...]
+    aircraft: Aircraft
+    shift: Vector
+    scale: Vector
+    center: Vector
+    output_scale: Vector
+    deviation_scale: Vector
+    centres: Matrix
+    blocks: tuple[Block, ...]
+    readouts: tuple[Readout, ...]
+    readout_of: Indices
+    trend_center: Vector
+    trend_scale: Matrix
+    trend_weights: Matrix
+    trend_roots: tuple[Matrix, ...]
+    prior_variance: Vector
+    noise_variance: Vector
+    drift_variance: Vector
+    drift_memory: Vector
+    input_covariance: Matrix
+    envelope: Envelope
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"PortableModel({', '.join(self.outputs)} of {', '.join(self.regressor_names)})"
+
+    @property
+    def regressor_names(self) -> tuple[str, ...]:
+        """Names of the d regressors, in order."""
+        return tuple(regressor.name for regressor in self.regressors)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these."""
+        d = len(self.regressors)
+        places = [(b.output, b.first_centre, b.first_column, b.size) for b in self.blocks]
+        depends = np.zeros((len(self.blocks), d), dtype=bool)
+        for row, block in zip(depends, self.blocks, strict=True):
+            row[list(block.regressors)] = True
+        full = any(block.root.ndim == 2 for block in self.blocks)
+        roots = [np.diag(b.root) if full and b.root.ndim == 1 else b.root for b in self.blocks]
+        names = (
+            *("shift", "scale", "center", "output_scale", "deviation_scale", "centres", "readout_of", "trend_center"),
+            *("trend_scale", "trend_weights", "prior_variance", "noise_variance", "drift_variance", "drift_memory"),
+            "input_covariance",
+        )
+        return {
+            **{name: getattr(self, name) for name in names},
+            "block_place": np.array(places, dtype=np.int64).reshape(-1, 4),
+            "block_gain": np.array([b.gain for b in self.blocks], dtype=float),
+            "block_shift": np.array([b.shift for b in self.blocks]).reshape(-1, d),
+            "block_root": np.array(roots).reshape((-1, d, d) if full else (-1, d)),
+            "block_regressors": depends,
+            **{f"trend_root_{i}": root for i, root in enumerate(self.trend_roots)},
+            **{f"weights_{k}": readout.weights for k, readout in enumerate(self.readouts)},
+            **{f"root_{k}": readout.packed_root for k, readout in enumerate(self.readouts)},
+            **{f"envelope_{name}": getattr(self.envelope, name) for name in Envelope.__dataclass_fields__},
+        }
+
+    def terms(self, i: int) -> Iterator[tuple[Block, Vector, Matrix]]:
+        """Yield every block of output i, with the weights (size,) and the rows of U (size, k) of its functions."""
+        readout = self.readouts[self.readout_of[i]]
+        for block in self.blocks:
+            if block.output == i:
+                yield block, readout.weights[block.columns], readout.root[block.columns]
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of the numbers and names that predictions depend on, as hexadecimal digits."""
+        formulas = [(r.name, r.unit, r.sources, r.factors, r.length, r.power) for r in self.regressors]
+        found = hashlib.sha256(repr((formulas, self.outputs)).encode())
+        for name, array in sorted(self.arrays().items()):
+            found.update(f"{name} {array.shape} ".encode())
+            found.update(np.ascontiguousarray(array, dtype="<f8"))
+        return found.hexdigest()
+
+    # -- evaluation ------------------------------------------------------------------------------------
+
+    def regressor_values(self, X: Any) -> Matrix:
+        """Return regressors (n, d) of an array (n, d), or of a flight table by its columns.
+
+        Raises
+        ------
+        ValueError
+            If columns are missing, the shape is another, or a value is not finite.
+        """
+        if hasattr(X, "columns") or isinstance(X, dict):
+            X = np.column_stack([regressor.values(X) for regressor in self.regressors])
+        X = np.asarray(X, dtype=float)
+        if X.ndim != 2 or X.shape[1] != len(self.regressors):
+            raise ValueError(
+                f"Got regressors of shape {X.shape}, but expected (n, {len(self.regressors)}): "
+                f"{', '.join(self.regressor_names)}."
+            )
+        if not np.isfinite(X).all():
+            raise ValueError("Got regressors that are not finite, but expected finite ones: leave out these rows.")
+        return X
+
+    def predict(self, X: Any, return_std: bool = False) -> Any:
+        """Return the mean of the coefficients and, with ``return_std``, their standard deviation at exact regressors.
+
+        Parameters
+        ----------
+        X : array (n, d), DataFrame or dict of columns
+            Regressors in their units, or a flight table at exact states with their sources. Measured noise is not
+            removed: that is the pipeline's task.
+        return_std : bool
+
+        Returns
+        -------
+        mean : ndarray (n, P)
+        std : ndarray (n, P)
+            With ``return_std``.
+
+        Raises
+        ------
+        ValueError
+            As of ``regressor_values``.
+        """
+        Z = (self.regressor_values(X) - self.shift) / self.scale
+        parts = [self._predict(Z[rows], return_std) for rows in self._chunks(len(Z))]
+        mean, std = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return (mean, std) if return_std else mean
+
+    def predict_gradient(self, X: Any) -> Array:
+        """Return the slopes of the mean, d mean / d regressor, (n, P, d), per unit of the regressors."""
+        Z = (self.regressor_values(X) - self.shift) / self.scale
+        return np.concatenate([self._gradient(Z[rows]) for rows in self._chunks(len(Z))])
+
+    def _chunks(self, n):
+        widest = 3 * max(root.shape[1] for root in self.trend_roots) + 1
+        step = max(1, CHUNK_BYTES // (8 * widest))
+        return [slice(a, min(a + step, n)) for a in range(0, max(n, 1), step)]
+
+    def _trend(self, Z):
+        return np.column_stack([np.ones(len(Z)), Z - self.trend_center])
+
+    def _basis(self, Z, i):
+        """Return the basis of output i at scaled regressors, (n, k)."""
+        basis = np.zeros((len(Z), self.readouts[self.readout_of[i]].size))
+        for block in self.blocks:
+            if block.output == i:
+                basis[:, block.columns] += block.functions(Z, self.centres[block.rows])
+        return basis
+
+    def _predict(self, Z, return_std):
+        mean, std = np.empty((2, len(Z), len(self.outputs)))
+        trend = self._trend(Z)
+        for i, k in enumerate(self.readout_of):
+            basis, readout = self._basis(Z, i), self.readouts[k]
+            mean[:, i] = trend @ self.trend_weights[i] + basis @ readout.weights
+            if return_std:
+                prior = self.prior_variance[i] + ((trend * self.trend_scale[i]) ** 2).sum(axis=1)
+                half = trend @ self.trend_roots[i]
+                half[:, half.shape[1] - readout.size :] += basis @ readout.root
+                std[:, i] = np.sqrt(np.maximum(prior - np.einsum("nr,nr->n", half, half), ROUNDING * prior))
+        return self.center + self.output_scale * mean, self.deviation_scale * std
+
+    def _gradient(self, Z):
+        slopes = np.repeat(self.trend_weights[None, :, 1:], len(Z), axis=0)
+        for block in self.blocks:
+            weights = self.readouts[self.readout_of[block.output]].weights[block.columns]
+            centres = self.centres[block.rows]
+            E = block.functions(Z, centres) * weights
+            pull = E @ centres - E.sum(axis=1)[:, None] * (Z - block.shift)
+            root = block.root
+            slopes[:, block.output] += pull @ (root @ root.T) if root.ndim == 2 else pull * root**2
+        return slopes * self.output_scale[:, None] / self.scale

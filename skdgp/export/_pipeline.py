@@ -1,0 +1,305 @@
+"""The portable model of an identified pipeline: exact, sparse and compact posteriors as arrays."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lapack, rq
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.utils.validation import check_is_fitted
+
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
+from skdgp._regressor import DependentGPRegressor
+from skdgp.dynamics import Aircraft
+from skdgp.dynamics._equations.aerodynamics import SCALERS
+from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
+from skdgp.identification._model_file import plain
+from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
+from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
+from skdgp.kernels import ConvolvedGaussian, LinearTrend, Sum
+from skdgp.kernels._features import LatentFeatures, SumFeatures, TrendFeatures
+
+LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
+MAX_SAMPLES = 1000  # rows of the training data that an envelope holds
+REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
+
+
+def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> PortableModel:
+    """Return the portable model of a fitted identification pipeline.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Fitted; with a ``RegressorSelector``, perhaps a ``StandardScaler`` behind it, and a ``DependentGPRegressor`` at
+        the end, exact, sparse or compact, perhaps in a ``CalibratedRegressor``.
+    aircraft : Aircraft
+    **facts
+        Of the model file: ``portable_model(**load_model(path))``. They become the provenance.
+
+    Returns
+    -------
+    PortableModel
+
+    Raises
+    ------
+    TypeError
+        If ``pipeline`` is no pipeline, or ``aircraft`` no `Aircraft`.
+    ValueError
+        If a step, the kernel or the trend has no portable form.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.export import portable_model
+    >>> from skdgp.identification import make_identification_pipeline
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> t = np.arange(0, 4, 0.1)
+    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
+    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
+    >>> pipeline = make_identification_pipeline(
+    ...     glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough"
+    ... ).fit(flight, Y)
+    >>> model = portable_model(pipeline, glider)
+    >>> model
+    PortableModel(CZ, Cm of alpha, q_hat)
+    >>> model.predict({"alpha": [0.05], "q": [0.02], "airspeed": [12.0]}).round(2)
+    array([[-0.2 , -0.03]])
+    """
+    check_aircraft(aircraft)
+    if not isinstance(pipeline, Pipeline):
+        raise TypeError(f"Got {type(pipeline).__name__} to export, but expected a fitted pipeline. {REMEDY}")
+    check_is_fitted(pipeline)
+    regressor, deviation = regressor_and_scale(pipeline)
+    if not isinstance(regressor, DependentGPRegressor):
+        raise ValueError(f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. {REMEDY}")
+    regressors, shift, scale, limits = _inputs(pipeline)
+    form = _exact(regressor.posterior_) if isinstance(regressor.posterior_, ExactPosterior) else None
+    form = _sparse(regressor.posterior_) if form is None else form
+    drift = np.zeros((2, len(regressor._scale)))
+    if np.any(regressor.drift_variance_):
+        drift = np.stack([regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_])
+    return PortableModel(
+        regressors=regressors,
+        outputs=tuple(regressor.output_names_),
+        aircraft=aircraft,
+        shift=shift,
+        scale=scale,
+        center=np.asarray(regressor._center, dtype=float),
+        output_scale=np.asarray(regressor._scale, dtype=float),
+        deviation_scale=np.asarray(regressor._scale * deviation, dtype=float),
+        noise_variance=np.asarray(regressor.noise_variance_ * np.square(deviation)),
+        drift_variance=drift[0],
+        drift_memory=drift[1],
+        input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
+        envelope=_envelope(regressor.posterior_, shift, scale, limits),
+        provenance=plain(facts | {"inference": regressor.inference_}),
+        **form,
+    )
+
+
+# -- regressors ------------------------------------------------------------------------------------------------
+
+
+def _inputs(pipeline):
+    """Return the regressors, their shift and scale, and their smallest and largest values or None."""
+    steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
+    roles = [getattr(step, "in_simulation", "measurements") for step in steps]
+    if "regressors" not in roles:
+        raise ValueError(f"Got a pipeline without RegressorSelector, so its regressors have no names. {REMEDY}")
+    place = len(roles) - 1 - roles[::-1].index("regressors")
+    by_role, selector = dict(zip(roles[:place], steps, strict=False)), steps[place]
+    scaled = [type(step).__name__ for step in steps[:place] if isinstance(step, SCALERS)]
+    if scaled:
+        raise ValueError(f"Got {scaled} before RegressorSelector, so regressors are not in their units. {REMEDY}")
+    names = [str(name) for name in selector.regressors_]
+    shift, scale = np.zeros(len(names)), np.ones(len(names))
+    for step in steps[place + 1 :]:
+        if type(step) is not StandardScaler:
+            raise ValueError(f"Got {type(step).__name__} behind RegressorSelector, which has no form. {REMEDY}")
+        shift = shift + (0.0 if step.mean_ is None else step.mean_) * scale
+        scale = scale * (1.0 if step.scale_ is None else step.scale_)
+    regressors = tuple(_regressor(name, by_role.get("rates"), by_role.get("controls")) for name in names)
+    low, high = (getattr(selector, name, None) for name in ("data_min_", "data_max_"))
+    return regressors, shift, scale, None if low is None or high is None else (low, high)
+
+
+def _regressor(name, rates, controls) -> Regressor:
+    """Return a regressor with the columns that the pipeline computes it from."""
+    rate = name.removesuffix(HAT)
+    lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
+    if name.endswith(HAT) and rate in lengths and rates is not None:
+        power = 2 if rate in ACCELERATION_LENGTHS else 1
+        return Regressor(name, "", (rate,), (1.0,), float(getattr(rates, lengths[rate])), power)
+    unit = CHANNELS[name].unit if name in CHANNELS else ""
+    if controls is not None and name in controls.controls:
+        row = controls.mixing_[list(controls.controls).index(name)]
+        used = [(str(surface), float(c)) for surface, c in zip(controls.surfaces, row, strict=True) if c]
+        seen = getattr(controls, "feature_names_in_", ())
+        if used and set(controls.surfaces) <= set(seen):
+            return Regressor(name, unit, tuple(surface for surface, _ in used), tuple(c for _, c in used))
+    return Regressor(name, unit, (name,))
+
+
+def _envelope(posterior, shift, scale, limits) -> Envelope:
+    if isinstance(posterior, SparsePosterior) and posterior.shares is None:
+        X, quantiles = np.empty((0, len(shift))), np.empty((0, len(shift)))
+    else:
+        X = training_inputs(posterior) * scale + shift
+        quantiles = np.quantile(X, LEVELS, axis=0)
+        extremes = quantiles[[0, -1]]
+        limits = extremes if limits is None else limits
+        limits = np.minimum(limits[0], extremes[0]), np.maximum(limits[1], extremes[1])
+    if limits is None:
+        limits = np.tile([[-np.inf], [np.inf]], len(shift))
+    rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int)) if len(X) else np.empty(0, dtype=int)
+    levels = np.array(LEVELS if len(X) else ())
+    return Envelope(np.array(limits[0]), np.array(limits[1]), levels, quantiles, X[rows])
+
+
+# -- posteriors --------------------------------------------------------------------------------------------------
+
+
+def _exact(posterior: ExactPosterior) -> dict[str, Any]:
+    """Return the arrays of an exact posterior: its samples are the centres, its inverse factor is the root."""
+    gaussians, trend = _parts(posterior.kernel)
+    X = posterior.data.X
+    P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
+    if not isinstance(posterior._rows, slice):  # rows were appended: factor again in the order of the outputs
+        posterior = ExactPosterior(posterior.kernel, posterior.noise, posterior.data)
+    places = np.cumsum([0, *map(len, X)])
+    blocks = []
+    for i in range(P):
+        for kernel in gaussians:
+            for j, first in enumerate(places[:-1]):
+                blocks += _blocks(kernel, i, j, first, first, len(X[j]))
+    inverse, info = lapack.dtrtri(posterior.L, lower=1)
+    if info:
+        raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri info {info}).")
+    inverse = np.tril(inverse)
+    center, tau = _trend_values(trend, P, d)
+    weights, roots = np.zeros((P, d + 1)), []
+    for i, (a, b) in enumerate(pairwise(places)):
+        columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
+        weights[i] = posterior.alpha[a:b] @ columns
+        roots.append((inverse[:, a:b] @ columns).T)
+    if gaussians:
+        readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
+    else:
+        readout, X = Readout(np.empty(0), np.empty(0)), [np.empty((0, d))]
+        roots = [np.array(rq(root, mode="r"))[:, -d - 1 :] for root in roots]
+    centres = np.concatenate(X)
+    return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
+
+
+def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
+    """Return the arrays of a sparse or compact posterior: its inducing inputs are the centres."""
+    gaussians, trend = _parts(posterior.kernel)
+    P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
+    center, tau = _trend_values(trend, P, d)
+    places, centres = _centres(posterior.features, d)
+    blocks, readouts, weights, roots = [], [], np.zeros((P, d + 1)), []
+    for i in range(P):
+        of_trend: list[int] = []
+        of_gaussians: list[int] = []
+        first = 0
+        for features, start in _leaves(posterior.features):
+            columns = features.columns(i)
+            index = list(range(first, first + len(columns)))
+            first += len(columns)
+            if isinstance(features, TrendFeatures):
+                of_trend = index
+                continue
+            for f in features._blocks[i]:
+                size = len(features.Z[f])
+                blocks += _blocks(features.joint, i, P + f, places[start, f], len(of_gaussians), size, features.kernel)
+                of_gaussians += index[:size]
+                index = index[size:]
+        order = of_trend + of_gaussians
+        n = len(of_trend)
+        w = posterior.weights[posterior.features.columns(i)][order]
+        root = np.array(rq(posterior.roots[i][order], mode="r"))
+        if n:
+            weights[i] = w[:n] * tau[i]
+            root[:n] *= tau[i][:, None]
+        roots.append(root[:n] if n else np.zeros((d + 1, len(order))))
+        lower = np.tril_indices(len(of_gaussians))
+        readouts.append(Readout(w[n:], root[n:, n:].T[lower]))
+    return _form(gaussians, center, tau, centres, blocks, readouts, np.arange(P), weights, roots)
+
+
+def _form(gaussians, center, tau, centres, blocks, readouts, readout_of, weights, roots) -> dict[str, Any]:
+    prior = sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians)
+    return {
+        "centres": centres,
+        "blocks": tuple(blocks),
+        "readouts": tuple(readouts),
+        "readout_of": readout_of,
+        "trend_center": center,
+        "trend_scale": tau,
+        "trend_weights": weights,
+        "trend_roots": tuple(roots),
+        "prior_variance": np.zeros(len(tau)) + prior,
+    }
+
+
+def _parts(kernel) -> tuple[list[ConvolvedGaussian], LinearTrend | None]:
+    """Return the terms of a kernel."""
+    terms = _terms(kernel)
+    trends = [term for term in terms if isinstance(term, LinearTrend)]
+    others = [type(t).__name__ for t in terms if not isinstance(t, LinearTrend | ConvolvedGaussian)]
+    if others or len(trends) > 1:
+        raise ValueError(
+            f"Got a model with the kernels {others or 'of several linear trends'}, but only ConvolvedGaussian and one "
+            f"LinearTrend have a portable form. {REMEDY}"
+        )
+    return [term for term in terms if isinstance(term, ConvolvedGaussian)], trends[0] if trends else None
+
+
+def _terms(kernel):
+    return [*_terms(kernel.k1), *_terms(kernel.k2)] if isinstance(kernel, Sum) else [kernel]
+
+
+def _trend_values(trend, P, d):
+    """Return the centre (d,) and the prior deviations of intercept and slopes, (P, d + 1); zeros without a trend."""
+    if trend is None:
+        return np.zeros(d), np.zeros((P, d + 1))
+    center = np.broadcast_to(trend._value("center"), (d,)).astype(float)
+    return center, np.column_stack([trend._value("intercept_scale"), trend._value("slope_scale")])
+
+
+def _blocks(kernel, i, j, first_centre, first_column, size, of=None) -> list[Block]:
+    """Return the blocks of output i for the covariance with output j of a kernel, one for each common latent."""
+    _, gains, _, roots, shifts = kernel._pair(i, j)
+    (regressors,) = (kernel if of is None else of).term_regressors()
+    place = i, int(first_centre), int(first_column), int(size)
+    return [
+        Block(*place, float(gain), shift, root, regressors)
+        for gain, root, shift in zip(gains, roots, shifts, strict=True)
+        if size
+    ]
+
+
+def _leaves(features, start=0):
+    """Yield the features of every term, and the number of variables before them."""
+    if isinstance(features, SumFeatures):
+        yield from _leaves(features.first, start)
+        yield from _leaves(features.second, start + features.first.size)
+    elif isinstance(features, LatentFeatures | TrendFeatures):
+        yield features, start
+    else:
+        raise ValueError(f"Got {type(features).__name__} as inducing variables, which have no form. {REMEDY}")
+
+
+def _centres(features, d):
+    """Return the first centre of every block of variables, and all centres (m, d)."""
+    places, centres, first = {}, [np.empty((0, d))], 0
+    for leaf, start in _leaves(features):
+        for f, Z in enumerate(leaf.Z if isinstance(leaf, LatentFeatures) else ()):
+            places[start, f] = first
+            first += len(Z)
+            centres.append(Z)
+    return places, np.concatenate(centres)

@@ -1,0 +1,244 @@
+"""A smaller portable model: fewer basis functions, chosen so that mean and deviation change least."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import qr, rq, solve_triangular
+from scipy.linalg.blas import dtrmm
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.export._model import Block, PortableModel, Readout
+
+FIRST, GROWTH = 4, 1.15  # numbers of functions that are tried: the first, and the ratio of one to the next
+MAX_CANDIDATES, MAX_FUNCTIONS = 3000, 500  # functions of an output to choose from, and that may stay
+MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
+PATIENCE = 8  # sizes without a smaller loss after which an output grows no more
+MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points that functions are fitted at are moved
+MOVED_CHECK = (0.5,)  # the same of the points that the loss is measured at
+MAX_TERMS = 2**28  # bytes
+NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
+
+
+class Loss(NamedTuple):
+    """Change of an output by the reduction, at flown points and around them that it was not fitted to.
+
+    Attributes
+    ----------
+    mean : float
+        Root mean square change of the mean, in posterior deviations.
+    std : float
+        Root mean square of the relative change of the deviation.
+    """
+
+    mean: float
+    std: float
+
+
+class _Fit(NamedTuple):
+    """The blocks and centres that stay for one output, its new weights and root, and the loss."""
+
+    blocks: list[Block]
+    centres: Matrix
+    trend_weights: Vector
+    weights: Vector
+    trend_root: Matrix
+    packed_root: Vector
+    loss: Loss
+
+
+def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
+    r"""Return the model with so few basis functions that ``size(model) <= most``, at the least loss.
+
+    The Gaussian functions of an output overlap, so that a few of them, g_S, and the trend p span the others nearly. A
+    pivoted QR factorisation at flown points chooses them, as in an interpolative decomposition (Cheng et al. 2005).
+    Least squares fit mean and explained root as functions of p and g_S. The output with the largest loss gets the next
+    functions, until the size is reached. ``provenance["reduction"]`` holds the loss.
+
+    Parameters
+    ----------
+    model : PortableModel
+    size : callable
+        Size of a model, such as bytes.
+    most : int
+
+    Returns
+    -------
+    PortableModel
+        The same model where it is small enough.
+
+    Raises
+    ------
+    ValueError
+        If no model is small enough.
+    """
+    if size(model) <= most:
+        return model
+    outputs = [_Output(model, i, *_points(model)) for i in range(len(model.outputs))]
+    best = _assembled(model, [output.best() for output in outputs])
+    if size(best) > most:
+        raise ValueError(
+            f"Got a size of at most {most} bytes, but the smallest form of this model takes {size(best)}: allow more."
+        )
+    while growing := [output for output in outputs if output.can_grow()]:
+        worst = max(growing, key=lambda output: max(output.best().loss))
+        worst.number += 1
+        trial = _assembled(model, [output.best() for output in outputs])
+        if size(trial) > most:
+            return best
+        best = trial
+    return best
+
+
+def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
+    """Return the loss by reduction, ``{"CX": {"mean": ..., "std": ...}, ...}``; empty if there was none."""
+    return model.provenance.get("reduction", {})
+
+
+def check_terms(model: PortableModel) -> None:
+    """Raise ValueError if the terms of a model, each with its own rows of the root, are too large for a graph."""
+    sizes = [block.size * model.readouts[model.readout_of[block.output]].size for block in model.blocks]
+    if 8 * sum(sizes) > MAX_TERMS:
+        raise ValueError(
+            f"Got a model whose terms take {8e-6 * sum(sizes):.0f} MB, but expected at most {MAX_TERMS / 1e6:.0f} MB: "
+            "give max_kb=256, or another size."
+        )
+
+
+def _points(model) -> tuple[Matrix, Matrix]:
+    """Return scaled regressors to fit and to check at: flown ones, and around them."""
+    rng = np.random.default_rng(0)
+    samples = (model.envelope.samples - model.shift) / model.scale
+    if len(samples) < 2:  # a compact model has none, but its inducing inputs lie among them
+        samples = model.centres if len(model.centres) > 1 else rng.standard_normal((200, len(model.scale)))
+    if max(readout.size for readout in model.readouts) > MANY:
+        samples = samples[np.linspace(0, len(samples) - 1, min(len(samples), FEWER)).astype(int)]
+
+    def around(Z, moved):
+        return np.concatenate([Z, *(Z + by * samples.std(axis=0) * rng.standard_normal(Z.shape) for by in moved)])
+
+    return around(samples[::2], MOVED), around(samples[1::2], MOVED_CHECK)
+
+
+class _Output:
+    """One output: its functions in the order of their use, and the fit of the first ones."""
+
+    def __init__(self, model: PortableModel, i: int, Z: Matrix, check: Matrix) -> None:
+        readout = model.readouts[model.readout_of[i]]
+        self.v, self.T = model.trend_weights[i], model.trend_roots[i]
+        self.prior, self.tau = model.prior_variance[i], model.trend_scale[i]
+        self.p = model._trend(check)
+        self.truth = self._predicted(*_readout(readout, model._basis(check, i)))
+        p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, i))
+        weight = 1 / self._predicted(mean, half, p)[1][:, None]
+        self.blocks = [block for block in model.blocks if block.output == i]
+        self.model = model
+        candidates = self._candidates()
+        g = weight * self._functions(Z, candidates)
+        trend, _ = qr(weight * p, mode="economic")
+        rest = g - trend @ (trend.T @ g)
+        _, R, order = qr(rest, mode="economic", pivoting=True)
+        size = np.abs(np.diag(R))
+        n = min(int(np.sum(size > NEGLIGIBLE * size.max(initial=0.0))), MAX_FUNCTIONS)
+        self.kept = candidates[order[:n]]
+        Q, self.R = qr(np.hstack([weight * p, g[:, order[:n]]]), mode="economic")
+        self.targets = Q.T @ (weight * np.column_stack([mean, half]))
+        self.checked = np.hstack([self.p, self._functions(check, self.kept)])
+        sizes = np.unique((FIRST * GROWTH ** np.arange(50)).astype(int))
+        self.sizes, self.number = [0, *sizes[sizes <= n].tolist()], 0
+        self.fit = cache(self._fit)
+
+    def best(self) -> _Fit:
+        """Return the fit of the least loss among the sizes so far."""
+        return self.fit(self._best())
+
+    def can_grow(self) -> bool:
+        """Whether more functions may lose less."""
+        return self.number + 1 < len(self.sizes) and self.number - self._best() < PATIENCE
+
+    def _best(self) -> int:
+        return min(range(self.number + 1), key=lambda number: max(self.fit(number).loss))
+
+    def _candidates(self):
+        """Return block and place of functions to choose from, (n, 2), evenly from each block."""
+        step = max(1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES))
+        found = [[b, k] for b, block in enumerate(self.blocks) for k in range(0, block.size, step)]
+        return np.array(found, dtype=int).reshape(-1, 2)
+
+    def _functions(self, Z, places) -> Matrix:
+        """Return Gaussian functions, each alone, at scaled regressors, (n, len(places))."""
+        found = np.empty((len(Z), len(places)))
+        for b, block in enumerate(self.blocks):
+            columns = np.flatnonzero(places[:, 0] == b)
+            centres = self.model.centres[block.first_centre + places[columns, 1]]
+            found[:, columns] = block.functions(Z, centres)
+        return found
+
+    def _predicted(self, mean: Any, half: Any, p: Any = None) -> Any:
+        """Return mean and deviation, normalised, from what the functions add to mean and root."""
+        p = self.p if p is None else p
+        prior = self.prior + ((p * self.tau) ** 2).sum(axis=1)
+        whole = p @ self.T
+        whole[:, whole.shape[1] - half.shape[1] :] += half
+        explained = np.einsum("nr,nr->n", whole, whole)
+        return p @ self.v + mean, np.sqrt(np.maximum(prior - explained, np.finfo(float).eps * prior))
+
+    def _fit(self, number: int) -> _Fit:
+        n, size = self.p.shape[1], self.sizes[number]
+        kept = self.kept[:size]
+        solved: Any = solve_triangular(self.R[: n + size, : n + size], self.targets[: n + size])
+        columns = self.checked[:, : n + size]
+        mean, std = self._predicted(columns @ solved[:, 0], columns @ solved[:, 1:])
+        loss = Loss(
+            float(np.sqrt(np.mean(((mean - self.truth[0]) / self.truth[1]) ** 2))),
+            float(np.sqrt(np.mean((std / self.truth[1] - 1) ** 2))),
+        )
+        order = np.lexsort((kept[:, 1], kept[:, 0]))
+        solved = np.concatenate([solved[:n], solved[n:][order]])
+        root: Any = np.zeros((n + size, max(self.T.shape[1], n + size)))
+        root[:n, root.shape[1] - self.T.shape[1] :] = self.T
+        root[:, root.shape[1] - solved.shape[1] + 1 :] += solved[:, 1:]
+        root = np.asarray(rq(root, mode="r"))[:, -(n + size) :]
+        blocks, centres = self._blocks(kept[order])
+        packed = root[n:, n:].T[np.tril_indices(size)]
+        return _Fit(blocks, centres, self.v + solved[:n, 0], solved[n:, 0], root[:n], packed, loss)
+
+    def _blocks(self, kept) -> tuple[list[Block], Matrix]:
+        """Return the blocks of the functions that stay, and their centres."""
+        blocks, centres = [], [np.empty((0, len(self.model.scale)))]
+        for b, block in enumerate(self.blocks):
+            rows = np.flatnonzero(kept[:, 0] == b)
+            if len(rows):
+                first = int(rows[0])
+                blocks.append(replace(block, first_centre=first, first_column=first, size=len(rows)))
+                centres.append(self.model.centres[block.first_centre + kept[rows, 1]])
+        return blocks, np.concatenate(centres)
+
+
+def _readout(readout: Readout, g: Matrix) -> tuple[Vector, Matrix]:
+    """Return what a basis (n, k) adds to the mean (n,) and to the root (n, k)."""
+    return g @ readout.weights, dtrmm(1.0, readout.root, g.T, trans_a=1).T if g.size else g
+
+
+def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
+    """Return the model with the functions that stay."""
+    places = np.cumsum([0, *(len(fit.centres) for fit in fits)]).tolist()
+    return replace(
+        model,
+        centres=np.concatenate([fit.centres for fit in fits]),
+        blocks=tuple(
+            replace(block, first_centre=block.first_centre + place)
+            for place, fit in zip(places, fits, strict=False)
+            for block in fit.blocks
+        ),
+        readouts=tuple(Readout(fit.weights, fit.packed_root) for fit in fits),
+        readout_of=np.arange(len(fits)),
+        trend_weights=np.stack([fit.trend_weights for fit in fits]),
+        trend_roots=tuple(fit.trend_root for fit in fits),
+        provenance=model.provenance
+        | {"reduction": {name: fit.loss._asdict() for name, fit in zip(model.outputs, fits, strict=True)}},
+    )

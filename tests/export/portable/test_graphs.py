@@ -1,0 +1,73 @@
+"""CasADi and ONNX, evaluated by their own runtimes."""
+
+import builtins
+
+import numpy as np
+import pytest
+
+from skdgp.export import _reduce as reduce_module
+from skdgp.export import casadi_function, export_model, onnx_model
+
+KINDS = ["exact", "full", "constant", "trend", "sparse-additive"]
+
+
+def close(ours, theirs, tolerance=1e-9):
+    np.testing.assert_allclose(ours, theirs, atol=tolerance * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_casadi(portable_of, flight, kind, tmp_path):
+    casadi = pytest.importorskip("casadi", reason='evaluates the function: pip install "skdgp[export]"')
+    model = portable_of(kind)
+    export_model(tmp_path, model, "casadi")
+    function = casadi.Function.load(str(tmp_path / "aero.casadi"))
+    X = model.regressor_values(flight)[:5]
+    mean, std, jacobian = (np.array(values) for values in zip(*map(function, X), strict=True))
+    close(mean[..., 0], model.predict(X))
+    close(std[..., 0], model.predict(X, return_std=True)[1])
+    close(jacobian * model.scale, model.predict_gradient(X) * model.scale, 1e-8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_onnx(portable_of, flight, kind, tmp_path):
+    pytest.importorskip("onnx", reason='writes the graph: pip install "skdgp[export]"')
+    runtime = pytest.importorskip("onnxruntime", reason="evaluates the graph: pip install onnxruntime")
+    model = portable_of(kind)
+    export_model(tmp_path, model, "onnx")
+    session = runtime.InferenceSession(tmp_path / "aero.onnx")
+    X = model.regressor_values(flight)
+    mean, std = session.run(None, {"x": X})
+    close(mean, model.predict(X), 1e-10)
+    close(std, model.predict(X, return_std=True)[1], 1e-6)
+    names = session.get_modelmeta().custom_metadata_map
+    assert names["regressors"].split(",") == list(model.regressor_names)
+    assert names["content_hash"] == model.content_hash
+
+
+@pytest.mark.parametrize(("write", "package"), [(casadi_function, "casadi"), (onnx_model, "onnx")])
+def test_what_is_not_installed_is_named(exact, write, package, monkeypatch):
+    real = builtins.__import__
+
+    def absent(name, *args, **words):
+        if name.split(".")[0] == package:
+            raise ImportError(name)
+        return real(name, *args, **words)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    with pytest.raises(ImportError, match=r'pip install "skdgp\[export\]"'):
+        write(exact)
+
+
+def test_a_model_too_large_for_a_graph(exact, monkeypatch):
+    monkeypatch.setattr(reduce_module, "MAX_TERMS", 1000)
+    with pytest.raises(ValueError, match="give max_kb=256"):
+        reduce_module.check_terms(exact)
+
+
+def test_formats_and_their_options(exact, tmp_path):
+    with pytest.raises(ValueError, match="the format 'fortran', but expected one of portable, c"):
+        export_model(tmp_path, exact, "fortran")
+    with pytest.raises(ValueError, match=r"options \['precision'\] for the format onnx, but expected \['max_kb'\]"):
+        export_model(tmp_path, exact, "onnx", precision="float")
+    with pytest.raises(ValueError, match="max_kb=-1, but expected a size > 0"):
+        export_model(tmp_path, exact, "portable", max_kb=-1)

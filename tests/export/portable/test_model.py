@@ -1,0 +1,105 @@
+"""The portable model says what the pipeline says, for every kind of posterior."""
+
+import numpy as np
+import pytest
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
+
+from skdgp import DependentGPRegressor
+from skdgp.dynamics import as_aerodynamics
+from skdgp.export import portable_model
+from skdgp.preprocessing import RegressorSelector
+
+
+def test_equals_the_pipeline(kind, model, portable, flight):
+    exact_inputs = {} if kind == "calibrated" else {"include_input_noise": False}
+    mean, std = model.pipeline.predict(flight, return_std=True, **exact_inputs)
+    ours, deviation = portable.predict(flight, return_std=True)
+    np.testing.assert_allclose(ours, mean, rtol=1e-12, atol=1e-12 * np.abs(mean).max())
+    np.testing.assert_allclose(deviation, std, rtol=1e-9)
+    np.testing.assert_array_equal(portable.predict(flight), ours)
+
+
+def test_slopes_are_those_of_the_simulation(model, portable, flight):
+    aerodynamics = as_aerodynamics(model.pipeline)
+    X = portable.regressor_values(flight)
+    slopes = aerodynamics.gradient(X)
+    assert portable.regressor_names == aerodynamics.regressors
+    np.testing.assert_allclose(portable.predict_gradient(X), slopes, rtol=1e-9, atol=1e-11 * np.abs(slopes).max())
+
+
+def test_noise_and_drift_are_those_of_the_regressor(model, portable):
+    last, scale = model.pipeline[-1], getattr(model.pipeline[-1], "std_scale_", 1.0)
+    regressor = getattr(last, "estimator_", last)
+    np.testing.assert_allclose(portable.noise_variance, regressor.noise_variance_ * scale**2)
+    np.testing.assert_allclose(portable.drift_variance, last.drift_variance_)
+    units = np.multiply.outer(portable.scale, portable.scale)
+    np.testing.assert_allclose(portable.input_covariance, regressor.input_covariance_ * units)
+
+
+def test_the_envelope_is_what_was_flown(kind, portable):
+    low, high = portable.envelope.low, portable.envelope.high
+    assert (low < high).all()
+    samples = portable.envelope.samples
+    assert portable.envelope.inside(samples).all()
+    assert not portable.envelope.inside(high[None] + 1.0)
+    assert (len(samples) == 0) == kind.startswith("compact")
+    assert len(portable.envelope.quantiles) == len(portable.envelope.levels)
+
+
+def test_each_regressor_says_its_formula(exact, flight):
+    by_name = dict(zip(exact.regressor_names, exact.regressors, strict=True))
+    assert by_name["q_hat"].columns == ("q", "airspeed")
+    assert by_name["aileron"].columns == ("elevon_left", "elevon_right")
+    np.testing.assert_allclose(by_name["q_hat"].values(flight), flight.q * 0.25 / (2 * flight.airspeed))
+    np.testing.assert_allclose(by_name["aileron"].values(flight), (flight.elevon_left - flight.elevon_right) / 2)
+    direct = flight.drop(columns=["elevon_left", "elevon_right"]).assign(elevator=0.1, aileron=0.0)
+    assert exact.predict(direct).shape == (30, 6)
+    with pytest.raises(ValueError, match=r"without \['q'\], but the regressor q_hat is computed from"):
+        exact.predict(flight.drop(columns="q"))
+    with pytest.raises(ValueError, match=r"shape \(3, 2\), but expected \(n, 5\): alpha, beta, q_hat"):
+        exact.predict(np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="not finite"):
+        exact.predict(flight.assign(alpha=np.nan))
+
+
+def test_the_hash_is_of_the_numbers(exact):
+    again = portable_model_of(exact)
+    assert again.content_hash == exact.content_hash
+    assert portable_model_of(exact, center=exact.center + 1e-15).content_hash != exact.content_hash
+
+
+def portable_model_of(model, **changes):
+    return type(model)(**{name: getattr(model, name) for name in model.__dataclass_fields__} | changes)
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        ([RegressorSelector(["alpha"]), LinearRegression()], "LinearRegression at the end"),
+        ([DependentGPRegressor(optimizer=None)], "without RegressorSelector"),
+        (
+            [
+                MinMaxScaler().set_output(transform="pandas"),
+                RegressorSelector(["alpha"]),
+                DependentGPRegressor(optimizer=None),
+            ],
+            "'MinMaxScaler'. before RegressorSelector",
+        ),
+        ([RegressorSelector(["alpha"]), MinMaxScaler(), DependentGPRegressor(optimizer=None)], "MinMaxScaler behind"),
+        (
+            [RegressorSelector(["alpha"]), DependentGPRegressor(optimizer=None, trend=PolynomialFeatures(2))],
+            "kernels .'BasisTrend'.",
+        ),
+    ],
+)
+def test_what_has_no_form_is_refused(steps, words, flight, exact):
+    model = make_pipeline(*steps).fit(flight[["alpha", "time"]], np.sin(10 * flight[["alpha"]].to_numpy()))
+    with pytest.raises(ValueError, match=words):
+        portable_model(model, exact.aircraft)
+
+
+def test_no_pipeline_is_refused(exact):
+    with pytest.raises(TypeError, match="Got LinearRegression to export, but expected a fitted pipeline"):
+        portable_model(LinearRegression(), exact.aircraft)

@@ -30,6 +30,7 @@ FLOORS = [
     ["plotting", "calibration"],
     ["report"],  # shows arrays; it knows no models
     ["identification"],  # calibrates its models, and fills their reports
+    ["export"],  # models in the formats of other tools
     ["_cli"],
     ["__main__", "__init__"],
 ]

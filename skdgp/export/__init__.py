@@ -1,5 +1,6 @@
 """Models in the formats of other tools."""
 
 from skdgp.export._build_up import BuildUp, Table, build_up
+from skdgp.export._jsbsim import write_jsbsim
 
-__all__ = ["BuildUp", "Table", "build_up"]
+__all__ = ["BuildUp", "Table", "build_up", "write_jsbsim"]

@@ -127,6 +127,8 @@ class BuildUp:
         list of BuildUp
             With the breakpoints of this one.
         """
+        if n_draws == 0:
+            return []
         drawn = self._draw(n_draws, random_state)
         return [self._with({name: weights[k] for name, weights in drawn.items()}) for k in range(n_draws)]
 
@@ -269,10 +271,10 @@ def build_up(
         raise ValueError(f"Got pairs={pairs!r}, but expected 'all', 'alpha' or 'none'.")
     if not 0 < tolerance < np.inf or not max_loss > 0:
         raise ValueError(f"Got tolerance={tolerance!r}, max_loss={max_loss!r}, but expected positive fractions.")
-    posterior = _Posterior(model, X)
+    posterior = Posterior(model, X)
     points = _points(posterior.samples)
     mean = posterior.mean(points.X)
-    tested = posterior.samples[:: -(-len(posterior.samples) // MAX_TESTED)]
+    tested = posterior.tested
     truth, deviation = posterior.mean(tested), posterior.deviation(tested)
     names = posterior.names
     kept = _important(points, mean, tolerance * deviation, _candidates(names, pairs))
@@ -298,7 +300,7 @@ def build_up(
         aircraft=aircraft,
         regressors=tuple(names),
         reference=points.X[: points.n_samples].mean(axis=0),
-        limits=np.stack([posterior.samples.min(axis=0), posterior.samples.max(axis=0)]),
+        limits=posterior.limits,
         constants=pd.Series(dtype=float),
         constants_std=pd.Series(dtype=float),
         derivatives=pd.DataFrame(),
@@ -350,7 +352,7 @@ def _curvature(points):
     return D.T @ D
 
 
-class _Posterior:
+class Posterior:
     """Mean, covariance and functions of a fitted model, by regressors in their units."""
 
     def __init__(self, model: Any, X: Any):
@@ -367,6 +369,9 @@ class _Posterior:
         else:
             rows = training_inputs(self.regressor.posterior_)
         self.samples = np.asarray(in_units(rows, self.scalers))
+        self.tested = self.samples[:: -(-len(self.samples) // MAX_TESTED)]
+        self.limits = np.stack([self.samples.min(axis=0), self.samples.max(axis=0)])
+        self.scale = self.regressor._scale[self.order]
 
     def lengths(self, aircraft: Aircraft) -> tuple[float, float]:
         """Return span and chord of the non-dimensional rates."""
@@ -377,6 +382,16 @@ class _Posterior:
             names = getattr(step, "feature_names_in_", None)
             X = np.asarray(step.transform(X if names is None else pd.DataFrame(X, columns=list(names))))
         return np.ascontiguousarray(X, dtype=float)
+
+    def affine(self) -> tuple[Vector, Vector]:
+        """Return shift and scale of what the regressor sees, (x - shift) / scale."""
+        d = len(self.names)
+        points = self._scaled(np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)]))
+        slopes = points[1 : d + 1] - points[0]
+        if not np.allclose(slopes, points[0] - points[d + 1 :]) or not np.allclose(slopes, np.diag(np.diag(slopes))):
+            raise ValueError("Got a pipeline that transforms regressors other than by scaling each: use form='tables'.")
+        scale = 1.0 / np.diag(slopes)
+        return -points[0] * scale, scale
 
     def mean(self, X: Matrix) -> Matrix:
         return self.aerodynamics(X)

@@ -79,6 +79,8 @@ class BuildUp:
     derivatives_std: pd.DataFrame
     tables: dict[str, list[Table]]
     loss: pd.DataFrame
+    samples: Matrix
+    """Samples of the flown envelope, (n, d)."""
     lengths: tuple[float, float]
     """Span and chord of the non-dimensional rates [m]."""
     _covariances: dict[str, Matrix]
@@ -307,6 +309,7 @@ def build_up(
         derivatives_std=pd.DataFrame(),
         tables={name: _empty_tables(basis, names) for name, basis in found["bases"].items()},
         loss=loss,
+        samples=tested,
         lengths=posterior.lengths(aircraft),
         _covariances=found["covariances"],
         _draw=draw,

@@ -48,7 +48,7 @@ def loaded(folder, name):
 def set_state(fdm, state):
     """Set the initial conditions of a row of a flight."""
     fdm["ic/h-sl-ft"], fdm["ic/vt-fps"] = state["altitude"] / FOOT, state["airspeed"] / FOOT
-    for name in ("phi", "theta", "psi", "alpha", "beta"):
+    for name in ("alpha", "beta", "phi", "theta", "psi"):  # alpha moves theta
         fdm[f"ic/{name}-rad" if name != "psi" else "ic/psi-true-rad"] = state.get(name, 0.0)
     for name in "pqr":
         fdm[f"ic/{name}-rad_sec"] = state.get(name, 0.0)
@@ -93,9 +93,9 @@ def flown(fdm, start, controls, largest):
         **{name: (f"velocities/{name}-rad_sec", 1) for name in "pqr"},
     }  # fmt: skip
     found = []
-    for row in rows:
+    for following in [*rows[1:], rows[-1]]:
         found.append([fdm[source[name][0]] * source[name][1] for name in COMPARED])
-        set_controls(fdm, row, largest)
+        set_controls(fdm, following, largest)  # loads are computed after the step
         fdm.run()
     return pd.DataFrame(found, columns=list(COMPARED))
 

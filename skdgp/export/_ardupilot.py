@@ -143,20 +143,20 @@ def _terms(build: BuildUp, X: Matrix, names: Sequence[str]) -> Matrix:
     return np.stack([np.zeros(len(X)) if c is None else c for c in found], axis=-1)
 
 
-def _linear(columns: Matrix, y: Vector) -> tuple[Array, Array]:
+def _linear(columns: Matrix, y: Array) -> tuple[Array, Array]:
     """Return constant and slopes of a least-squares plane, and its values."""
     A = np.column_stack([np.ones(len(columns)), columns])
     weights = np.linalg.lstsq(A, y, rcond=None)[0]
-    return weights, A @ weights
+    return np.asarray(weights, dtype=float), np.asarray(A @ weights, dtype=float)
 
 
-def _wind(alpha: Vector, C: Matrix) -> tuple[Vector, Vector]:
+def _wind(alpha: Vector, C: Matrix) -> tuple[Array, Array]:
     """Return lift and drag coefficients."""
     s, c = np.sin(alpha), np.cos(alpha)
     return C[:, 0] * s - C[:, 2] * c, -C[:, 0] * c - C[:, 2] * s
 
 
-def _body(alpha: Vector, lift: Vector, drag: Vector) -> tuple[Vector, Vector]:
+def _body(alpha: Vector, lift: Array, drag: Array) -> tuple[Array, Array]:
     """Return CX and CZ."""
     s, c = np.sin(alpha), np.cos(alpha)
     return lift * s - drag * c, -lift * c - drag * s

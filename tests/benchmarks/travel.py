@@ -1,6 +1,6 @@
 """Exports flown by JSBSim beside this package's simulation.
 
-    python tests/benchmarks/travel.py results/model.joblib [--airspeed 40] [--paths 50] [--out FOLDER]
+    python tests/benchmarks/travel.py results/model.joblib [--airspeed 40] [--out FOLDER]
 
 Needs JSBSim (``pip install jsbsim``). Coefficients at points of the flown envelope, in functions and in tables, and a
 flight of 60 s with doublets from a trim, over an Earth without rotation and curvature, as in ``simulate``.
@@ -109,7 +109,7 @@ def doublets(trimmed, seconds, size):
     return table
 
 
-def measure(path, airspeed, n_points, n_paths, seconds, size):
+def measure(path, airspeed, n_points, seconds, size):
     saved = load_model(path)
     model, aircraft = saved.pipeline, saved.aircraft
     posterior, aerodynamics = Posterior(model, None), as_aerodynamics(model)
@@ -128,7 +128,7 @@ def measure(path, airspeed, n_points, n_paths, seconds, size):
         for form in ("functions", "tables"):
             options = {"max_loss": np.inf} if form == "tables" else {}
             place = Path(folder) / form
-            paths = write_jsbsim(place, model, aircraft, form=form, n_draws=n_paths, **options)
+            paths = write_jsbsim(place, model, aircraft, form=form, **options)
             fdm = loaded(place, paths[0].stem)
             off = coefficients(fdm, X, names, aircraft, largest, airspeed) - mean
             for i, name in enumerate(COEFFICIENTS):
@@ -150,15 +150,12 @@ def main(words=None):
     parser.add_argument("model", type=Path, nargs="?")
     parser.add_argument("--airspeed", type=float, default=40.0)
     parser.add_argument("--points", type=int, default=10000)
-    parser.add_argument("--paths", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--doublet", type=float, default=0.01, help="size [rad]")
     options = parser.parse_args(words)
     if options.model is None:
         parser.error("the file of a model is needed")
-    rows, flights = measure(
-        options.model, options.airspeed, options.points, options.paths, options.seconds, options.doublet
-    )
+    rows, flights = measure(options.model, options.airspeed, options.points, options.seconds, options.doublet)
     finish(options, "travel", coefficients=rows, flights=flights)
 
 

@@ -69,7 +69,7 @@ class Effects:
         std : dict of str to ndarray (n, P)
             With ``return_std``.
         """
-        regressor, before, _, _ = _split(self._model)
+        regressor, before, _, _ = split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))
         mean, variance = {}, {}
         for name, term in self._terms.items():
@@ -134,12 +134,12 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     >>> bool(np.allclose(sum(found.evaluate(X).values()) + found.intercept, model.predict(X)))
     True
     """
-    regressor, before, scalers, names = _split(model)
+    regressor, before, scalers, names = split_model(model)
     check_is_fitted(regressor)
     if n_grid < 2:
         raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2 points for each curve.")
     rows = _samples(regressor, before, X)
-    units = pd.DataFrame(_in_units(rows, scalers), columns=names)
+    units = pd.DataFrame(in_units(rows, scalers), columns=names)
     posterior, scale = regressor.posterior_, regressor._scale
     terms = {
         _name(columns, names): CentredTerm(posterior, columns, rows) for columns in posterior.kernel.term_regressors()
@@ -153,7 +153,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
             low, high = np.quantile(rows[:, k], RANGE)
             points[:, k] = np.linspace(low, high, n_grid)
             mean, variance = terms[name].predict(points, return_variance=True)
-            curves[name] = Curve(_in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale)
+            curves[name] = Curve(in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale)
     importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}
     return Effects(
         intercept=regressor._center + intercept * scale,
@@ -165,7 +165,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     )
 
 
-def _split(model):
+def split_model(model):
     """Return the regressor, the steps before it or None, the scalers at their end, and the names of the regressors."""
     last = model[-1] if isinstance(model, Pipeline) else model
     regressor = getattr(last, "estimator_", last)  # of a CalibratedRegressor
@@ -199,7 +199,7 @@ def _samples(regressor, before, X):
     return rows[:: -(-len(rows) // MAX_ROWS)]
 
 
-def _in_units(rows, scalers):
+def in_units(rows, scalers):
     for step in scalers:
         rows = np.asarray(step.inverse_transform(rows))
     return rows

@@ -1,9 +1,13 @@
 """Models that leave Python: the portable model, its file, and the formats of other programs."""
 
+from skdgp.export._ardupilot import write_ardupilot, write_gazebo
+from skdgp.export._build_up import BuildUp, Table, build_up
 from skdgp.export._c import write_c
 from skdgp.export._casadi import casadi_function
+from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._file import PortableFileError, load_portable, save_portable
 from skdgp.export._formats import FORMATS, export_model
+from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 from skdgp.export._onnx import onnx_model
 from skdgp.export._pipeline import portable_model
@@ -11,16 +15,23 @@ from skdgp.export._pipeline import portable_model
 __all__ = [
     "FORMATS",
     "Block",
+    "BuildUp",
     "Envelope",
     "PortableFileError",
     "PortableModel",
     "Readout",
     "Regressor",
+    "Table",
+    "build_up",
     "casadi_function",
     "export_model",
     "load_portable",
     "onnx_model",
     "portable_model",
     "save_portable",
+    "write_ardupilot",
     "write_c",
+    "write_dave_ml",
+    "write_gazebo",
+    "write_jsbsim",
 ]

@@ -1,0 +1,262 @@
+"""ArduPilot SITL and Gazebo: the constant derivatives that their aircraft know."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+
+from skdgp._compute.files import write_atomically
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.export._build_up import BuildUp
+
+STALL, BLENDING = 0.3, 50.0  # least angle of stall [rad], beyond the flights; sharpness of the change to a flat plate
+EFFICIENCY = (0.2, 3.0)  # range of Oswald's factor
+SIGNS = {"elevator": -1.0, "aileron": 1.0, "rudder": -1.0}  # ArduPilot: positive raises the nose, rolls and yaws right
+LATERAL = {"y": 1, "l": 3, "n": 5}
+LATERAL_TERMS = {"b": "beta", "p": "p_hat", "r": "r_hat", "deltaa": "aileron", "deltar": "rudder"}
+MOMENT_TERMS = {"a": "alpha", "q": "q_hat", "deltae": "elevator"}
+GAZEBO = {"CY": "CY", "Cl": "Cell", "Cm": "Cem", "Cn": "Cen", "CL": "CL", "CD": "CD"}
+CONSTANT = ("CL", "CD", "Cm")
+GAZEBO_RATES = {"p": "p_hat", "q": "q_hat", "r": "r_hat"}
+
+
+def write_ardupilot(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
+    """Write the JSON file of a plane of ArduPilot's simulator (SITL), and return what it loses.
+
+    The plane of SITL has a lift that is linear in alpha, elevator and q, a drag that is constant plus quadratic in
+    lift, and constant derivatives of the other coefficients. They are fitted to the build-up at its samples by least
+    squares. Controls of SITL are from -1 to 1; here 1 is the largest deflection of the flights, and positive raises the
+    nose, rolls right and yaws right.
+
+    The file has also keys that SITL ignores: "mass", "inertia", and "loss", the root mean square difference of each
+    body-axis coefficient to the model, beside the posterior deviation and the spread of the coefficient.
+
+    Parameters
+    ----------
+    path : path-like
+        Such as ``uav.json``; ``sim_vehicle.py -v ArduPlane -f plane:uav.json`` flies it. Mass and thrust are those of
+        SITL (2 kg), which cannot be set by this file: change them in ``SIM_Plane.cpp``.
+    build : BuildUp
+
+    Returns
+    -------
+    DataFrame (6, 3)
+        "loss", "deviation" and "spread" of CX ... Cn.
+
+    Raises
+    ------
+    ValueError
+        If the build-up lacks a regressor that the plane of SITL has (alpha).
+    """
+    X, C = _flown(build)
+    values, fitted = _plane(build, X, C)
+    loss = _loss(build, C, fitted)
+    aircraft = build.aircraft
+    values |= {"CGOffset": [0.0, 0.0, 0.0], "mass": aircraft.mass, "inertia": aircraft.inertia.tolist()}
+    values["loss"] = loss.to_dict("index")
+    text = json.dumps(values, indent=1) + "\n"
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return loss
+
+
+def write_gazebo(path: str | os.PathLike, build: BuildUp, *, link: str = "base_link") -> pd.DataFrame:
+    """Write a block of Gazebo's AdvancedLiftDrag system with mass and inertia, and return what it loses.
+
+    The system has constant derivatives of lift, drag, side force and moments by alpha, beta, rates and surfaces, and a
+    drag that is quadratic in lift. They are fitted to the build-up at its samples by least squares. CY, Cl and Cn
+    have no constants there. Derivatives by surfaces are per degree, and the signs of this package: elevator > 0 pitches
+    down, aileron > 0 rolls right, rudder > 0 yaws left.
+
+    Parameters
+    ----------
+    path : path-like
+        An SDF file with one model: a link with its inertial, and the plugin. Add joints named after the surfaces.
+    build : BuildUp
+    link : str, default="base_link"
+        Name of the link.
+
+    Returns
+    -------
+    DataFrame (6, 3)
+        "loss", "deviation" and "spread" of CX ... Cn, root mean square over the samples.
+
+    Raises
+    ------
+    ValueError
+        If the build-up lacks alpha.
+    """
+    X, C = _flown(build)
+    plugin, fitted = _advanced_lift_drag(build, X, C, link)
+    loss = _loss(build, C, fitted)
+    sdf = Element("sdf", version="1.9")
+    model = SubElement(sdf, "model", name=build.aircraft.name)
+    model.append(ElementTree.Comment(" root mean square loss of this reduction:\n" + loss.to_string() + "\n"))
+    place = SubElement(SubElement(model, "link", name=link), "inertial")
+    _text(place, "mass", build.aircraft.mass)
+    inertia, J = SubElement(place, "inertia"), build.aircraft.inertia
+    turned = np.diag([1.0, -1.0, -1.0]) @ J @ np.diag([1.0, -1.0, -1.0])  # x forward, y left, z up
+    for k, a in enumerate("xyz"):
+        for m, b in list(enumerate("xyz"))[k:]:
+            _text(inertia, f"i{a}{b}", turned[k, m])
+    model.append(plugin)
+    ElementTree.indent(sdf)
+    text = f'<?xml version="1.0"?>\n{ElementTree.tostring(sdf, encoding="unicode")}\n'
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return loss
+
+
+def _flown(build: BuildUp) -> tuple[Matrix, Matrix]:
+    """Return samples and the coefficients at them."""
+    if "alpha" not in build.regressors:
+        raise ValueError(f"Got a model of {build.regressors}, but expected alpha among its regressors.")
+    return build.samples, build.evaluate(build.samples)
+
+
+def _loss(build: BuildUp, C: Matrix, fitted: Matrix) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "loss": np.sqrt(np.mean((fitted - C) ** 2, axis=0)),
+            "deviation": build.loss["deviation"].to_numpy(),
+            "spread": C.std(axis=0),
+        },
+        index=list(COEFFICIENTS),
+    )
+
+
+def _column(build: BuildUp, X: Matrix, name: str) -> Vector | None:
+    """Return a regressor, or None if the model lacks it."""
+    return X[:, build.regressors.index(name)] if name in build.regressors else None
+
+
+def _terms(build: BuildUp, X: Matrix, names: Sequence[str]) -> Matrix:
+    """Return columns of regressors, zero where the model lacks one."""
+    found = [_column(build, X, name) for name in names]
+    return np.stack([np.zeros(len(X)) if c is None else c for c in found], axis=-1)
+
+
+def _linear(columns: Matrix, y: Array) -> tuple[Array, Array]:
+    """Return constant and slopes of a least-squares plane, and its values."""
+    A = np.column_stack([np.ones(len(columns)), columns])
+    weights = np.linalg.lstsq(A, y, rcond=None)[0]
+    return np.asarray(weights, dtype=float), np.asarray(A @ weights, dtype=float)
+
+
+def _wind(alpha: Vector, C: Matrix) -> tuple[Array, Array]:
+    """Return lift and drag coefficients."""
+    s, c = np.sin(alpha), np.cos(alpha)
+    return C[:, 0] * s - C[:, 2] * c, -C[:, 0] * c - C[:, 2] * s
+
+
+def _body(alpha: Vector, lift: Array, drag: Array) -> tuple[Array, Array]:
+    """Return CX and CZ."""
+    s, c = np.sin(alpha), np.cos(alpha)
+    return lift * s - drag * c, -lift * c - drag * s
+
+
+def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix]:
+    """Return the entries of SITL's file, and the coefficients (n, 6) of its plane."""
+    aircraft, fitted = build.aircraft, np.empty_like(C)
+    largest = {n: _largest(build, n) for n in SIGNS}
+    alpha = _terms(build, X, ["alpha"])[:, 0]
+    lift, drag = _wind(alpha, C)
+    aspect = aircraft.span**2 / aircraft.wing_area
+    longitudinal = _terms(build, X, ["alpha", "q_hat", "elevator"])
+    cl, lift_fit = _linear(longitudinal, lift)
+    polar = cl[0] + cl[1] * alpha
+
+    def drag_of(weights: Vector) -> Array:
+        return weights[0] + polar**2 / (np.pi * aspect * weights[1]) + weights[2] * longitudinal[:, 1]
+
+    def errors(weights: Vector) -> Array:
+        return drag_of(weights) - drag
+
+    bounds = ([-1.0, EFFICIENCY[0], -1e3], [1.0, EFFICIENCY[1], 1e3])
+    cd = least_squares(errors, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
+    fitted[:, 0], fitted[:, 2] = _body(alpha, lift_fit, drag_of(cd))
+    values: dict[str, Any] = {"s": aircraft.wing_area, "b": aircraft.span, "c": aircraft.chord}
+    values |= {"c_lift_0": cl[0], "c_lift_a": cl[1], "c_lift_q": cl[2]}
+    values |= {"c_lift_deltae": cl[3] * SIGNS["elevator"] * largest["elevator"]}
+    values |= {"mcoeff": BLENDING, "alpha_stall": max(STALL, 1.5 * float(alpha.max())), "oswald": cd[1]}
+    values |= {"c_drag_p": cd[0], "c_drag_q": cd[2], "c_drag_deltae": 0.0}
+    for letter, i in LATERAL.items():
+        weights, fitted[:, i] = _linear(_terms(build, X, list(LATERAL_TERMS.values())), C[:, i])
+        values |= _named(letter, LATERAL_TERMS, weights, largest)
+    weights, fitted[:, 4] = _linear(_terms(build, X, list(MOMENT_TERMS.values())), C[:, 4])
+    values |= _named("m", MOMENT_TERMS, weights, largest)
+    values |= {f"{key}_max": largest[name] for key, name in (("deltaa", "aileron"), ("deltae", "elevator"))}
+    values["deltar_max"] = largest["rudder"]
+    return {key: float(value) for key, value in values.items()}, fitted
+
+
+def _largest(build: BuildUp, name: str) -> float:
+    """Return the largest deflection of the flights [rad]."""
+    return float(np.abs(build.limits[:, build.regressors.index(name)]).max()) if name in build.regressors else 0.0
+
+
+def _named(letter: str, terms: dict[str, str], weights: Vector, largest: dict[str, float]) -> dict[str, float]:
+    found = {f"c_{letter}_0": weights[0]}
+    for (key, name), weight in zip(terms.items(), weights[1:], strict=True):
+        found[f"c_{letter}_{key}"] = weight * SIGNS[name] * largest[name] if name in SIGNS else weight
+    return found
+
+
+def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix, link: str) -> tuple[Element, Matrix]:
+    """Return the plugin, and the coefficients (n, 6) of the system within stall."""
+    aircraft, alpha = build.aircraft, _terms(build, X, ["alpha"])[:, 0]
+    surfaces = [name for name in SIGNS if name in build.regressors]
+    lift, drag = _wind(alpha, C)
+    columns = _terms(build, X, ["alpha", "beta", *GAZEBO_RATES.values(), *surfaces])
+    with_constant = np.column_stack([np.ones(len(X)), columns])
+    weights, values = {}, {}
+    for name, y in {"CY": C[:, 1], "CL": lift, "Cl": C[:, 3], "Cm": C[:, 4], "Cn": C[:, 5]}.items():
+        basis = with_constant if name in CONSTANT else columns  # the system has no constant of the others
+        found = np.linalg.lstsq(basis, y, rcond=None)[0]
+        values[name], weights[name] = basis @ found, found if name in CONSTANT else np.append(0.0, found)
+    aspect = aircraft.span**2 / aircraft.wing_area
+    steady = np.delete(with_constant, slice(3, 6), axis=1) @ np.delete(weights["CL"], slice(3, 6))
+    polar = steady**2 / (np.pi * aspect)
+    basis = np.column_stack([np.ones(len(X)), columns[:, 2:]])
+    slope = np.linalg.lstsq(np.column_stack([polar, basis]), drag, rcond=None)[0][0]
+    efficiency = float(np.clip(1.0 / slope if slope > 0 else EFFICIENCY[1], *EFFICIENCY))
+    rest = np.linalg.lstsq(basis, drag - polar / efficiency, rcond=None)[0]
+    weights["CD"] = np.concatenate([rest[:1], [0.0, 0.0], rest[1:]])
+    fitted = np.empty_like(C)
+    fitted[:, 0], fitted[:, 2] = _body(alpha, values["CL"], polar / efficiency + basis @ rest)
+    for name, i in (("CY", 1), ("Cl", 3), ("Cm", 4), ("Cn", 5)):
+        fitted[:, i] = values[name]
+    plugin = Element("plugin", filename="gz-sim-advanced-lift-drag-system", name="gz::sim::systems::AdvancedLiftDrag")
+    for name, key in GAZEBO.items():
+        if name in CONSTANT:
+            _text(plugin, f"{key}0", weights[name][0])
+        if name != "CD":
+            _text(plugin, f"{key}a", weights[name][1])
+            _text(plugin, f"{key}b", weights[name][2])
+        for rate, value in zip(GAZEBO_RATES, weights[name][3:6], strict=True):
+            _text(plugin, f"{key}{rate}", value)
+    for tag, value in (
+        ("AR", aspect), ("mac", aircraft.chord), ("eff", efficiency), ("area", aircraft.wing_area),
+        ("alpha_stall", max(STALL, 1.5 * float(alpha.max()))), ("Cema_stall", weights["Cm"][1]),
+    ):  # fmt: skip
+        _text(plugin, tag, value)
+    words = {"forward": "1 0 0", "upward": "0 0 1", "cp": "0 0 0", "link_name": link}
+    for tag, text in (words | {"num_ctrl_surfaces": str(len(surfaces))}).items():
+        SubElement(plugin, tag).text = text
+    for k, surface in enumerate(surfaces):
+        place = SubElement(plugin, "control_surface")
+        SubElement(place, "name").text, SubElement(place, "direction").text = surface, "1"
+        for name, key in GAZEBO.items():
+            _text(place, f"{key}_ctrl", weights[name][6 + k] * np.pi / 180.0)
+    return plugin, fitted
+
+
+def _text(parent: Element, tag: str, value: float) -> None:
+    SubElement(parent, tag).text = repr(float(value))

@@ -1,0 +1,525 @@
+"""The build-up of a model: constants, derivatives and tables, as simulators read them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import block_diag, cho_factor, cho_solve
+from sklearn.utils import check_random_state
+
+from skdgp._compute.linalg import symmetric
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._effects import in_units, split_model
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.dynamics import Aircraft, as_aerodynamics
+from skdgp.inference import ExactPosterior, training_inputs
+
+MAX_POINTS, MAX_TESTED = 4000, 10000  # samples of the projection; samples over which its loss is measured
+OTHERS, OTHERS_WEIGHT = 1000, 0.1  # points that mix the regressors of different samples, and their weight
+FEW, SINGLE, PAIR = 5, 33, 9  # breakpoints: of pairs while terms are chosen; the most of a table of one and of two
+CURVATURE = 3e-5  # penalty of squared second differences, for each point
+RIDGE, PAIR_RIDGE = 1e-7, 1e-5  # of squared values; a table of two holds only what tables of one cannot
+
+
+class Table(NamedTuple):
+    """A part of a coefficient: linear between breakpoints, constant beyond the edges."""
+
+    regressors: tuple[str, ...]
+    """One or two."""
+    breakpoints: tuple[Vector, ...]
+    """Of each regressor, increasing."""
+    values: Array
+    """At the breakpoints, (n,) or (n, m)."""
+    std: Array
+    """Standard deviations of the values."""
+
+    def __call__(self, X: Matrix) -> Vector:
+        """Return the values at X (n, 1) or (n, 2), the regressors of the table."""
+        return table_basis(X, self.breakpoints) @ np.ravel(self.values)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BuildUp:
+    r"""The coefficients as sums of constants, derivatives and tables, each with a standard deviation.
+
+    .. math:: C_i(x) = C_{i0} + \sum_k C_{ik} (x_k - \bar x_k) + \sum_t T_{it}(x)
+
+    Attributes
+    ----------
+    aircraft : Aircraft
+    regressors : tuple of str
+        Names of the d regressors.
+    reference : ndarray (d,)
+        The point of the constants: the mean of the samples.
+    limits : ndarray (2, d)
+        Smallest and largest value of each regressor in the samples; breakpoints lie between them.
+    constants, constants_std : Series (6,)
+        Coefficients at the reference, without tables.
+    derivatives, derivatives_std : DataFrame (6, d)
+        Slopes, average over the samples; tables hold what differs from straight lines.
+    tables : dict of str to list of Table
+        Tables of each coefficient, of one regressor and of two.
+    loss : DataFrame (6, 2)
+        Over the samples, root mean square: "loss", the difference between build-up and model, and "deviation", the
+        posterior standard deviation of the model.
+    """
+
+    aircraft: Aircraft
+    regressors: tuple[str, ...]
+    reference: Vector
+    limits: Matrix
+    constants: pd.Series
+    constants_std: pd.Series
+    derivatives: pd.DataFrame
+    derivatives_std: pd.DataFrame
+    tables: dict[str, list[Table]]
+    loss: pd.DataFrame
+    samples: Matrix
+    """Samples of the flown envelope, (n, d)."""
+    lengths: tuple[float, float]
+    """Span and chord of the non-dimensional rates [m]."""
+    _covariances: dict[str, Matrix]
+    _draw: Callable[[int, Seed], dict[str, Matrix]]
+
+    def __repr__(self) -> str:
+        n_tables = sum(map(len, self.tables.values()))
+        return f"BuildUp({self.aircraft.name!r}, {', '.join(self.regressors)}, {n_tables} tables)"
+
+    def evaluate(self, X: Any, return_std: bool = False) -> Any:
+        """Return the coefficients at regressors.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+            Regressors in their order; a table with all of them by name.
+        return_std : bool
+            Also return standard deviations.
+
+        Returns
+        -------
+        mean : ndarray (n, 6)
+        std : ndarray (n, 6)
+            With ``return_std``.
+        """
+        X = X[list(self.regressors)].to_numpy(float) if isinstance(X, pd.DataFrame) else np.asarray(X, dtype=float)
+        mean, variance = np.empty((2, len(X), len(COEFFICIENTS)))
+        for i, name in enumerate(COEFFICIENTS):
+            basis = _Basis(self._axes(name), self.reference)(X)
+            mean[:, i] = basis @ self._weights(name)
+            if return_std:
+                variance[:, i] = np.einsum("na,ab,nb->n", basis, self._covariances[name], basis, optimize=True)
+        return (mean, np.sqrt(np.maximum(variance, 0.0))) if return_std else mean
+
+    def sample(self, n_draws: int, random_state: Seed = 0) -> list[BuildUp]:
+        """Return build-ups of functions drawn from the posterior: aircraft that the data allow.
+
+        Parameters
+        ----------
+        n_draws : int
+        random_state : int, RandomState or None
+            Equal seeds give equal functions, those of ``sample_paths``.
+
+        Returns
+        -------
+        list of BuildUp
+            With the breakpoints of this one.
+        """
+        if n_draws == 0:
+            return []
+        drawn = self._draw(n_draws, random_state)
+        return [self._with({name: weights[k] for name, weights in drawn.items()}) for k in range(n_draws)]
+
+    def _axes(self, name: str) -> list[Axes]:
+        places = {regressor: k for k, regressor in enumerate(self.regressors)}
+        return [Axes(tuple(places[r] for r in table.regressors), table.breakpoints) for table in self.tables[name]]
+
+    def _weights(self, name: str) -> Vector:
+        values = [np.ravel(table.values) for table in self.tables[name]]
+        return np.concatenate([[self.constants[name]], self.derivatives.loc[name], *values])
+
+    def _with(self, weights: dict[str, Vector]) -> BuildUp:
+        """Return the build-up with other weights of each coefficient, in the order of ``_weights``."""
+        constants, derivatives, tables = {}, {}, {}
+        for name, values in weights.items():
+            constants[name], derivatives[name], rest = values[0], *np.split(values[1:], [len(self.regressors)])
+            cells = np.split(rest, np.cumsum([table.values.size for table in self.tables[name]])[:-1])
+            pairs = zip(self.tables[name], cells, strict=True) if self.tables[name] else ()
+            tables[name] = [table._replace(values=cell.reshape(table.values.shape)) for table, cell in pairs]
+        frame = pd.DataFrame.from_dict(derivatives, orient="index", columns=list(self.regressors))
+        return replace(self, constants=pd.Series(constants), derivatives=frame, tables=tables)
+
+
+class Axes(NamedTuple):
+    """Regressors of a table, as columns, and their breakpoints."""
+
+    columns: tuple[int, ...]
+    breakpoints: tuple[Vector, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return int(np.prod([len(points) for points in self.breakpoints]))
+
+
+class _Basis:
+    """The functions whose sum is a coefficient: 1, the regressors less the reference, and hats of each table."""
+
+    def __init__(self, tables: Sequence[Axes], reference: Vector):
+        self.tables, self.reference = list(tables), reference
+        edges = np.cumsum([1 + len(reference), *(table.size for table in self.tables)])
+        self.slices = [slice(a, b) for a, b in pairwise(edges)]
+        self.size = int(edges[-1])
+
+    def __call__(self, X: Matrix) -> Matrix:
+        hats = [table_basis(X[:, list(table.columns)], table.breakpoints) for table in self.tables]
+        return np.hstack([np.ones((len(X), 1)), X - self.reference, *hats])
+
+    def projected(self, points: Points, values: Matrix | None = None) -> Matrix:
+        """Return the weights (size, m) of functions with values (n, m) at the points; by default L, of any values."""
+        scale = np.concatenate([[1.0], 1.0 / points.scale, np.ones(self.size - 1 - len(self.reference))])
+        basis, total = self(points.X) * scale, points.weight.sum()
+        weighted = (points.weight[:, None] * basis).T
+        normal = weighted @ basis
+        normal += total * block_diag(np.zeros((1 + len(self.reference),) * 2), *map(_penalty, self.tables))
+        np.einsum("aa->a", normal)[:] += 1e-12 * total
+        right = weighted if values is None else weighted @ values
+        return scale[:, None] * cho_solve(cho_factor(normal, overwrite_a=True), right)
+
+
+class Points(NamedTuple):
+    """Points of the projection."""
+
+    X: Matrix
+    """Samples, then mixtures of samples, (n, d)."""
+    weight: Vector
+    n_samples: int
+    scale: Vector
+    """Standard deviations of the regressors."""
+
+
+def build_up(
+    model: Any,
+    aircraft: Aircraft,
+    *,
+    X: Any = None,
+    tolerance: float = 0.1,
+    pairs: str = "all",
+    max_loss: float = 1.0,
+) -> BuildUp:
+    r"""Return the coefficients of a model as constants, derivatives and tables of one and of two regressors.
+
+    The posterior mean f is projected on such sums: with the basis :math:`\Phi` of the terms at the samples, weights W,
+    and a small penalty R of curvature, the values of all cells are :math:`\theta = L f`,
+    :math:`L = (\Phi^T W \Phi + R)^{-1} \Phi^T W` (the functional ANOVA of Hooker 2007, by least squares). They are
+    linear in f, so they are jointly normal with the covariance :math:`L K L^T` of the posterior covariance K: each cell
+    has a standard deviation, and functions drawn from the posterior become aircraft (:meth:`BuildUp.sample`). Mixtures
+    of samples with a small weight determine cells that were not flown.
+
+    A model with ``structure="trend"`` is its derivatives alone, and exact everywhere. Main effects of
+    ``structure="additive"`` are tables of one regressor, exact to the tolerance. Of the joint processes terms of three
+    and more regressors are lost.
+
+    Parameters
+    ----------
+    model : DependentGPRegressor or Pipeline
+        Fitted to all six coefficients; a pipeline ends in a ``DependentGPRegressor``.
+    aircraft : Aircraft
+    X : array or DataFrame (n, ...), optional
+        Input of the model: samples of the flown envelope. Default: the training samples. A compact model does not hold
+        them and needs X.
+    tolerance : float, default=0.1
+        Largest effect on a coefficient of the terms left out, root mean square over the samples, and of the breakpoints
+        left out of a table, as fractions of the root mean square posterior deviation.
+    pairs : {"all", "alpha", "none"}, default="all"
+        Tables of two regressors to choose from: any two, alpha and another, or none.
+    max_loss : float, default=1.0
+        Largest loss, root mean square over the samples, as a fraction of the root mean square posterior deviation;
+        ``np.inf`` accepts any.
+
+    Returns
+    -------
+    BuildUp
+        ``constants``, ``derivatives``, ``tables``, ``loss``; ``evaluate(X)`` and ``sample(n_draws)``.
+
+    Raises
+    ------
+    TypeError
+        If the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one.
+    ValueError
+        If a coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and X is not given, or
+        a parameter is invalid.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp import DependentGPRegressor
+    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.export import build_up
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> X = pd.DataFrame(np.random.default_rng(0).uniform(-0.1, 0.1, (50, 2)), columns=["alpha", "elevator"])
+    >>> Y = pd.DataFrame(X.to_numpy() @ [[0, 0, -4, 0, -0.5, 0], [0, 0, -0.3, 0, -0.6, 0]],
+    ...                  columns=["CX", "CY", "CZ", "Cl", "Cm", "Cn"])
+    >>> Y += np.random.default_rng(1).normal(0, 1e-3, Y.shape)
+    >>> found = build_up(DependentGPRegressor(structure="trend").fit(X, Y), glider)
+    >>> found.derivatives.loc["Cm"].round(1).to_dict(), sum(map(len, found.tables.values()))
+    ({'alpha': -0.5, 'elevator': -0.6}, 0)
+    """
+    if pairs not in ("all", "alpha", "none"):
+        raise ValueError(f"Got pairs={pairs!r}, but expected 'all', 'alpha' or 'none'.")
+    if not 0 < tolerance < np.inf or not max_loss > 0:
+        raise ValueError(f"Got tolerance={tolerance!r}, max_loss={max_loss!r}, but expected positive fractions.")
+    posterior = Posterior(model, X)
+    points = _points(posterior.samples)
+    mean = posterior.mean(points.X)
+    tested = posterior.tested
+    truth, deviation = posterior.mean(tested), posterior.deviation(tested)
+    names = posterior.names
+    kept = _important(points, mean, tolerance * deviation, _candidates(names, pairs))
+    found: dict[str, Any] = {"bases": {}, "projections": {}, "weights": {}, "covariances": {}}
+    losses = np.empty(len(COEFFICIENTS))
+    for i, name in enumerate(COEFFICIENTS):
+        basis = _chosen(points, mean[:, i], tolerance * deviation[i], kept[i])
+        projection = basis.projected(points)
+        weights = projection @ mean[:, i]
+        losses[i] = np.sqrt(np.mean((basis(tested) @ weights - truth[:, i]) ** 2))
+        parts = basis, projection, weights, posterior.covariance(i, points.X, projection)
+        for key, part in zip(found, parts, strict=True):
+            found[key][name] = part
+    loss = pd.DataFrame({"loss": losses, "deviation": deviation}, index=list(COEFFICIENTS))
+    _check_loss(loss, max_loss, pairs)
+
+    def draw(n_draws, random_state):
+        values = posterior.paths(n_draws, random_state, points.X)
+        return {name: values[..., i] @ found["projections"][name].T for i, name in enumerate(COEFFICIENTS)}
+
+    std = {name: np.sqrt(np.diag(covariance)) for name, covariance in found["covariances"].items()}
+    empty = BuildUp(
+        aircraft=aircraft,
+        regressors=tuple(names),
+        reference=points.X[: points.n_samples].mean(axis=0),
+        limits=posterior.limits,
+        constants=pd.Series(dtype=float),
+        constants_std=pd.Series(dtype=float),
+        derivatives=pd.DataFrame(),
+        derivatives_std=pd.DataFrame(),
+        tables={name: _empty_tables(basis, names) for name, basis in found["bases"].items()},
+        loss=loss,
+        samples=tested,
+        lengths=posterior.lengths(aircraft),
+        _covariances=found["covariances"],
+        _draw=draw,
+    )
+    means, stds = empty._with(found["weights"]), empty._with(std)
+    tables = {
+        name: [t._replace(std=s.values) for t, s in zip(means.tables[name], stds.tables[name], strict=True)]
+        for name in COEFFICIENTS
+    }
+    return replace(means, tables=tables, constants_std=stds.constants, derivatives_std=stds.derivatives)
+
+
+def table_basis(X: Matrix, breakpoints: Sequence[Vector]) -> Matrix:
+    """Return the weights (n, cells) of the cells of a table in its values at X (n, 1) or (n, 2): (bi)linear."""
+    hats = [_hats(x, points) for x, points in zip(np.asarray(X, float).T, breakpoints, strict=True)]
+    return hats[0] if len(hats) == 1 else (hats[0][:, :, None] * hats[1][:, None, :]).reshape(len(X), -1)
+
+
+def _hats(x, points):
+    left = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
+    share = np.clip((x - points[left]) / np.diff(points)[left], 0.0, 1.0)
+    hats, rows = np.zeros((len(x), len(points))), np.arange(len(x))
+    hats[rows, left], hats[rows, left + 1] = 1.0 - share, share
+    return hats
+
+
+def _penalty(table: Axes) -> Matrix:
+    """Return R of the penalty v^T R v of the cells v of a table."""
+    curvatures = [_curvature(points) for points in table.breakpoints]
+    if len(curvatures) == 1:
+        return CURVATURE * curvatures[0] + RIDGE * np.eye(table.size)
+    first, second = (np.eye(len(points)) for points in table.breakpoints)
+    both = np.kron(curvatures[0], second) + np.kron(first, curvatures[1])
+    return CURVATURE * both + PAIR_RIDGE * np.eye(table.size)
+
+
+def _curvature(points):
+    """Return D^T D of the second differences D, over the mean distance of the breakpoints."""
+    steps, mean = np.diff(points), np.diff(points).mean()
+    D = np.zeros((max(len(points) - 2, 0), len(points)))
+    for row, (a, b) in enumerate(pairwise(steps)):
+        D[row, row : row + 3] = [mean / a, -mean / a - mean / b, mean / b]
+    return D.T @ D
+
+
+class Posterior:
+    """Mean, covariance and functions of a fitted model, by regressors in their units."""
+
+    def __init__(self, model: Any, X: Any):
+        self.regressor, before, self.scalers, self.names = split_model(model)
+        self.aerodynamics = as_aerodynamics(model)
+        self.last = model[-1] if before is not None else model
+        self.factors = np.asarray(getattr(self.last, "std_scale_", 1.0)) * self.regressor._scale
+        outputs = self.regressor.output_names_
+        self.order = [outputs.index(c) for c in COEFFICIENTS] if set(COEFFICIENTS) <= set(outputs) else list(range(6))
+        if X is not None:
+            rows = self.regressor._check_regressors(X if before is None else before.transform(X))
+        elif self.regressor.inference_ == "compact":
+            raise ValueError("Got a compact model, which holds no samples. Give X, samples of the flown envelope.")
+        else:
+            rows = training_inputs(self.regressor.posterior_)
+        self.samples = np.asarray(in_units(rows, self.scalers))
+        self.tested = self.samples[:: -(-len(self.samples) // MAX_TESTED)]
+        self.limits = np.stack([self.samples.min(axis=0), self.samples.max(axis=0)])
+        self.scale = self.regressor._scale[self.order]
+
+    def lengths(self, aircraft: Aircraft) -> tuple[float, float]:
+        """Return span and chord of the non-dimensional rates."""
+        return (self.aerodynamics.span or aircraft.span, self.aerodynamics.chord or aircraft.chord)
+
+    def _scaled(self, X):
+        for step in reversed(self.scalers):
+            names = getattr(step, "feature_names_in_", None)
+            X = np.asarray(step.transform(X if names is None else pd.DataFrame(X, columns=list(names))))
+        return np.ascontiguousarray(X, dtype=float)
+
+    def affine(self) -> tuple[Vector, Vector]:
+        """Return shift and scale of what the regressor sees, (x - shift) / scale."""
+        d = len(self.names)
+        points = self._scaled(np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)]))
+        slopes = points[1 : d + 1] - points[0]
+        if not np.allclose(slopes, points[0] - points[d + 1 :]) or not np.allclose(slopes, np.diag(np.diag(slopes))):
+            raise ValueError("Got a pipeline that transforms regressors other than by scaling each: use form='tables'.")
+        scale = 1.0 / np.diag(slopes)
+        return -points[0] * scale, scale
+
+    def mean(self, X: Matrix) -> Matrix:
+        return self.aerodynamics(X)
+
+    def deviation(self, X: Matrix) -> Vector:
+        """Return the root mean square standard deviation of each coefficient over X, (6,)."""
+        variance = self.regressor.posterior_.predict(self._scaled(X), return_variance=True)[1]
+        return (np.sqrt(variance.mean(axis=0)) * self.factors)[self.order]
+
+    def covariance(self, i: int, X: Matrix, L: Matrix) -> Matrix:
+        """Return the covariance of L f, f the values of coefficient i at X."""
+        posterior, i, X = self.regressor.posterior_, self.order[i], self._scaled(X)
+        A = L @ posterior.loading(i, X)[0]
+        step = max(1, 2**22 // len(X))
+        prior = sum(
+            L[:, rows] @ (posterior.kernel.block(i, i, X[rows], X) @ L.T)
+            for rows in (slice(k, k + step) for k in range(0, len(X), step))
+        )
+        if isinstance(posterior, ExactPosterior):
+            explained = A @ posterior.solve(A.T)
+        else:
+            half = A @ posterior.roots[i]
+            explained = half @ half.T
+        covariance = symmetric(prior - explained)
+        np.einsum("aa->a", covariance)[:] = np.maximum(np.diag(covariance), 0.0)
+        return covariance * self.factors[i] ** 2
+
+    def paths(self, n_paths: int, random_state: Seed, X: Matrix) -> Array:
+        """Return the coefficients (n_paths, n, 6) of functions of the posterior."""
+        return self.last.sample_paths(n_paths, random_state)(self._scaled(X))[..., self.order]
+
+
+def _points(samples: Matrix) -> Points:
+    rng = check_random_state(0)
+    rows = np.sort(rng.permutation(len(samples))[:MAX_POINTS])
+    flown = samples[rows]
+    mixed = np.column_stack([rng.choice(column, OTHERS) for column in samples.T])
+    weight = np.concatenate([np.ones(len(flown)), np.full(OTHERS, OTHERS_WEIGHT * len(flown) / MAX_POINTS)])
+    scale = samples.std(axis=0)
+    return Points(np.concatenate([flown, mixed]), weight, len(flown), np.where(scale > 0, scale, 1.0))
+
+
+def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
+    single: list[tuple[int, ...]] = [(k,) for k in range(len(names))]
+    if pairs == "none":
+        return single
+    return single + [
+        pair
+        for pair in combinations(range(len(names)), 2)
+        if pairs == "all" or "alpha" in (names[pair[0]], names[pair[1]])
+    ]
+
+
+def _grid(x: Vector, n: int) -> Vector:
+    """Return n breakpoints over the range of x, closer where samples are."""
+    return np.unique(0.7 * np.linspace(x.min(), x.max(), n) + 0.3 * np.quantile(x, np.linspace(0.0, 1.0, n)))
+
+
+def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: int) -> list[Axes]:
+    flown = points.X[: points.n_samples]
+    varying = [term for term in terms if all(np.ptp(flown[:, k]) > 0 for k in term)]
+    return [Axes(term, tuple(_grid(flown[:, k], single if len(term) == 1 else pair) for k in term)) for term in varying]
+
+
+def _important(points: Points, mean: Matrix, least: Vector, terms: Sequence[tuple[int, ...]]) -> list[list]:
+    """Return the terms of each coefficient; those left out together change it by less than ``least`` (6,), RMS."""
+    basis = _Basis(_grids(points, terms, 2 * PAIR - 1, FEW), points.X[: points.n_samples].mean(axis=0))
+    weights, flown = basis.projected(points, mean), basis(points.X[: points.n_samples])
+    parts = np.stack([flown[:, rows] @ weights[rows] for rows in basis.slices]) if basis.slices else np.empty((0, 0, 6))
+    kept = []
+    for i in range(len(COEFFICIENTS)):
+        size = np.array([part[:, i].std() for part in parts])
+        order = np.argsort(size)
+        left_out = np.cumsum(parts[order][:, :, i] - parts[order][:, :, i].mean(axis=1, keepdims=True), axis=0)
+        enough = np.sqrt(np.mean(left_out**2, axis=1)) > least[i] if len(order) else np.empty(0, bool)
+        first = int(np.argmax(enough)) if enough.any() else len(order)
+        kept.append([basis.tables[k].columns for k in sorted(order[first:])])
+    return kept
+
+
+def _chosen(points: Points, mean: Vector, least: float, terms: Sequence[tuple[int, ...]]) -> _Basis:
+    """Return the basis of the terms with as few breakpoints as change no table by more than ``least``."""
+    reference = points.X[: points.n_samples].mean(axis=0)
+    fine = _Basis(_grids(points, terms, SINGLE, PAIR), reference)
+    weights = fine.projected(points, mean[:, None])[:, 0]
+    tables = []
+    for table, rows in zip(fine.tables, fine.slices, strict=True):
+        values = weights[rows].reshape([len(p) for p in table.breakpoints])
+        kept = tuple(
+            points_[_needed(points_, np.moveaxis(values, axis, 0).reshape(len(points_), -1), least)]
+            for axis, points_ in enumerate(table.breakpoints)
+        )
+        tables.append(table._replace(breakpoints=kept))
+    return _Basis(tables, reference)
+
+
+def _needed(points: Vector, values: Matrix, least: float) -> list[int]:
+    """Return the breakpoints between which straight lines keep all columns within ``least`` (Douglas & Peucker)."""
+    needed, queue = {0, len(points) - 1}, [(0, len(points) - 1)]
+    while queue:
+        a, b = queue.pop()
+        share = ((points[a : b + 1] - points[a]) / (points[b] - points[a]))[:, None]
+        off = np.abs(values[a : b + 1] - (1 - share) * values[a] - share * values[b]).max(axis=1)
+        worst = a + int(off.argmax())
+        if off.max() > least and a < worst < b:
+            needed.add(worst)
+            queue += [(a, worst), (worst, b)]
+    return sorted(needed)
+
+
+def _empty_tables(basis: _Basis, names: Sequence[str]) -> list[Table]:
+    shapes = [np.zeros([len(points) for points in table.breakpoints]) for table in basis.tables]
+    return [
+        Table(tuple(names[k] for k in table.columns), table.breakpoints, shape, shape)
+        for table, shape in zip(basis.tables, shapes, strict=True)
+    ]
+
+
+def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:
+    ratio = loss["loss"] / loss["deviation"]
+    large = {name: f"{value:.2g}" for name, value in ratio.items() if value > max_loss}
+    if large:
+        hint = "" if pairs == "all" else " pairs='all',"
+        raise ValueError(
+            f"Got a model that tables of at most two regressors change by {large} posterior deviations (root mean "
+            f"square over the samples), but expected at most {max_loss:g}. Try{hint} a smaller tolerance, a model with "
+            "structure='additive', or accept the loss: max_loss=np.inf."
+        )

@@ -1,0 +1,357 @@
+"""JSBSim: an aircraft folder with the aerodynamics of a model, as functions or as tables."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from skdgp._compute.files import write_atomically
+from skdgp._compute.typing import Seed
+from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
+from skdgp.dynamics import Aircraft
+from skdgp.export._build_up import BuildUp, build_up
+from skdgp.export._gaussians import GaussianSum, gaussian_sum
+
+FOOT, POUND_FORCE = 0.3048, 4.4482216152605
+SLUG = POUND_FORCE / FOOT
+AXES = {"CX": "X", "CY": "Y", "CZ": "Z", "Cl": "ROLL", "Cm": "PITCH", "Cn": "YAW"}
+LENGTHS = {"Cl": "metrics/bw-ft", "Cm": "metrics/cbarw-ft", "Cn": "metrics/bw-ft"}
+SURFACES = {
+    "elevator": ("fcs/elevator-cmd-norm", "fcs/elevator-pos-rad"),
+    "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
+    "rudder": ("fcs/rudder-cmd-norm", "fcs/rudder-pos-rad"),
+}
+THROTTLE = "fcs/throttle-cmd-norm"
+SOURCES = {  # property and factor to SI units
+    "alpha": ("aero/alpha-rad", 1.0),
+    "beta": ("aero/beta-rad", 1.0),
+    "alpha_dot": ("aero/alphadot-rad_sec", 1.0),
+    "beta_dot": ("aero/betadot-rad_sec", 1.0),
+    "p": ("velocities/p-aero-rad_sec", 1.0),
+    "q": ("velocities/q-aero-rad_sec", 1.0),
+    "r": ("velocities/r-aero-rad_sec", 1.0),
+    "airspeed": ("velocities/vt-fps", FOOT),
+    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
+    "altitude": ("position/h-sl-ft", FOOT),
+    "u": ("velocities/u-fps", FOOT),
+    "v": ("velocities/v-fps", FOOT),
+    "w": ("velocities/w-fps", FOOT),
+    "phi": ("attitude/phi-rad", 1.0),
+    "theta": ("attitude/theta-rad", 1.0),
+    "psi": ("attitude/psi-rad", 1.0),
+    "throttle": (THROTTLE, 1.0),
+    **{name: (position, 1.0) for name, (_, position) in SURFACES.items()},
+}
+IMPLICIT = ("p_dot", "q_dot", "r_dot", "ax", "ay", "az")
+NOTE = """
+ Made by skdgp from flights. Forces act along body axes (x forward, y right, z down) at the centre of gravity, which is
+ the origin. Properties of the aerodynamics:
+   aero/regressor/NAME    regressors, SI units and radians; NAME_hat: non-dimensional rate
+   aero/coefficient/CX    coefficients CX CY CZ Cl Cm Cn
+ Signs: elevator > 0 pitches down, aileron > 0 rolls right, rudder > 0 yaws left. A command of 1 is the largest
+ deflection of the flights.
+"""
+
+
+def write_jsbsim(
+    folder: str | os.PathLike,
+    model: Any,
+    aircraft: Aircraft,
+    *,
+    form: str = "functions",
+    n_draws: int = 0,
+    random_state: Seed = 0,
+    tolerance: float = 0.1,
+    **options: Any,
+) -> list[Path]:
+    """Write an aircraft that JSBSim loads: metrics, mass, inertia, thrust and aerodynamics.
+
+    With ``form="functions"`` the coefficients are the posterior mean, as sums of exponentials. A model with exact
+    inference is compacted first (``DependentGPRegressor.compact``). With ``form="tables"`` they are those of
+    :func:`build_up`, which is faster to evaluate and easier to read.
+
+    The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
+    The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm`` or ``fcs/propeller_speed`` [rad/s];
+    without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf].
+
+    Parameters
+    ----------
+    folder : path-like
+        Created if it does not exist.
+    model : DependentGPRegressor, Pipeline or BuildUp
+        Fitted; a build-up is written as tables.
+    aircraft : Aircraft
+        Its name names the files.
+    form : {"functions", "tables"}, default="functions"
+    n_draws : int, default=0
+        Number of further aircraft ``NAME_001``, ...: functions drawn from the posterior, as tables with either form.
+    random_state : int, RandomState or None, default=0
+        Of the draws.
+    tolerance : float, default=0.1
+        As of :func:`build_up`, or as of ``DependentGPRegressor.compact`` for functions.
+    **options
+        Of :func:`build_up`, for tables.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of
+        Gaussian processes and a linear trend (functions), or the build-up is refused (tables).
+    """
+    if form not in ("functions", "tables"):
+        raise ValueError(f"Got form={form!r}, but expected 'functions' or 'tables'.")
+    if n_draws < 0:
+        raise ValueError(f"Got n_draws={n_draws!r}, but expected a number of aircraft from 0 on.")
+    tables = model if isinstance(model, BuildUp) else None
+    if tables is None and (n_draws or form == "tables"):
+        tables = build_up(model, aircraft, tolerance=tolerance, **options)
+    first: BuildUp | GaussianSum
+    if tables is not None and (tables is model or form == "tables"):
+        first = tables
+    else:
+        first = gaussian_sum(model, aircraft, X=options.get("X"), tolerance=tolerance)
+    written = [first, *(tables.sample(n_draws, random_state) if tables is not None else [])]
+    name = "".join(c if c.isalnum() or c in "-_" else "_" for c in aircraft.name)
+    return [_write(Path(folder), name if k == 0 else f"{name}_{k:03d}", one, aircraft) for k, one in enumerate(written)]
+
+
+def _write(folder: Path, name: str, found: BuildUp | GaussianSum, aircraft: Aircraft) -> Path:
+    path = folder / "aircraft" / name / f"{name}.xml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    root = jsbsim_config(name, found, aircraft)
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    write_atomically(path, lambda temporary: temporary.write_text(f'<?xml version="1.0"?>\n{text}\n', encoding="utf-8"))
+    return path
+
+
+def jsbsim_config(name: str, found: BuildUp | GaussianSum, aircraft: Aircraft) -> Element:
+    """Return the file of an aircraft."""
+    root = Element("fdm_config", name=name, version="2.0", release="BETA")
+    root.append(ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in found.loss.to_string().splitlines())))
+    header = SubElement(root, "fileheader")
+    _text(header, "description", f"{aircraft.name}, learned from flights by skdgp")
+    _add_metrics(root, aircraft)
+    _add_mass(root, aircraft)
+    SubElement(root, "ground_reactions")
+    _add_thrust(root, aircraft)
+    controls = [r for r in found.regressors if r not in SOURCES and _rate(r) is None and r not in IMPLICIT]
+    _add_controls(root, found, controls)
+    aerodynamics = SubElement(root, "aerodynamics")
+    for k, regressor in enumerate(found.regressors):
+        function = SubElement(aerodynamics, "function", name=f"aero/regressor/{regressor}")
+        factors = _source(regressor, found.lengths, aircraft, controls)
+        _values(function if len(factors) == 1 else SubElement(function, "product"), *factors)
+        if isinstance(found, GaussianSum):
+            scaled = _product(SubElement(aerodynamics, "function", name=_scaled(regressor)), 1.0 / found.scale[k])
+            difference = SubElement(scaled, "difference")
+            _values(difference, f"aero/regressor/{regressor}", float(found.shift[k]))
+    for coefficient in COEFFICIENTS:
+        if isinstance(found, GaussianSum):
+            _add_gaussians(aerodynamics, found, coefficient)
+        else:
+            _add_tables(aerodynamics, found, coefficient)
+    for coefficient, axis in AXES.items():
+        place = SubElement(aerodynamics, "axis", name=axis)
+        unit = "LBS" if coefficient not in LENGTHS else None
+        if unit:
+            place.set("unit", unit)
+        load = SubElement(place, "function", name=f"aero/{'moment' if coefficient in LENGTHS else 'force'}/{axis}")
+        lengths = [LENGTHS[coefficient]] if coefficient in LENGTHS else []
+        _product(load, "aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}")
+    return root
+
+
+def _add_metrics(root: Element, aircraft: Aircraft) -> None:
+    metrics = SubElement(root, "metrics")
+    for tag, value, unit in (
+        ("wingarea", aircraft.wing_area, "M2"), ("wingspan", aircraft.span, "M"), ("chord", aircraft.chord, "M"),
+    ):  # fmt: skip
+        _text(metrics, tag, value, unit=unit)
+    for place in ("AERORP", "EYEPOINT", "VRP"):
+        _location(metrics, (0.0, 0.0, 0.0), name=place)
+
+
+def _add_mass(root: Element, aircraft: Aircraft) -> None:
+    """Write mass and inertia: JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry."""
+    J = aircraft.inertia
+    mass = SubElement(root, "mass_balance", negated_crossproduct_inertia="true")
+    entries = {"ixx": J[0, 0], "iyy": J[1, 1], "izz": J[2, 2], "ixy": -J[0, 1], "ixz": J[0, 2], "iyz": -J[1, 2]}
+    for tag, value in entries.items():
+        _text(mass, tag, value, unit="KG*M2")
+    _text(mass, "emptywt", aircraft.mass, unit="KG")
+    _location(mass, (0.0, 0.0, 0.0), name="CG")
+
+
+def _add_thrust(root: Element, aircraft: Aircraft) -> None:
+    line, propeller = aircraft.thrust_line, aircraft.propeller
+    position, direction = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)) if line is None else (line.position, line.direction)
+    reactions = SubElement(root, "external_reactions")
+    if propeller is not None:
+        _text(reactions, "property", "fcs/propeller_speed")
+    force = SubElement(reactions, "force", name="thrust", frame="BODY")
+    if propeller is not None:
+        function = SubElement(force, "function", name="propulsion/thrust-lbs")
+        _propeller(function, propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
+    _location(force, (-position[0], position[1], -position[2]))
+    _direction(force, direction)
+    if propeller is not None and propeller.torque_coefficients:
+        moment = SubElement(reactions, "moment", name="propeller", frame="BODY")
+        function = SubElement(moment, "function", name="propulsion/torque-lbsft")
+        factor = -propeller.rotation / (POUND_FORCE * FOOT)
+        _propeller(function, propeller, propeller.torque_coefficients, 5, factor)
+        _direction(moment, direction)
+
+
+def _propeller(function: Element, propeller: Any, coefficients: Sequence[float], power: int, factor: float) -> None:
+    """Write rho D^power (c0 n^2 + c1 n V / D + c2 V^2 / D^2), n in revolutions per second."""
+    product = _product(function, factor * propeller.diameter**power * SLUG / FOOT**3, "atmosphere/rho-slugs_ft3")
+    total = SubElement(product, "sum")
+    for k, c in enumerate(coefficients):
+        term = _product(total, c * (FOOT / propeller.diameter) ** k, *["velocities/vt-fps"] * k)
+        for _ in range(2 - k):
+            if propeller.speed_range is None:
+                _product(term, 0.5 / np.pi, "fcs/propeller_speed")
+            else:
+                idle, full = (speed / (2 * np.pi) for speed in propeller.speed_range)
+                speed = SubElement(term, "sum")
+                _values(speed, idle)
+                _product(speed, full - idle, THROTTLE)
+
+
+def _add_controls(root: Element, found: BuildUp | GaussianSum, controls: Iterable[str]) -> None:
+    control = SubElement(root, "flight_control", name="surfaces")
+    SubElement(control, "property", value="0").text = THROTTLE
+    for name in controls:
+        SubElement(control, "property", value="0").text = f"fcs/{name}"
+    channel = SubElement(control, "channel", name="surfaces")
+    for name, (command, position) in SURFACES.items():
+        if name not in found.regressors:
+            continue
+        largest = float(np.abs(found.limits[:, found.regressors.index(name)]).max())
+        scale = SubElement(channel, "aerosurface_scale", name=f"fcs/{name}-scale")
+        _text(scale, "input", command)
+        limits = SubElement(scale, "range")
+        _text(limits, "min", -largest)
+        _text(limits, "max", largest)
+        _text(scale, "output", position)
+
+
+def _rate(regressor: str) -> str | None:
+    """Return the rate of which a regressor is the non-dimensional form."""
+    name = regressor.removesuffix(HAT)
+    return name if regressor.endswith(HAT) and name in RATE_LENGTHS | ACCELERATION_LENGTHS else None
+
+
+def _source(regressor: str, lengths: tuple[float, float], aircraft: Aircraft, controls: Sequence[str]) -> list:
+    """Return the factors whose product is a regressor: numbers and properties."""
+    if regressor in controls:
+        return [f"fcs/{regressor}"]
+    rate = _rate(regressor)
+    if (rate or regressor) in IMPLICIT:
+        raise ValueError(
+            f"Got a model with the regressor {regressor!r}, an acceleration, which follows from the loads: fit one "
+            "with regressors='quasi-steady'."
+        )
+    name, factor = SOURCES[rate or regressor]
+    if rate is None:
+        return [name, factor] if factor != 1.0 else [name]
+    is_span = RATE_LENGTHS[rate] == "span"
+    ratio = lengths[0] / aircraft.span if is_span else lengths[1] / aircraft.chord
+    return [name, "aero/bi2vel" if is_span else "aero/ci2vel", ratio]
+
+
+def _add_tables(aerodynamics: Element, found: BuildUp, coefficient: str) -> None:
+    function = SubElement(aerodynamics, "function", name=f"aero/coefficient/{coefficient}")
+    std = ", ".join(f"{r} {v:.2g}" for r, v in found.derivatives_std.loc[coefficient].items())
+    text = f" standard deviations: constant {found.constants_std[coefficient]:.2g}, {std} "
+    function.append(ElementTree.Comment(text))
+    slopes = found.derivatives.loc[coefficient].to_numpy()
+    total = SubElement(function, "sum")
+    _values(total, float(found.constants[coefficient] - slopes @ found.reference))
+    for regressor, slope in zip(found.regressors, slopes, strict=True):
+        _product(total, float(slope), f"aero/regressor/{regressor}")
+    for table in found.tables[coefficient]:
+        place = SubElement(total, "table", name=f"aero/table/{coefficient}/{'-'.join(table.regressors)}")
+        for axis, regressor in zip(("row", "column"), table.regressors, strict=False):
+            _text(place, "independentVar", f"aero/regressor/{regressor}", lookup=axis)
+        cells = table.values if table.values.ndim == 2 else table.values[:, None]
+        lines = [" ".join(map(_number, row)) for row in np.column_stack([table.breakpoints[0], cells])]
+        if len(table.breakpoints) == 2:
+            lines.insert(0, " ".join(map(_number, table.breakpoints[1])))
+        _text(place, "tableData", "\n" + "\n".join(lines) + "\n")
+
+
+def _add_gaussians(aerodynamics: Element, found: GaussianSum, coefficient: str) -> None:
+    i = COEFFICIENTS.index(coefficient)
+    names = [_scaled(regressor) for regressor in found.regressors]
+    parts = []
+    for k, block in enumerate(found.blocks[i]):
+        square = SubElement(aerodynamics, "function", name=f"aero/square/{coefficient}-{k}")
+        total = SubElement(square, "sum")
+        for column in np.flatnonzero(block.used):
+            _product(total, float(-0.5 * block.curvature[column]), names[column], names[column])
+        part = SubElement(aerodynamics, "function", name=f"aero/part/{coefficient}-{k}")
+        parts.append(f"aero/part/{coefficient}-{k}")
+        total = SubElement(part, "sum")
+        for weight, constant, slope in zip(block.weights, block.constants, block.slopes, strict=True):
+            term = _product(total, float(weight))
+            exponent = SubElement(SubElement(term, "exp"), "sum")
+            _values(exponent, f"aero/square/{coefficient}-{k}", float(constant))
+            for column in np.flatnonzero(block.used):
+                _product(exponent, float(slope[column]), names[column])
+    function = SubElement(aerodynamics, "function", name=f"aero/coefficient/{coefficient}")
+    total = SubElement(function, "sum")
+    _values(total, float(found.constants[i]), *parts)
+    for name, slope in zip(names, found.slopes[i], strict=True):
+        if slope != 0.0:
+            _product(total, float(slope), name)
+
+
+def _scaled(regressor: str) -> str:
+    return f"aero/scaled/{regressor}"
+
+
+def _product(parent: Element, *factors: float | str) -> Element:
+    product = SubElement(parent, "product")
+    _values(product, *factors)
+    return product
+
+
+def _values(parent: Element, *values: float | str) -> None:
+    """Append numbers and properties."""
+    for value in values:
+        SubElement(parent, "p" if isinstance(value, str) else "v").text = (
+            value if isinstance(value, str) else _number(value)
+        )
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _text(parent: Element, tag: str, value: Any, **attributes: str) -> None:
+    SubElement(parent, tag, attributes).text = value if isinstance(value, str) else _number(value)
+
+
+def _location(parent: Element, place: Sequence[float], **attributes: str) -> None:
+    location = SubElement(parent, "location", attributes | {"unit": "M"})
+    for axis, value in zip("xyz", place, strict=True):
+        _text(location, axis, float(value))
+
+
+def _direction(parent: Element, direction: Sequence[float]) -> None:
+    element = SubElement(parent, "direction")
+    for axis, value in zip("xyz", direction, strict=True):
+        _text(element, axis, float(value))

@@ -1,0 +1,117 @@
+"""JSBSim loads the exports, and finds the coefficients, loads and accelerations of this package."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from skdgp.dynamics import Aircraft, Propeller, ThrustLine
+from skdgp.export import build_up, write_jsbsim
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:The fit stopped at max_iter"),
+    pytest.mark.filterwarnings("ignore:Compacting to"),
+]
+FOOT, POUND_FORCE = 0.3048, 4.4482216152605
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+AIRSPEED = 25.0
+
+
+@pytest.fixture
+def load(tmp_path, capfd):
+    """Return a function that loads an aircraft and sets regressors."""
+    jsbsim = pytest.importorskip("jsbsim", reason="flies exports in JSBSim: pip install jsbsim")
+
+    def loaded(name):
+        fdm = jsbsim.FGFDMExec(str(tmp_path))
+        fdm.set_debug_level(0)
+        assert fdm.load_model(name)
+        return fdm
+
+    yield loaded
+    assert "argument" not in capfd.readouterr().err
+
+
+def placed(fdm, row, aircraft, largest):
+    """Set a state and controls, and return the coefficients that JSBSim computes."""
+    fdm["ic/vt-fps"], fdm["ic/h-sl-ft"] = AIRSPEED / FOOT, 1000.0
+    fdm["ic/alpha-rad"], fdm["ic/beta-rad"] = row["alpha"], row["beta"]
+    for rate, length in (("p", aircraft.span), ("q", aircraft.chord), ("r", aircraft.span)):
+        fdm[f"ic/{rate}-rad_sec"] = row[f"{rate}_hat"] * 2 * AIRSPEED / length
+    for surface in ("elevator", "aileron", "rudder"):
+        fdm[f"fcs/{surface}-cmd-norm"] = row[surface] / largest[surface]
+    fdm.run_ic()
+    return np.array([fdm[f"aero/coefficient/{name}"] for name in COEFFICIENTS])
+
+
+@pytest.mark.parametrize(
+    ("name", "form"), [("trend", "functions"), ("trend", "tables"), ("sparse", "functions"), ("additive", "tables")]
+)
+def test_coefficients_are_those_of_the_model(name, form, load, fitted, uav, regressors, tmp_path):
+    options = {"max_loss": np.inf} if form == "tables" else {}
+    write_jsbsim(tmp_path, fitted(name), uav, form=form, **options)
+    fdm, rows = load("uav"), regressors[:40]
+    largest = regressors.abs().max()
+    found = np.stack([placed(fdm, row, uav, largest) for _, row in rows.iterrows()])
+    expected = fitted(name).predict(rows)
+    if name == "additive":
+        expected = build_up(fitted(name), uav, **options).evaluate(rows)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    np.testing.assert_allclose(fdm["aero/regressor/q_hat"], rows["q_hat"].iloc[-1], atol=1e-8)
+
+
+def test_loads_and_accelerations_are_those_of_the_coefficients(load, fitted, uav, regressors, tmp_path):
+    write_jsbsim(tmp_path, fitted("trend"), uav)
+    fdm, row = load("uav"), regressors.iloc[3]
+    C = placed(fdm, row, uav, regressors.abs().max())
+    qbar_area = 0.5 * fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4 * AIRSPEED**2 * uav.wing_area
+    force = np.array([fdm[f"forces/fb{axis}-aero-lbs"] for axis in "xyz"]) * POUND_FORCE
+    moment = np.array([fdm[f"moments/{axis}-aero-lbsft"] for axis in "lmn"]) * POUND_FORCE * FOOT
+    np.testing.assert_allclose(force, qbar_area * C[:3], rtol=1e-6)
+    np.testing.assert_allclose(moment, qbar_area * uav.moment_lengths * C[3:], rtol=1e-6)
+    omega = np.array([fdm[f"velocities/{rate}-rad_sec"] for rate in "pqr"])
+    found = np.array([fdm[f"accelerations/{rate}dot-rad_sec2"] for rate in "pqr"])
+    expected = np.linalg.solve(uav.inertia, moment - np.cross(omega, uav.inertia @ omega))
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+    assert fdm["inertia/mass-slugs"] * POUND_FORCE / FOOT == pytest.approx(uav.mass)
+
+
+def test_thrust_is_that_of_the_propeller(load, fitted, uav, regressors, tmp_path):
+    propeller = Propeller(0.5, (0.1, -0.05, -0.08), torque_coefficients=(0.01, 0.002), speed_range=(100.0, 700.0))
+    line = ThrustLine(position=(-0.5, 0.1, -0.2), direction=(1.0, 0.0, 0.1))
+    aircraft = Aircraft.from_dict(uav.to_dict() | {"propeller": propeller, "thrust_line": line})
+    write_jsbsim(tmp_path, fitted("trend"), aircraft)
+    fdm = load("uav")
+    fdm["fcs/throttle-cmd-norm"] = 0.6
+    placed(fdm, regressors.iloc[0], uav, regressors.abs().max())
+    density = fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
+    loads = (propeller.thrust(460.0, AIRSPEED, density), propeller.torque(460.0, AIRSPEED, density))
+    force, moment = line.loads(*loads)
+    found = np.array([fdm[f"forces/fb{axis}-external-lbs"] for axis in "xyz"]) * POUND_FORCE
+    np.testing.assert_allclose(found, force, rtol=1e-6, atol=1e-9)
+    found = np.array([fdm[f"moments/{axis}-external-lbsft"] for axis in "lmn"]) * POUND_FORCE * FOOT
+    np.testing.assert_allclose(found, moment, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", ["functions", "tables"])
+def test_draws_are_those_of_the_build_up(form, load, fitted, uav, regressors, tmp_path):
+    paths = write_jsbsim(tmp_path, fitted("trend"), uav, form=form, n_draws=2, random_state=3)
+    assert [path.stem for path in paths] == ["uav", "uav_001", "uav_002"]
+    drawn = build_up(fitted("trend"), uav).sample(2, random_state=3)[1]
+    found = placed(load("uav_002"), regressors.iloc[5], uav, regressors.abs().max())
+    np.testing.assert_allclose(found, drawn.evaluate(regressors[5:6])[0], atol=1e-7)
+
+
+def test_the_file_states_its_loss_and_signs(fitted, uav, tmp_path):
+    (path,) = write_jsbsim(tmp_path, fitted("trend"), uav, form="tables")
+    text = path.read_text()
+    assert "elevator > 0 pitches down" in text
+    assert "deviation" in text
+    root = ET.parse(path).getroot()
+    assert {axis.get("name") for axis in root.iter("axis")} == {"X", "Y", "Z", "ROLL", "PITCH", "YAW"}
+
+
+@pytest.mark.parametrize(("options", "match"), [({"form": "lookup"}, "'functions' or"), ({"n_draws": -1}, "from 0 on")])
+def test_options(options, match, fitted, uav, tmp_path):
+    with pytest.raises(ValueError, match=match):
+        write_jsbsim(tmp_path, fitted("trend"), uav, **options)

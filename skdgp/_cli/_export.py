@@ -21,10 +21,15 @@ def export(run: Run) -> None:
     c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
+    jsbsim    aircraft/NAME/NAME.xml: an aircraft with the coefficients as functions, or as tables with --form tables
+    ardupilot plane.json: constant derivatives for the plane of SITL
+    gazebo    model.sdf: constant derivatives for AdvancedLiftDrag
+    dave-ml   aero.dml: tables with standard deviations and check cases
 
-    MODEL is the model.joblib that identify wrote, or a model.npz. With --max-kb the form gets fewer basis functions;
-    the loss is printed in standard deviations of the posterior. All files are written into DIR, or none, with
-    config.toml, all options of this run.
+    MODEL is the model.joblib that identify wrote; for the first four also a model.npz. With --max-kb the form gets
+    fewer basis functions; the loss is printed in standard deviations of the posterior. Derivatives and tables are
+    fitted to the model at the samples; the loss is printed beside the posterior deviation. All files are written into
+    DIR, or none, with config.toml, all options of this run.
 
     For example:
       python -m skdgp export results/model.joblib --to portable -o portable
@@ -34,7 +39,7 @@ def export(run: Run) -> None:
     run.console.stage("reading")
     model = _read(options)
     run.console.stage(f"exporting to {options.to}")
-    given = {name: getattr(options, name) for name in ("max_kb", "precision")}
+    given = {name: getattr(options, name) for name in ("max_kb", "precision", "form", "draws")}
     given = {name: value for name, value in given.items() if value is not None}
     with tempfile.TemporaryDirectory(dir=run.folder.path if run.folder else None) as temporary:
         facts = export_model(temporary, model, options.to, **given)
@@ -65,13 +70,11 @@ def _mover(path: Path) -> Writer:
 def _text(folder, numbers) -> str:
     width = max(map(len, numbers["files"])) + 2
     lines = [f"{name:<{width}}{size / 1024:>9.1f} kB" for name, size in numbers["files"].items()]
-    if numbers.get("loss"):
-        lines += [
-            "",
-            "loss by the smaller size, root mean square in posterior deviations",
-            f"{'':6}{'mean':>10}{'deviation':>12}",
-        ]
-        lines += [f"{name:6}{loss['mean']:>10.3f}{loss['std']:>12.3f}" for name, loss in numbers["loss"].items()]
+    if loss := numbers.get("loss"):
+        columns = list(next(iter(loss.values())))
+        what = ", in posterior deviations" if columns == ["mean", "std"] else ""
+        lines += ["", f"loss, root mean square{what}", f"{'':6}" + "".join(f"{column:>12}" for column in columns)]
+        lines += [f"{name:6}" + "".join(f"{row[column]:>12.2g}" for column in columns) for name, row in loss.items()]
     return "\n".join([*lines, "", f"written into {folder}"])
 
 
@@ -91,6 +94,15 @@ EXPORT = Command(
             opt.Option(
                 ("--precision",),
                 {"choices": list(TOLERANCE), "help": "of arguments and results, of c (default: double)"},
+            ),
+            opt.Option(
+                ("--form",),
+                {"choices": ["functions", "tables"], "help": "of the coefficients, of jsbsim (default: functions)"},
+            ),
+            opt.option(
+                "--draws K",
+                "aircraft drawn from the posterior besides the mean, of jsbsim (default: none)",
+                opt.at_least(1),
             ),
         ]
     },

@@ -10,11 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from sklearn.utils import Bunch
 
+from skdgp.dynamics import Aircraft
+from skdgp.export._ardupilot import write_ardupilot, write_gazebo
+from skdgp.export._build_up import BuildUp, build_up
 from skdgp.export._c import write_c
 from skdgp.export._casadi import write_casadi
+from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._file import save_portable
+from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
 from skdgp.export._onnx import write_onnx
 from skdgp.export._pipeline import portable_model
@@ -35,12 +41,13 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     to : str
         Name of the format.
     **options
-        Of the format: ``max_kb``, ``precision``.
+        Of the format: ``max_kb``, ``precision``, ``form``, ``draws``.
 
     Returns
     -------
     dict
-        Facts: ``files`` is the list of paths, ``loss`` the loss of each coefficient by a smaller size.
+        Facts: ``files`` is the list of paths, ``loss`` says what each coefficient loses, by name: by a smaller size
+        "mean" and "std" in posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
 
     Raises
     ------
@@ -85,6 +92,49 @@ def _onnx(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str,
     return {"files": [write_onnx(folder / "aero.onnx", portable)], "loss": loss_of(portable)}
 
 
+def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0) -> dict[str, Any]:
+    """Write aircraft/NAME/NAME.xml, and with ``draws`` as many aircraft drawn from the posterior."""
+    pipeline, aircraft = _whole(model, "jsbsim")
+    return {"files": write_jsbsim(folder, pipeline, aircraft, form=form, n_draws=draws)}
+
+
+def _ardupilot(folder: Path, model: Any) -> dict[str, Any]:
+    """Write plane.json."""
+    path = folder / "plane.json"
+    return {"files": [path], "loss": _by_name(write_ardupilot(path, _build_up(model, "ardupilot")))}
+
+
+def _gazebo(folder: Path, model: Any) -> dict[str, Any]:
+    """Write model.sdf."""
+    path = folder / "model.sdf"
+    return {"files": [path], "loss": _by_name(write_gazebo(path, _build_up(model, "gazebo")))}
+
+
+def _dave_ml(folder: Path, model: Any) -> dict[str, Any]:
+    """Write aero.dml."""
+    path, build = folder / "aero.dml", _build_up(model, "dave-ml")
+    write_dave_ml(path, build)
+    return {"files": [path], "loss": _by_name(build.loss)}
+
+
+def _build_up(model: Any, to: str) -> BuildUp:
+    return build_up(*_whole(model, to))
+
+
+def _by_name(loss: pd.DataFrame) -> dict[str, dict[str, float]]:
+    return loss.to_dict(orient="index")
+
+
+def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:
+    """Return the pipeline and the aircraft of a model file."""
+    if isinstance(model, Bunch):
+        return model.pipeline, model.aircraft
+    raise ValueError(
+        f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: tables are made "
+        "from the samples, which a portable model does not hold."
+    )
+
+
 def _sized(model: Any, max_kb: float | None) -> PortableModel:
     """Return the portable model, whose file takes at most ``max_kb``."""
     portable = _as_portable(model)
@@ -110,5 +160,9 @@ FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
     "c": _c,
     "casadi": _casadi,
     "onnx": _onnx,
+    "jsbsim": _jsbsim,
+    "ardupilot": _ardupilot,
+    "gazebo": _gazebo,
+    "dave-ml": _dave_ml,
 }
 """What writes each format: called with a folder, a model and the options of the format, it returns facts."""

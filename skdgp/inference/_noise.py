@@ -109,7 +109,9 @@ def add_noise(K, noise, data) -> None:
     parts = NoiseParts.split(noise, data)
     np.einsum("ii->i", K)[:] += np.repeat(parts.white, [len(y) for y in data.y])
     for i, rows in _drift_slices(parts, data):
-        K[rows, rows] += np.triu(data.drift.covariance(i, parts.variance[i], parts.memory[i])[0])
+        covariance = data.drift.covariance(i, parts.variance[i], parts.memory[i])[0]
+        upper = ~np.tri(len(covariance), k=-1, dtype=bool)  # below, K holds no numbers
+        np.add(K[rows, rows], covariance, out=K[rows, rows], where=upper)
     if data.sample_noise is not None:
         for _, _, rows, columns, first, second in data.sample_noise.pairs():
             K[rows, columns] += np.einsum("nr,nr->n", first * parts.scale, second)

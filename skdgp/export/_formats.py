@@ -122,7 +122,7 @@ def _build_up(model: Any, to: str) -> BuildUp:
 
 
 def _by_name(loss: pd.DataFrame) -> dict[str, dict[str, float]]:
-    return loss.to_dict(orient="index")
+    return {str(name): {str(column): float(row[column]) for column in loss} for name, row in loss.iterrows()}
 
 
 def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:

@@ -122,7 +122,8 @@ def _build_up(model: Any, to: str) -> BuildUp:
 
 
 def _by_name(loss: pd.DataFrame) -> dict[str, dict[str, float]]:
-    return {str(name): {str(column): float(row[column]) for column in loss} for name, row in loss.iterrows()}
+    rows = zip(loss.index, loss.to_numpy(), strict=True)
+    return {str(name): dict(zip(map(str, loss.columns), map(float, row), strict=True)) for name, row in rows}
 
 
 def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:

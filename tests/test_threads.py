@@ -1,6 +1,5 @@
 """Tiles on threads: order, errors, Ctrl-C, and BLAS given back."""
 
-import os
 import signal
 import threading
 import time
@@ -80,7 +79,7 @@ class TestInterrupt:
 
     @staticmethod
     def press_soon():
-        timer = threading.Timer(0.15, os.kill, (os.getpid(), signal.SIGINT))
+        timer = threading.Timer(0.15, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
         timer.start()
         return timer
 

@@ -48,7 +48,7 @@ def export(run: Run) -> None:
         for name in files:
             (Path(options.output) / name).parent.mkdir(parents=True, exist_ok=True)
         run.write({name: _mover(path) for name, path in files.items()})
-    numbers = {"model": options.model, "to": options.to, "files": sizes, **facts} | {"files": sizes}
+    numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
     run.print(_text(options.output, numbers), numbers)
 
 

@@ -183,8 +183,8 @@ class PortableModel:
               h = T_i^T p + (0, U^T g),
 
     with c ``center``, s ``output_scale``, t ``deviation_scale``, a ``prior_variance``, v ``trend_weights``, tau
-    ``trend_scale``, T ``trend_roots``, and w and U of the output's :class:`Readout`, which acts on the last k entries of
-    h. This is the posterior of the function at exact regressors:
+    ``trend_scale``, T ``trend_roots``, and w and U of the output's :class:`Readout`, which acts on the last k entries
+    of h. This is the posterior of the function at exact regressors:
     ``DependentGPRegressor.predict(X, return_std=True, include_input_noise=False)``.
 
     Parameters

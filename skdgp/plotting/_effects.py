@@ -125,6 +125,7 @@ class EffectsDisplay(Display):
         band = ax.fill_between(at, mean - z * std, mean + z * std, **style)
         (line,) = ax.plot(at, mean, color=ROLES["mean"], label="effect")
         ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
+        ax.ticklabel_format(axis="x", scilimits=(-2, 4), useMathText=True)  # short labels fit narrow panels
         ax.locator_params(axis="y", nbins=4)
         return line, band
 

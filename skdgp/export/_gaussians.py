@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,9 +12,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import Posterior
-from skdgp.kernels import LinearTrend
-
-NO_EFFECT = 1e-14  # of a regressor on an exponent, over 1
+from skdgp.export._pipeline import sparse_form
 
 
 class Gaussians(NamedTuple):
@@ -66,7 +63,7 @@ def gaussian_sum(model: Any, aircraft: Aircraft, *, X: Any = None, tolerance: fl
         posterior.regressor = posterior.regressor.compact(tolerance=tolerance)
     d, center = len(posterior.names), posterior.regressor._center[posterior.order]
     shift, scale = posterior.affine()
-    constants, slopes, blocks = _read(posterior, posterior.regressor.posterior_.weights)
+    constants, slopes, blocks = _read(posterior)
     found = GaussianSum(
         regressors=tuple(posterior.names),
         lengths=posterior.lengths(aircraft),
@@ -82,60 +79,21 @@ def gaussian_sum(model: Any, aircraft: Aircraft, *, X: Any = None, tolerance: fl
     return replace(found, loss=pd.DataFrame({"loss": off, "deviation": deviation}, index=list(COEFFICIENTS)))
 
 
-def _read(posterior: Posterior, weights: Vector) -> tuple[Vector, Matrix, list[list[Gaussians]]]:
-    """Return constants (6,), slopes (6, d) and Gaussian functions of a mean with other weights of the features."""
-    sparse = posterior.regressor.posterior_
-    readout = sparse.readout
-    d, P = len(posterior.names), sparse.kernel.n_outputs
-    columns = np.zeros((len(readout.weights), P))
-    for i, (rows, features) in enumerate(zip(readout.slices, readout.columns, strict=True)):
-        columns[rows, i] = weights[features]
-    constants, slopes = np.zeros(P), np.zeros((P, d))
-    blocks: list[list[Gaussians]] = [[] for _ in range(P)]
-    for rows, w in _leaves(readout.rows, columns):
-        if hasattr(rows, "scales"):  # of a trend
-            if not isinstance(getattr(rows.columns, "__self__", None), LinearTrend):
-                raise _unknown("a trend that is not linear")
-            w = (rows.scales[:, None] * w).reshape(P, d + 1, P).sum(axis=0)
-            constants += w[0] - rows.center @ w[1:]
-            slopes += w[1:].T
-        elif hasattr(rows, "slopes") and rows.diagonal and not rows.far:
-            for place, block in _blocks(rows):
-                for i in range(P):
-                    if np.any(w[place, i]):
-                        blocks[i].append(block._replace(weights=block.weights * w[place, i]))
-        elif len(w):
-            raise _unknown("processes that are not Gaussian functions of single regressors")
-    scale = posterior.scale
-    order = posterior.order
-    scaled = [[b._replace(weights=b.weights * s) for b in blocks[i]] for i, s in zip(order, scale, strict=True)]
-    return constants[order] * scale, slopes[order] * scale[:, None], scaled
-
-
-def _leaves(rows: Any, weights: Matrix) -> list[tuple[Any, Matrix]]:
-    """Return the terms of a sum of features, and the weights (c, P) of their columns."""
-    if not hasattr(rows, "first"):
-        return [(rows, weights)]
-    apart = np.empty_like(weights)
-    apart[rows.order] = weights
-    n = int(rows.first.sizes.sum())
-    return [*_leaves(rows.first, apart[:n]), *_leaves(rows.second, apart[n:])]
-
-
-def _blocks(rows: Any) -> list[tuple[slice, Gaussians]]:
-    """Return the columns of each block, and its functions with the gains as weights, about the origin."""
-    found, edges = [], np.cumsum([0, *rows.counts])
-    for k, (a, b) in enumerate(pairwise(edges)):
-        place, r, m = slice(a, b), rows.roots[:, k], rows.middle
-        slopes = rows.slopes[:, place].T
-        constants = rows.constant[place] - slopes @ m - 0.5 * r @ m**2
-        slopes = slopes + r * m
-        used = (r > NO_EFFECT) | (np.abs(slopes).max(axis=0, initial=0.0) > NO_EFFECT)
-        found.append((place, Gaussians(rows.gain[place], constants, slopes, r, used)))
-    return found
-
-
-def _unknown(what: str) -> ValueError:
-    return ValueError(
-        f"Got a model with {what}, but expected Gaussian processes and a linear trend: use form='tables'."
-    )
+def _read(posterior: Posterior) -> tuple[Vector, Matrix, list[list[Gaussians]]]:
+    """Return constants (6,), slopes (6, d) and Gaussian functions of the posterior mean."""
+    try:
+        form = sparse_form(posterior.regressor.posterior_)
+    except ValueError as error:
+        raise ValueError(f"{error} Or use form='tables'.") from error
+    order, scale, trend = posterior.order, posterior.scale, form["trend_weights"]
+    blocks: list[list[Gaussians]] = [[] for _ in order]
+    for block in form["blocks"]:
+        if block.root.ndim == 2:
+            raise ValueError("Got filters of covariance_type='full', but expected 'diag': use form='tables'.")
+        used = np.isin(np.arange(len(block.root)), block.regressors)
+        r, a = used * block.root**2, form["centres"][block.rows] + block.shift
+        weights = block.gain * form["readouts"][block.output].weights[block.columns]
+        blocks[block.output].append(Gaussians(weights, -0.5 * a**2 @ r, a * r, r, used))
+    scaled = [[b._replace(weights=s * b.weights) for b in blocks[i]] for i, s in zip(order, scale, strict=True)]
+    constants = trend[:, 0] - trend[:, 1:] @ form["trend_center"]
+    return constants[order] * scale, trend[order, 1:] * scale[:, None], scaled

@@ -78,7 +78,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         raise ValueError(f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. {REMEDY}")
     regressors, shift, scale, limits = _inputs(pipeline)
     form = _exact(regressor.posterior_) if isinstance(regressor.posterior_, ExactPosterior) else None
-    form = _sparse(regressor.posterior_) if form is None else form
+    form = sparse_form(regressor.posterior_) if form is None else form
     drift = np.zeros((2, len(regressor._scale)))
     if np.any(regressor.drift_variance_):
         drift = np.stack([regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_])
@@ -195,7 +195,7 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
     return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
 
 
-def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
+def sparse_form(posterior: SparsePosterior) -> dict[str, Any]:
     """Return the arrays of a sparse or compact posterior: its inducing inputs are the centres."""
     gaussians, trend = _parts(posterior.kernel)
     P, d = posterior.kernel.n_outputs, posterior.kernel.n_features

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from threading import Event
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from skdgp._compute.threads import thread_map
 from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
-from skdgp.inference._noise import fit_drift
+from skdgp.inference._noise import fit_drift, fit_drift_to_integrals
 from skdgp.inference._optimize import maximize
 from skdgp.inference._sparse import SparsePosterior, maximize_features
 from skdgp.inference._sums import shares_of
@@ -247,12 +248,14 @@ def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, m
 
 def _learn_drift(hyperparameters, posterior, X, Y, clock):
     """Return the hyperparameters with white noise and drift estimated from the residuals of all samples."""
-    white, variance, memory = residual_drift(posterior, X, Y, clock)
+    white, variance, memory = residual_drift(posterior, X, Y, clock, fit_drift)
     scale = hyperparameters.noise / (white + variance)  # the residuals neglect the uncertainty of the function
     return hyperparameters._replace(noise=white * scale, drift=(variance * scale, memory))
 
 
-def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
+def residual_drift(
+    posterior: Any, X: Matrix, Y: Matrix, clock: Matrix, fit: Callable = fit_drift_to_integrals
+) -> Matrix:
     """Return white noise and drift estimated from the residuals of a posterior.
 
     Parameters
@@ -263,6 +266,8 @@ def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matri
         NaN where an output was not observed.
     clock : ndarray (n, 2)
         Time and flight number of each sample.
+    fit : callable
+        Estimates sigma^2, tau^2 and T of one output from its residuals, the clock and the smallest variance.
 
     Returns
     -------
@@ -274,7 +279,7 @@ def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matri
     for i, e in enumerate(residual.T):
         observed = np.isfinite(e)
         if observed.sum() > 2:
-            found[:, i] = fit_drift(e[observed], clock[observed], least[i])
+            found[:, i] = fit(e[observed], clock[observed], least[i])
     return found
 
 

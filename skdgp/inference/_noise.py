@@ -19,8 +19,13 @@ from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.optimize import minimize
 
 from skdgp._compute.linalg import eigen_root
+from skdgp._compute.typing import Matrix, Vector
 
 SMALLEST_STEP = 1e-6  # smallest sample interval, over the memory of the drift: for two samples of the same time
+LONGEST_HORIZON = 10.0  # longest time over which residuals are integrated [s]
+N_HORIZONS = 12
+MODEL_ERROR = 0.3  # relative, of the variances of integrals
+LONGEST_GAP = 4.0  # a longer interval, over the median one, ends a record
 
 
 class SampleNoise(NamedTuple):
@@ -222,3 +227,74 @@ def fit_drift(residual, clock, least):
     starts = [np.log([0.5 * power, 0.5 * power, memory]) for memory in (4 * step, 40 * step)]
     optima = [minimize(loss, np.clip(s, *bounds.T), method="L-BFGS-B", bounds=[*bounds]) for s in starts]
     return np.exp(min(optima, key=lambda optimum: optimum.fun).x)
+
+
+def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tuple[float, float, float]:
+    r"""Return sigma^2, tau^2 and T of white noise plus drift, fitted to the integrals of the residuals over time.
+
+    A simulated flight integrates the errors of the coefficients, so the estimate is judged by integrals. Over a time h,
+    the integral of white noise with the sample interval d and of a drift has the variance
+
+    .. math:: \sigma^2 d h + 2 \tau^2 T^2 (h / T - 1 + e^{-h / T}).
+
+    tau^2 and T minimise the squared differences of its logarithm from that of the residuals, over horizons h from two
+    sample intervals to 10 s or the longest record; sigma^2 + tau^2 is the mean square of the residuals. With n = the
+    time flown over h, a logarithm has the weight 1 / (0.3^2 + 2 / n): the variance of n squares, and an error of the
+    model.
+    Residuals are not exactly white noise plus a drift, and maximum likelihood agrees best from one sample to the next.
+
+    The constant of the function takes up the mean of the residuals, so the mean square of n independent integrals is
+    multiplied by n / (n - 1).
+
+    Parameters
+    ----------
+    residual : ndarray (n,)
+        In the order of the log.
+    clock : ndarray (n, 2)
+        Time and flight.
+    least : float
+        Smallest variance.
+
+    Returns
+    -------
+    tuple of float
+        sigma^2, tau^2 and T.
+    """
+    time, flight = clock.T
+    same, steps = flight[1:] == flight[:-1], np.abs(np.diff(time))
+    step = float(np.median(steps[same])) if same.any() else 1.0
+    records = np.split(np.arange(len(time)), 1 + np.flatnonzero(~same | (steps > LONGEST_GAP * step)))
+    longest = max(np.ptp(time[rows]) for rows in records)
+    horizons = np.geomspace(2 * step, max(min(longest, LONGEST_HORIZON), 2 * step), N_HORIZONS)
+    flown = sum(np.ptp(time[rows]) for rows in records)
+    power = max(float(np.mean(residual**2)), 10 * least)
+    found = _mean_squared_integrals(residual, time, records, horizons)
+    known = (found > 0) & (horizons < flown)
+    horizons = horizons[known]
+    found = np.log(found[known] / (1 - horizons / flown))
+    weight = 1 / (MODEL_ERROR**2 + 2 * horizons / flown)
+
+    def loss(theta):
+        variance, memory = np.exp(theta)
+        ratio = horizons / memory
+        drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
+        return weight @ (np.log(drift + (power - variance) * step * horizons) - found) ** 2
+
+    bounds = np.log([(least, power), (step, max(longest, 2 * step))])
+    starts = [(np.log(0.5 * power), start) for start in np.linspace(*bounds[1], 5)[:-1]]
+    optima = [minimize(loss, start, method="L-BFGS-B", bounds=[*bounds]) for start in starts]
+    variance, memory = np.exp(min(optima, key=lambda optimum: optimum.fun).x)
+    return max(power - variance, least), variance, memory
+
+
+def _mean_squared_integrals(residual, time, records, horizons):
+    """Return the mean square of the integrals of the residuals over each horizon, within records; NaN without one."""
+    total, count = np.zeros((2, len(horizons)))
+    for rows in records:
+        elapsed = np.abs(time[rows] - time[rows[0]])
+        integral = np.concatenate([[0.0], np.cumsum(residual[rows[:-1]] * np.diff(elapsed))])
+        for k, horizon in enumerate(horizons):
+            inside = elapsed + horizon <= elapsed[-1] * (1 + 1e-9)
+            change = np.interp(elapsed[inside] + horizon, elapsed, integral) - integral[inside]
+            total[k], count[k] = total[k] + change @ change, count[k] + len(change)
+    return np.divide(total, count, out=np.full(len(horizons), np.nan), where=count > 0)

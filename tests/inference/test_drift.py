@@ -127,6 +127,12 @@ def ornstein_uhlenbeck(rng, n, step, memory, variance):
     return values
 
 
+def integral_variance(variance, memory, time):
+    """Variance of the integral of such a process, by quadrature of its covariance."""
+    times = np.linspace(0, time, 801)
+    return time**2 * np.mean(variance * np.exp(-np.abs(np.subtract.outer(times, times)) / memory))
+
+
 class TestResiduals:
     """The default: the fit is that of white noise, and its residuals show the drift."""
 
@@ -156,7 +162,9 @@ class TestResiduals:
         white = clone(model).fit(X, Y)
         model.fit(X, Y, time=time, flight=flight)
         assert model.drift_variance_[0] == pytest.approx(self.tau2, rel=0.3)
-        assert model.drift_memory_[0] == pytest.approx(self.memory, rel=0.3)
+        for horizon in (0.5, 2.0, 5.0):  # what a simulated flight integrates
+            found = integral_variance(model.drift_variance_[0], model.drift_memory_[0], horizon)
+            assert found == pytest.approx(integral_variance(self.tau2, self.memory, horizon), rel=0.4)
         after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
         assert after_a_second[1] < 0.05 * 0.3**2
         for found, expected in zip(model.predict(X[:9], True), white.predict(X[:9], True), strict=True):

@@ -281,7 +281,7 @@ def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tup
         return weight @ (np.log(drift + (power - variance) * step * horizons) - found) ** 2
 
     bounds = np.log([(least, power), (step, max(longest, 2 * step))])
-    starts = [(np.log(0.5 * power), start) for start in np.linspace(*bounds[1], 5)[:-1]]
+    starts = [(np.log(0.5 * power), start) for start in np.linspace(bounds[1, 0], bounds[1, 1], 5)[:-1]]
     optima = [minimize(loss, start, method="L-BFGS-B", bounds=[*bounds]) for start in starts]
     variance, memory = np.exp(min(optima, key=lambda optimum: optimum.fun).x)
     return max(power - variance, least), variance, memory

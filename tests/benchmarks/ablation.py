@@ -28,6 +28,11 @@ PARTS = {  # of Identification: arguments of make_identification_pipeline, param
     "gusts_in_bands": {"gusts": False},
     "trend": {"parameters": {"dependentgpregressor__trend": "constant"}},
     "sharing": {"parameters": {"dependentgpregressor__n_latent": 0}},
+    "evidence_for_sharing_two_latents_always": {"parameters": {"dependentgpregressor__n_latent": 2}},
+    "choice_of_structure_joint_always": {"parameters": {"dependentgpregressor__structure": "joint"}},
+    "choice_of_structure_additive_always": {"parameters": {"dependentgpregressor__structure": "additive"}},
+    "processes_trend_alone": {"parameters": {"dependentgpregressor__structure": "trend"}},
+    "early_stopping": {"parameters": {"dependentgpregressor__early_stopping": False}},
     "all_samples_but_755": {"samples": 755},
 }
 

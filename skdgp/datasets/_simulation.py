@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import HAT, RATE_LENGTHS
-from skdgp._flight.frames import cross
 from skdgp.datasets._autopilot import ALPHA, FlightControls
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._flight_plans import FlightPlan
-from skdgp.dynamics import Aerodynamics, body_to_ned, euler_to_quaternion, ned_to_body
+from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body
 from skdgp.dynamics._equations.motion import Air, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY
-from skdgp.dynamics._simulation.gusts import Gusts, dryden_gusts, low_altitude_turbulence
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
+from skdgp.dynamics._simulation.gusts import GustyAir, dryden_gusts, low_altitude_turbulence
 from skdgp.dynamics._simulation.inputs import Clock
 from skdgp.dynamics._simulation.simulate import Record, fly_record
 
@@ -30,23 +26,6 @@ AIRSPEED = 36.0
 """At which the gusts are crossed [m/s]."""
 PASSES = 8
 """Of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer."""
-
-
-@dataclass(frozen=True)
-class GustyAir:
-    """A steady wind with gusts around each aircraft."""
-
-    wind: Array
-    """North, east, down, (n_flights, 3) [m/s]."""
-    gusts: Gusts
-    """At each stage, (n_stages, n_flights, 3)."""
-
-    def __call__(self, stage: Any, state: Array) -> Air:
-        """Return the air at a stage, or at several, and states (..., n_flights, 13)."""
-        velocity, acceleration, rotation = (part[stage] for part in self.gusts)
-        rate = acceleration + cross(state[..., RATES], velocity)  # a gust turns with the aircraft
-        gust, gust_rate = body_to_ned(state[..., ATTITUDE], np.stack([velocity, rate]))
-        return Air(self.wind + gust, gust_rate, rotation)
 
 
 def brumby_motion() -> Motion:
@@ -67,9 +46,10 @@ def fly_plans(
     scales = [low_altitude_turbulence(h, plan.wind_at_6m) for h, plan in zip(heights, plans, strict=True)]
     lengths, intensities = (np.array(part) for part in zip(*scales, strict=True))
     gusts = dryden_gusts(2 * len(time) + 1, 0.5 * STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng)
-    air = GustyAir(np.array([plan.wind for plan in plans]), gusts)
+    wind = np.array([plan.wind for plan in plans])
+    air = GustyAir(lambda stage, state: Air(wind), gusts)
     motion, controls = brumby_motion(), FlightControls(plans, time, STEP)
-    record = fly_record(motion, controls, air, Clock(STEP, len(time) - 1), _initial_states(controls, air.wind))
+    record = fly_record(motion, controls, air, Clock(STEP, len(time) - 1), _initial_states(controls, wind))
     log = slice(round(SETTLING / STEP), None)
     record = record.rows(log)
     at = air(slice(2 * log.start, 2 * len(time), 2), record.states)

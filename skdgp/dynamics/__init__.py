@@ -28,6 +28,7 @@ from skdgp.dynamics._simulation.gusts import dryden_wind
 from skdgp.dynamics._simulation.simulate import simulate
 from skdgp.dynamics._simulation.simulator import Simulator
 from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_bands
+from skdgp.dynamics._simulation.turbulence import Turbulence
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, ThrustTable
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
@@ -44,6 +45,7 @@ __all__ = [
     "ThrustLine",
     "ThrustTable",
     "Trim",
+    "Turbulence",
     "aerodynamic_coefficients",
     "aerodynamic_loads",
     "air_data",

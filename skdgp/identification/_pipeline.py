@@ -17,7 +17,7 @@ from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import SENSOR_GUST
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, Turbulence
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -96,7 +96,7 @@ def make_identification_pipeline(
     Examples
     --------
     >>> import numpy as np, pandas as pd
-    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.dynamics import Aircraft, Turbulence
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
     >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat", "elevator"], cutoff=None)
     >>> [name for name, step in model.steps][-1]
@@ -216,7 +216,7 @@ class FlightPipeline(Pipeline):
     --------
     >>> import numpy as np, pandas as pd
     >>> from skdgp.identification import make_identification_pipeline
-    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.dynamics import Aircraft, Turbulence
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
     >>> t = np.arange(0, 4, 0.1)
     >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
@@ -250,7 +250,9 @@ class FlightPipeline(Pipeline):
         if not get_config()["enable_metadata_routing"]:
             name = self.steps[-1][0]
             params = {f"{name}__{key}": value for key, value in clock_of(self[-1], X).items()} | params
-        return super().fit(X, y, **params)
+        super().fit(X, y, **params)
+        self.turbulence_ = _turbulence_of(self, X)
+        return self
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients of one or more flights at their full rate.
@@ -276,6 +278,15 @@ class FlightPipeline(Pipeline):
         check_is_fitted(self)
         regressors, ratio = flight_regressors(self, X)
         return _predict(self[-1], regressors, ratio, params)
+
+
+def _turbulence_of(pipeline: Pipeline, flight: Any) -> Turbulence | None:
+    """Return the turbulence of the flights, or None if the table does not show it."""
+    rates = next((step for _, step in pipeline.steps if getattr(step, "in_simulation", None) == "rates"), None)
+    try:
+        return None if rates is None else Turbulence.from_flight(flight, rates.span)
+    except (TypeError, ValueError):  # short flights, or columns that are missing
+        return None
 
 
 def _predict(last, regressors, ratio, params):

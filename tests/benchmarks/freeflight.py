@@ -32,6 +32,7 @@ from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aircraft,
     SimulationWarning,
+    Turbulence,
     aerodynamic_coefficients,
     replay,
     replay_errors,
@@ -68,11 +69,12 @@ def windows(truth):
 
 def flown_free(model, aircraft, stretches, **options):
     """Return what the model makes of the stretches, from their first rows on."""
-    starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=["airspeed"])
+    unknown = ["airspeed"] if "wind" not in options else ["u", "v", "w", "v_north", "v_east", "v_down"]
+    starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=unknown, errors="ignore")
     gravity = float(np.mean([stretch["gravity"].mean() for stretch in stretches]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
-        return simulate(model, aircraft, starts, stretches, dt=STEP, gravity=gravity, wind=stretches, **options)
+        return simulate(model, aircraft, starts, stretches, dt=STEP, gravity=gravity, **{"wind": stretches} | options)
 
 
 def errors_of(flights, stretches):
@@ -121,8 +123,24 @@ def free(name, models, aircraft, flight, n_paths):
         for method, parts in flights.items()
         for row in errors_of(parts, stretches)
     ]
-    ensemble = flown_free(models["ours"], aircraft, stretches, n_paths=n_paths)
-    return errors, [{"flight": name, "paths": n_paths, **row} for row in coverage_of(ensemble, stretches)]
+    coverage, rows = [], []
+    for air, options in airs(aircraft, flight).items():
+        ensemble = flown_free(models["ours"], aircraft, stretches, n_paths=n_paths, **options)
+        rows += [{"flight": name, "wind and gusts": air, **row} for row in coverage_of(ensemble, stretches)]
+        if not options:
+            coverage = [{"flight": name, "paths": n_paths, **row} for row in coverage_of(ensemble, stretches)]
+    return errors, coverage, rows
+
+
+def airs(aircraft, flight):
+    """Return the options of `simulate` for what is known of the air: turbulence from the sensors of the flight."""
+    turbulence = Turbulence.from_flight(flight, aircraft.span)
+    mean = flight[["wind_north_true", "wind_east_true", "wind_down_true"]].mean().to_numpy()
+    return {
+        "true wind": {},
+        "true wind, rates of its gusts drawn": {"gusts": turbulence},
+        "mean wind, gusts drawn": {"gusts": turbulence, "wind": mean},
+    }
 
 
 def replayed(name, model, aircraft, flight):
@@ -200,7 +218,7 @@ def main(words=None):
     options = parser.parse_args(words)
     if options.data is None and not options.smoke:
         parser.error("the folder of the shared data is needed")
-    errors, coverage, replays = [], [], []
+    errors, coverage, air, replays = [], [], [], []
     for airframe, train, test in [] if options.smoke else PAIRS:
         folder = options.data / "flights"
         aircraft = Aircraft.from_json(folder / f"{airframe}.json")
@@ -213,7 +231,7 @@ def main(words=None):
             "least squares": make_identification_pipeline(aircraft, regressor=LinearRegression()).fit(log, Y),
         }
         found = free(f"{airframe} {test}", models, aircraft, flight, options.paths)
-        errors, coverage = errors + found[0], coverage + found[1]
+        errors, coverage, air = errors + found[0], coverage + found[1], air + found[2]
         replays += replayed(f"{airframe} {test}", models["ours"], aircraft, flight)
     example = load_example_flights()
     log, aircraft = example.train, example.aircraft
@@ -225,7 +243,7 @@ def main(words=None):
         fit = partial(fitted, make_identification_pipeline(aircraft), log, aircraft)
         model = learned(options.models, "example", fit)
     times = timed(model, aircraft, 3, 0.2) if options.smoke else timed(model, aircraft, options.paths)
-    finish(options, "freeflight", errors=errors, coverage=coverage, replay=replays, times=times)
+    finish(options, "freeflight", errors=errors, coverage=coverage, air=air, replay=replays, times=times)
 
 
 if __name__ == "__main__":

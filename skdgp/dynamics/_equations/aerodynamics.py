@@ -100,6 +100,8 @@ class Aerodynamics:
         Regressors (n, d) to the joint posterior covariance (6 n, 6 n), all n of the first coefficient first.
     drift : Drift, optional
         Errors along a flight: what regressors and posterior leave unexplained.
+    turbulence : Turbulence, optional
+        Of the flights that the model was learned from.
     limits : array-like of shape (2, d), optional
         Smallest and largest value of each regressor that the model was learned from.
     span, chord : float, optional
@@ -133,6 +135,7 @@ class Aerodynamics:
         sampler: Callable | None = None,
         covariance: Callable | None = None,
         drift: Drift | None = None,
+        turbulence: Any = None,
         limits: ArrayLike | None = None,
         span: float | None = None,
         chord: float | None = None,
@@ -144,7 +147,7 @@ class Aerodynamics:
         self.limits = None if limits is None else np.asarray(limits, dtype=float)
         if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
             raise ValueError(f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)}).")
-        self.span, self.chord, self.mixing, self.drift = span, chord, mixing, drift
+        self.span, self.chord, self.mixing, self.drift, self.turbulence = span, chord, mixing, drift, turbulence
         self.n_paths: int | None = None
         self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
 
@@ -298,6 +301,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         sampler=chain.sample if chain.can_sample else None,
         covariance=chain.covariance if chain.can_sample else None,
         drift=chain.drift(),
+        turbulence=turbulence_of(model),
         limits=None if limits[0] is None else np.array(limits),
         span=None if rates is None else rates.span,
         chord=None if rates is None else rates.chord,
@@ -377,6 +381,11 @@ class _Chain:
             )
         order = [names.index(name) for name in COEFFICIENTS]
         return slice(None) if order == list(range(len(names))) else order
+
+
+def turbulence_of(model: Any) -> Any:
+    """Return the turbulence that a pipeline was learned in, also of one in a search; None if it is not known."""
+    return getattr(getattr(model, "best_estimator_", model), "turbulence_", None)
 
 
 def _steps_of(model: Any) -> list:

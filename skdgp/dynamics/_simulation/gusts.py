@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,10 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import covariance_root
 from skdgp._compute.typing import Array, Seed
+from skdgp._flight.frames import body_to_ned, cross
+from skdgp.dynamics._equations.motion import Air
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
+from skdgp.dynamics._simulation.inputs import AirAt
 
 FEET = 0.3048
 CEILING = 1000 * FEET
@@ -27,6 +32,27 @@ class Gusts(NamedTuple):
     """Rate of change of the velocity [m/s^2]."""
     rates: np.ndarray
     """p, q, r of the air as if it turned like a rigid body [rad/s]."""
+
+
+@dataclass(frozen=True)
+class GustyAir:
+    """Gusts around each aircraft, on top of a wind."""
+
+    wind: AirAt
+    gusts: Gusts
+    """At each stage, (n_stages, ..., 3)."""
+
+    def __call__(self, stage: Any, state: Array) -> Air:
+        """Return the air at a stage, or at several, and states (..., 13)."""
+        velocity, acceleration, rotation = (part[stage] for part in self.gusts)
+        rate = acceleration + cross(state[..., RATES], velocity)  # a gust turns with the aircraft
+        gust, gust_rate = body_to_ned(state[..., ATTITUDE], np.stack([velocity, rate]))
+        steady = self.wind(stage, state)
+        if steady is None:
+            return Air(gust, gust_rate, rotation)
+        return Air(
+            steady.wind + gust, gust_rate if steady.wind_rate is None else steady.wind_rate + gust_rate, rotation
+        )
 
 
 def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -70,9 +96,19 @@ def dryden_system(airspeed: float, length: Array, intensity: Array, span: float)
 
 
 def dryden_gusts(
-    n_times: int, step: float, airspeed: float, length: Any, intensity: Any, span: float, rng: np.random.Generator
+    n_times: int,
+    step: float,
+    airspeed: float,
+    length: Any,
+    intensity: Any,
+    span: float,
+    rng: np.random.Generator,
+    *,
+    n_draws: int = 1,
 ) -> Gusts:
     """Return stationary gusts every ``step`` seconds for several flights at once, each (n_times, n_flights, 3).
+
+    Each flight is drawn ``n_draws`` times, (n_times, n_draws * n_flights, 3), all flights of the first draw first.
 
     ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that is crossed at
     ``airspeed`` [m/s]. The linear systems are discretised exactly (matrix exponentials), for any step.
@@ -83,8 +119,12 @@ def dryden_gusts(
     transition = expm(A * step)
     # In steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral.
     noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
-    x = np.einsum("fij,fj->fi", covariance_root(covariance), rng.standard_normal((len(A), 9)))
-    shocks = np.einsum("fij,kfj->kfi", covariance_root(noise), rng.standard_normal((n_times, len(A), 9)))
+    A, C, transition, first, root = (
+        np.tile(matrices, (n_draws, 1, 1))
+        for matrices in (A, C, transition, covariance_root(covariance), covariance_root(noise))
+    )
+    x = np.einsum("fij,fj->fi", first, rng.standard_normal((len(A), 9)))
+    shocks = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, len(A), 9)))
     states = np.empty_like(shocks)
     for k, shock in enumerate(shocks):
         states[k] = x

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
+from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import semidefinite_root
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import AIR_DATA, CHANNELS, TRUTH_SUFFIX
+from skdgp._flight.channels import AIR_DATA, CHANNELS, HAT, RATE_LENGTHS, TRUTH_SUFFIX, rate_factor
+from skdgp._flight.channels import RATES as BODY_RATES
+from skdgp._flight.frames import ned_to_body
 from skdgp.dynamics._control.linearize import jacobian
+from skdgp.dynamics._equations.aerodynamics import Drift
 from skdgp.dynamics._equations.error_covariance import (
     STATES,
     checked_std,
@@ -21,7 +25,8 @@ from skdgp.dynamics._equations.error_covariance import (
     state_readouts,
 )
 from skdgp.dynamics._equations.motion import CONTROLS, Air, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import RATES, STANDARD_GRAVITY, VELOCITY, rk4_step
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rk4_step
+from skdgp.dynamics._simulation.gusts import Gusts, GustyAir, dryden_gusts
 from skdgp.dynamics._simulation.inputs import (
     PROPULSION,
     AirAt,
@@ -35,6 +40,7 @@ from skdgp.dynamics._simulation.inputs import (
     wind_schedule,
 )
 from skdgp.dynamics._simulation.trajectory import channels, trajectory_table, warn_of
+from skdgp.dynamics._simulation.turbulence import Turbulence
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust
 
@@ -56,6 +62,7 @@ def simulate(
     *,
     duration: float | None = None,
     wind: Any = None,
+    gusts: Turbulence | Literal["as flown"] | None = None,
     n_paths: int | None = None,
     random_state: Seed = 0,
     drift: bool = True,
@@ -93,6 +100,10 @@ def simulate(
     wind : array-like (3,), DataFrame or callable, optional
         Velocity of the air, north, east, down [m/s]: constant; a table with ``time``, ``wind_north``, ``wind_east``,
         ``wind_down``; or a function (t, position (..., 3)).
+    gusts : Turbulence or "as flown", optional
+        Turbulence in which each path meets gusts of its own, with their rates p, q, r, besides the ``wind``. A table or
+        function as ``wind`` contains the velocity of the gusts: then only rates are drawn. "as flown": that of the
+        training flights. The drift loses what the rates explain of it.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
         is the uncertainty of the trajectory.
@@ -132,7 +143,8 @@ def simulate(
     ------
     ValueError
         If the start is not finite, controls are missing or end early, nothing gives the thrust, a regressor cannot be
-        rebuilt, or the model lacks a coefficient or has no posterior to draw from.
+        rebuilt, the model lacks a coefficient or has no posterior to draw from, or there are ``gusts`` without paths,
+        or "as flown" and the model does not know its turbulence.
 
     Warns
     -----
@@ -164,6 +176,12 @@ def simulate(
     air = wind_schedule(wind, clock, len(starts))
     commands = control_schedule(controls, clock, _is_control(motion), len(starts), hold=hold)
     states = initial_states(starts, lambda at: air(0, at))
+    turbulence = _turbulence(gusts, motion, n_paths)
+    drifting = motion.aerodynamics.drift if drift and n_paths is not None else None
+    if turbulence is not None:
+        if drifting is not None:
+            drifting = _drift_besides_gusts(drifting, motion, _airspeed(states, air))
+        air = _gusty(air, turbulence, wind, motion, clock, states, n_paths, random_state)
     if n_paths is not None:
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         states = perturbed(states, initial_std, n_paths, random_state)
@@ -173,12 +191,82 @@ def simulate(
         raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
     elif len(states) == 1:
         states = states[0]
-    drifting = motion.aerodynamics.drift if drift and n_paths is not None else None
     drifts = None if drifting is None else drifting.draw(clock.stages, states.shape[:-1], random_state)
     record = fly_record(motion, commands, air, clock, states, drifts)
     warn_of(record, motion)
     std = linear_std(record, motion, initial_std, drift) if return_std else {}
     return trajectory_table(record, motion, _first_times(controls, len(starts)), std)
+
+
+def _turbulence(gusts: Any, motion: Motion, n_paths: int | None) -> Turbulence | None:
+    """Return the turbulence to fly in."""
+    if gusts is None:
+        return None
+    if n_paths is None:
+        raise ValueError("Got gusts without n_paths, but expected both: gusts are drawn, for each path its own.")
+    if isinstance(gusts, Turbulence):
+        return gusts
+    if gusts != "as flown":
+        raise ValueError(f"Got gusts={gusts!r}, but expected a Turbulence, 'as flown' or None.")
+    if motion.aerodynamics.turbulence is None:
+        raise ValueError(
+            "Got gusts='as flown', but the model does not know the turbulence of its flights: their tables lack "
+            "airspeed, alpha, beta, attitude or v_north, v_east, v_down, or last less than 30 s. Give "
+            "Turbulence.from_flight(flight, span) or Turbulence.low_altitude(height, wind_at_6m)."
+        )
+    return motion.aerodynamics.turbulence
+
+
+def _gusty(
+    air: AirAt,
+    turbulence: Turbulence,
+    wind: Any,
+    motion: Motion,
+    clock: Clock,
+    states: Array,
+    n_paths: int | None,
+    random_state: Any,
+) -> GustyAir:
+    """Return the air (n_paths, n_starts) with gusts of the turbulence, only their rates if the wind contains gusts."""
+    seed = check_random_state(random_state).randint(2**31 - 1, size=5)  # other numbers than those of the paths
+    n, airspeed = len(states), _airspeed(states, air)
+    length, intensity = (np.tile(part, (n, 1)) for part in (turbulence.length, turbulence.intensity))
+    drawn = dryden_gusts(
+        len(clock.stages), 0.5 * clock.dt, airspeed, length, intensity, motion.aircraft.span,
+        np.random.default_rng(seed), n_draws=n_paths or 1,
+    )  # fmt: skip
+    parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
+    if callable(wind) or tables_of(wind):
+        parts[:2] = (np.zeros_like(part) for part in parts[:2])
+    return GustyAir(air, Gusts(*parts))
+
+
+def _drift_besides_gusts(drift: Drift, motion: Motion, speed: float) -> Drift:
+    """Return the drift without what the rates of the gusts of the training flights explain."""
+    model = motion.aerodynamics
+    if model.turbulence is None:
+        return drift
+    middle = np.zeros(len(model.regressors)) if model.limits is None else model.limits.mean(axis=0)
+    gradient = model.gradient(middle[None])[0]
+    slopes = np.zeros((6, 3))
+    for k, regressor in enumerate(model.regressors):
+        name = regressor.removesuffix(TRUTH_SUFFIX)
+        rate = name.removesuffix(HAT)
+        if rate in BODY_RATES:
+            factor = (
+                1.0
+                if rate == name
+                else float(rate_factor(rate, getattr(motion.aircraft, RATE_LENGTHS[rate]), np.array(speed)))
+            )
+            slopes[:, BODY_RATES.index(rate)] += gradient[:, k] * factor
+    return model.turbulence.without_rotation(drift, slopes, speed, motion.aircraft.span)
+
+
+def _airspeed(states: Array, air: AirAt) -> float:
+    """Return the mean airspeed of starts (n, 13)."""
+    here = air(0, states)
+    wind = 0.0 if here is None else ned_to_body(states[:, ATTITUDE], np.broadcast_to(here.wind, (len(states), 3)))
+    return float(np.linalg.norm(states[:, VELOCITY] - wind, axis=-1).mean())
 
 
 class Record(NamedTuple):

@@ -1,0 +1,164 @@
+"""Turbulence of a flight, and simulation in it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, simulate
+from skdgp.dynamics._equations.aerodynamics import Drift
+from skdgp.dynamics._simulation.gusts import dryden_gusts
+
+SPAN, SPEED, STEP = 2.0, 25.0, 0.05
+TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
+AIRCRAFT = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=SPAN, chord=0.25)
+
+
+def flights(turbulence, n_flights, duration, noise, seed):
+    """Straight level flights over the ground at 25 m/s, in gusts and a wind along the way."""
+    rng = np.random.default_rng(seed)
+    n = round(duration / STEP)
+    length, intensity = (np.tile(part, (n_flights, 1)) for part in (turbulence.length, turbulence.intensity))
+    gusts = dryden_gusts(n, STEP, SPEED, length, intensity, SPAN, rng).velocity
+    tables = []
+    for k in range(n_flights):
+        u, v, w = ([SPEED + 3.0, 0.0, 0.0] - gusts[:, k] - [3.0, 0.0, 0.0] + rng.normal(0, noise, (n, 3))).T
+        speed = np.sqrt(u**2 + v**2 + w**2)
+        zero = np.zeros(n)
+        tables.append(pd.DataFrame({
+            "time": STEP * np.arange(n), "flight": f"flight {k}", "airspeed": speed, "alpha": np.arctan2(w, u),
+            "beta": np.arcsin(v / speed), "phi": zero, "theta": zero, "psi": zero, "v_north": SPEED + 3.0,
+            "v_east": zero, "v_down": zero,
+        }))  # fmt: skip
+    return pd.concat(tables, ignore_index=True)
+
+
+class TestFromFlight:
+    def test_finds_intensity_and_length_and_says_how_well(self):
+        found = Turbulence.from_flight(flights(TRUE, 4, 300.0, 0.2, seed=1), SPAN)
+        for name, least in (("intensity", 0.1), ("length", 0.25)):
+            value, true, std = getattr(found, name), getattr(TRUE, name), getattr(found, f"{name}_std")
+            np.testing.assert_allclose(value, true, rtol=least)
+            assert (np.abs(value - true) < 3.5 * std).all()
+            assert (std < 0.15 * true).all()
+
+    def test_standard_errors_are_the_scatter(self):
+        found = [Turbulence.from_flight(flights(TRUE, 1, 120.0, 0.2, seed=s), SPAN) for s in range(30)]
+        for name in ("intensity", "length"):
+            values = np.log([getattr(each, name)[[0, 2]] for each in found])
+            stated = [(getattr(each, f"{name}_std") / getattr(each, name))[[0, 2]] for each in found]
+            np.testing.assert_allclose(values.std(axis=0), np.median(stated, axis=0), rtol=0.45)
+
+    def test_calm_air_is_calm(self):
+        found = Turbulence.from_flight(flights(TRUE.scaled(1e-6), 1, 300.0, 0.2, seed=2), SPAN)
+        assert (found.intensity < 0.25 * 0.2).all()
+
+    def test_many_short_records_are_refused(self):
+        with pytest.raises(ValueError, match=r"no flight of 30 s"):
+            Turbulence.from_flight(flights(TRUE, 3, 10.0, 0.2, seed=3), SPAN)
+
+    def test_columns_that_are_missing_are_named(self):
+        with pytest.raises(ValueError, match="v_down"):
+            Turbulence.from_flight(flights(TRUE, 1, 40.0, 0.2, seed=3).drop(columns="v_down"), SPAN)
+
+
+class TestDrift:
+    slopes = np.zeros((6, 3))
+    slopes[3, 0], slopes[4, 1], slopes[5, 2] = 0.5, 2.0, 0.3
+
+    def test_the_effect_of_rotation_is_that_of_drawn_gusts(self):
+        """A drift whose integral over one second varies twice as much as that of the rotation keeps one half."""
+        n, flown = round(1.0 / STEP), 4000
+        rates = dryden_gusts(
+            n + 1, STEP, SPEED, [TRUE.length], [TRUE.intensity], SPAN, np.random.default_rng(0), n_draws=flown
+        ).rates
+        effect = np.trapezoid(rates, dx=STEP, axis=0) @ self.slopes.T
+        memory = np.full(6, 0.4)
+        unit = 2 * memory**2 * (1 / memory + np.expm1(-1 / memory))  # of the integral of a drift with tau = 1
+        drift = Drift(np.append(np.ones(3), 2 * effect[:, 3:].var(axis=0) / unit[3:]), memory)
+        left = TRUE.without_rotation(drift, self.slopes, SPEED, SPAN)
+        np.testing.assert_allclose(left.variance[:3], 1.0)
+        np.testing.assert_allclose(left.variance[3:] / drift.variance[3:], 0.5, atol=0.06)
+
+    def test_no_variance_is_negative(self):
+        drift = Drift(np.full(6, 1e-12), np.full(6, 0.4))
+        left = TRUE.without_rotation(drift, self.slopes, SPEED, SPAN)
+        np.testing.assert_array_equal(left.variance[3:], 0.0)
+
+
+def coefficients(X):
+    alpha, beta, p, q, r = X.T
+    return np.stack([-0.02 + 2 * alpha**2, -0.4 * beta, -0.2 - 4.5 * alpha, -0.05 * beta - 0.4 * p + 0.1 * r,
+                     0.02 - 0.4 * alpha - 8 * q, 0.08 * beta - 0.1 * r], axis=-1)  # fmt: skip
+
+
+def sampler(n_paths, random_state):
+    """One aircraft for all paths: what spreads is the air."""
+
+    def each(X):
+        return coefficients(X.reshape(-1, 5)).reshape(*X.shape[:-1], 6)
+
+    return each, None
+
+
+@pytest.fixture
+def model():
+    return Aerodynamics(coefficients, ["alpha", "beta", "p_hat", "q_hat", "r_hat"], sampler=sampler)
+
+
+START = {"airspeed": 12.0, "alpha": 0.05, "altitude": 100.0}
+OPTIONS = {"duration": 1.0, "dt": 0.05, "thrust": None, "n_paths": 40}
+
+
+def flown(model, **options):
+    return simulate(model, AIRCRAFT, START, {}, **OPTIONS | options)
+
+
+class TestSimulate:
+    def test_still_air_is_no_gust(self, model):
+        calm, gusty = flown(model), flown(model, gusts=TRUE.scaled(0.0))
+        shared = [name for name in calm.select_dtypes("number") if name in gusty]
+        np.testing.assert_allclose(gusty[shared], calm[shared], atol=1e-12)
+
+    def test_air_spreads_as_its_intensity(self, model):
+        ends = [flown(model, gusts=TRUE.scaled(k)).query("time == 1.0")[["u", "w", "q"]].std() for k in (0.01, 0.02)]
+        np.testing.assert_allclose(ends[1] / ends[0], 2.0, rtol=0.02)
+        assert (ends[0] > 0).all()
+
+    def test_a_wind_table_contains_the_gusts(self, model):
+        """Then the air's velocity is that of the table, and only its rates are drawn."""
+        time = np.linspace(0, 1, 21)
+        wind = pd.DataFrame({"time": time, "wind_north": 0.1 * time, "wind_east": 0.0, "wind_down": 0.2 * time})
+        paths = flown(model, wind=wind, gusts=TRUE)
+        expected = np.tile(wind["wind_down"], OPTIONS["n_paths"])
+        np.testing.assert_allclose(paths["wind_down"], expected, atol=1e-12)
+        assert paths.query("time == 1.0")["p"].std() > 1e-4
+
+    def test_seeds(self, model):
+        first, again, other = (flown(model, gusts=TRUE, random_state=seed)["q"].to_numpy() for seed in (0, 0, 1))
+        np.testing.assert_array_equal(first, again)
+        assert np.abs(other - first).max() > 1e-4
+
+    def test_several_starts_meet_other_gusts(self, model):
+        starts = pd.DataFrame([START, START])
+        paths = simulate(model, AIRCRAFT, starts, {}, gusts=TRUE, **OPTIONS)
+        ends = paths.query("time == 1.0").pivot(index="path", columns="start", values="q").to_numpy()
+        assert abs(np.corrcoef(ends.T)[0, 1]) < 0.5
+
+    def test_rotation_leaves_the_drift(self, model):
+        """Flown as learned in turbulence whose rates explain the drift, nothing is counted twice."""
+        drift = Drift(np.array([0, 0, 0, 1e-14, 1e-14, 1e-14]), np.ones(6))
+        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, drift=drift, turbulence=TRUE)
+        with_drift, without = (flown(known, gusts="as flown", drift=drift)["p"] for drift in (True, False))
+        np.testing.assert_allclose(with_drift, without, atol=1e-12)
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"gusts": TRUE, "n_paths": None}, "gusts without n_paths"),
+            ({"gusts": "as flown"}, "does not know the turbulence"),
+            ({"gusts": 3.0}, "expected a Turbulence"),
+        ],
+    )
+    def test_what_cannot_be_flown_is_said(self, model, options, message):
+        with pytest.raises(ValueError, match=message):
+            flown(model, **options)

@@ -146,7 +146,7 @@ STATUS fmi2SetString(void *c, const unsigned int vr[], size_t n, const char *con
     return none(c, __func__, n, vr, value);
 }
 
-/* First derivatives of inputs, from the time of the instance to the end of the next step. */
+/* First derivatives of inputs, for the next step. */
 STATUS fmi2SetRealInputDerivatives(void *c, const unsigned int vr[], size_t n, const int order[], const double value[])
 {
     instance *i = c;
@@ -160,6 +160,7 @@ STATUS fmi2SetRealInputDerivatives(void *c, const unsigned int vr[], size_t n, c
         if (order[k] != 1 || !isfinite(value[k]))
             return refuse_value(i, ERROR, __func__, vr[k], "the order is not 1, or the derivative is not finite");
     }
+    forget_slopes(&i->now);
     for (k = 0; k < n; k++)
         i->now.slope[vr[k]] = value[k];
     i->now.known = 0;

@@ -34,7 +34,8 @@ typedef struct {
     char token[sizeof FMU_TOKEN];
     int mode, ended;
     int known; /* 0: outputs are to be computed, 1: all but the deviations are known, 2: all are */
-    double value[FMU_VARIABLES], slope[FMU_VARIABLES]; /* slopes of inputs, until the end of the next step */
+    int past;  /* whether the slopes are those of the last step, which outputs still show */
+    double value[FMU_VARIABLES], slope[FMU_VARIABLES]; /* slopes of inputs */
     double state[FMU_STATES];
 } memory;
 
@@ -237,6 +238,14 @@ static int leave_initialization(void *component, const char *function)
     return OK;
 }
 
+/* Slopes hold for one step. */
+static void forget_slopes(memory *m)
+{
+    if (m->past)
+        memset(m->slope, 0, sizeof m->slope);
+    m->past = 0;
+}
+
 /* Sets the inputs to those at a time of the step. */
 static void inputs_at(instance *i, double since, double value[])
 {
@@ -293,6 +302,7 @@ static int step(void *component, const char *function, double time, double h)
     if (!(steps <= MOST_STEPS))
         return refuse(i, function, "the step size is more than 1e7 steps of the integrator");
     steps = steps < 1 ? 1 : steps;
+    forget_slopes(m);
     m->mode = INTERMEDIATE;
     for (n = 0; n < steps && reason == NULL; n++)
         reason = advance(i, n * h / steps, h / steps);
@@ -300,10 +310,9 @@ static int step(void *component, const char *function, double time, double h)
     m->known = 0;
     m->ended = reason != NULL;
     done = m->ended ? (n - 1) * h / steps : h;
-    for (k = 0; k < FMU_VARIABLES; k++) {
+    for (k = 0; k < FMU_VARIABLES; k++)
         m->value[k] += done * m->slope[k];
-        m->slope[k] = 0;
-    }
+    m->past = 1;
     m->value[TIME] = m->ended ? m->value[TIME] + done : time + h;
     if (reason != NULL)
         say(i, DISCARD, function, reason);

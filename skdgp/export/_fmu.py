@@ -123,8 +123,9 @@ def write_fmu(
     Raises
     ------
     ValueError
-        If ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`), or, for an
-        aircraft, lacks a coefficient or has a regressor that a simulation cannot rebuild.
+        If ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has a control
+        of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a simulation
+        cannot rebuild.
 
     Warns
     -----
@@ -140,6 +141,12 @@ def write_fmu(
     if fmi not in FMI_VERSIONS:
         raise ValueError(f"Got fmi={fmi!r}, but expected one of {list(FMI_VERSIONS)}.")
     variables = list(_aircraft(model) if form == "aircraft" else _coefficients(model))
+    names = [variable.name for variable in variables]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(
+            f"Got a model of {twice}, but the FMU has other variables of these names: learn from columns of other "
+            "names."
+        )
     content = repr((model.content_hash, model.aircraft.to_dict(), variables, form, fmi))
     token = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
     root = "fmi" + fmi[0] + ".c"
@@ -189,9 +196,9 @@ def _aircraft(model: PortableModel) -> Iterator[_Variable]:
             f"Got a model without {lacking}, but an aircraft needs all of {', '.join(COEFFICIENTS)}: "
             "export form='coefficients', or learn them all."
         )
-    channels = {name: name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)}
-    controls = [name for name, channel in channels.items() if channel not in (*STATES, *IMPLICIT)]
-    unknown = [name for name in controls if channels[name] in CHANNELS and channels[name] not in CONTROLS]
+    channels = [name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
+    controls = [name for name in channels if name not in (*STATES, *IMPLICIT)]
+    unknown = [name for name in controls if name in CHANNELS and name not in CONTROLS]
     if unknown:
         raise ValueError(
             f"Got a model of {unknown}, which are neither controls nor rebuilt along a flight: export "
@@ -250,21 +257,21 @@ def _model_values(model: PortableModel, variables: list[_Variable], form: str) -
             "FIRST_DEVIATION": first + len(model.outputs),
             "V_beyond": places["beyond"],
         }
-        channels = {name: name for name in _sources(model)}
+        channels = _sources(model)
     else:
         names = {f"V_{name}": k for name, k in fixed.items()}
-        channels = {name: name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)}
+        channels = [name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
     names["FMU_VARIABLES"] = len(variables)
     tables = [
         "enum { " + ",\n".join(f"{name} = {k}" for name, k in names.items()) + " };",
         "static " + _names("names", [_comment(v.name) for v in variables]),
         f'static const char kind[FMU_VARIABLES + 1] = "{"".join(v.kind for v in variables)}";',
         _array("start", [v.start for v in variables]),
-        _array("place", [places[channels[name]] for name in _sources(model)], "static const int"),
+        _array("place", [places[name] for name in channels], "static const int"),
     ]
     if form == "coefficients":
         return {"tables": "\n".join(tables)}
-    implicit = [k for k, name in enumerate(IMPLICIT) if name in channels.values()]
+    implicit = [k for k, name in enumerate(IMPLICIT) if name in channels]
     tables.append(_array("coefficient", [model.outputs.index(name) for name in COEFFICIENTS], "static const int"))
     if implicit:
         tables.append(_array("implicit", implicit, "static const int"))
@@ -327,7 +334,7 @@ def _binary(sources: dict[str, str], root: str, identifier: str, fmi: str) -> tu
                 (Path(folder) / name).write_text(text, encoding="utf-8")
             library = Path(folder, identifier + place[1])
             options = ["-O2", "-std=c99", "-shared", *([] if os.name == "nt" else ["-fPIC"])]
-            command = [*compiler, *options, root, "-o", library.name, "-lm"]
+            command = [compiler[0], *options, *compiler[1:], root, "-o", library.name, "-lm"]
             done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 return *place, library.read_bytes()

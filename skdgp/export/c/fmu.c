@@ -45,7 +45,7 @@ typedef struct {
     fmi_callback callback;
     void *environment;
     int logging, early_return;
-    char name[1]; /* as long as it is */
+    char name[];
 } instance;
 
 static void say(instance *i, int status, const char *function, const char *text)
@@ -109,11 +109,12 @@ static instance *create(const char *name, const char *token, fmi_logger logger, 
 {
     static const char *const function = "instantiate";
     const size_t length = name == NULL ? 0 : strlen(name);
-    instance *i = calloc(1, sizeof *i + length);
+    instance *i = calloc(1, sizeof *i + length + 1);
     if (i == NULL)
         return NULL;
     i->logger = logger, i->environment = environment, i->logging = logging;
-    memcpy(i->name, length ? name : "", length + 1);
+    if (length > 0)
+        memcpy(i->name, name, length);
     clear(&i->now);
     if (length > 0 && token != NULL && strcmp(token, FMU_TOKEN) == 0)
         return i;

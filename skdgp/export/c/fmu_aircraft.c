@@ -138,7 +138,7 @@ static void respond(double v[], const double slope[], const double x[], double r
 {
     static const double inertia[3][3] = ${inertia}, inverse[3][3] = ${inverse};
     const double *velocity = x + 3, *omega = x + 10;
-    const double scale = 0.5 * v[V_density] * v[V_airspeed] * v[V_airspeed] * AERO_WING_AREA;
+    const double load = 0.5 * v[V_density] * v[V_airspeed] * v[V_airspeed] * AERO_WING_AREA;
     const double length[3] = {AERO_SPAN, AERO_CHORD, AERO_SPAN};
     const double q0 = x[6], q1 = x[7], q2 = x[8], q3 = x[9], s = 2 / (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3);
     const double down[3] = {s * (q1 * q3 - q2 * q0), s * (q2 * q3 + q1 * q0), 1 - s * (q1 * q1 + q2 * q2)};
@@ -151,8 +151,8 @@ static void respond(double v[], const double slope[], const double x[], double r
         v[V_CX + k] = mean[coefficient[k]];
     propulsion(v, force, moment);
     for (k = 0; k < 3; k++) {
-        force[k] += scale * v[V_CX + k];
-        moment[k] += scale * length[k] * v[V_Cl + k];
+        force[k] += load * v[V_CX + k];
+        moment[k] += load * length[k] * v[V_Cl + k];
         for (l = 0; l < 3; l++)
             spin[k] += inertia[k][l] * omega[l];
     }

@@ -223,14 +223,11 @@ def _propulsion_control(model: PortableModel) -> str | None:
 
 def _starts(model: PortableModel) -> dict[str, float]:
     """Return values near level flight at the mean of the training data: without any input, an FMU flies."""
-    mean = dict(zip(model.regressor_names, model.shift.tolist(), strict=True))
-    start = {regressor.sources[0]: mean[regressor.name] for regressor in model.regressors if not regressor.power}
-    mixed = [regressor for regressor in model.regressors if len(regressor.sources) > 1]
-    surfaces = list(dict.fromkeys(name for regressor in mixed for name in regressor.sources))
-    matrix = [[dict(zip(r.sources, r.factors, strict=True)).get(name, 0.0) for name in surfaces] for r in mixed]
-    if mixed:
-        found = np.linalg.lstsq(np.array(matrix), np.array([mean[r.name] for r in mixed]), rcond=None)[0]
-        start |= dict(zip(surfaces, found.tolist(), strict=True))
+    columns = [regressor for regressor in model.regressors if not regressor.power]
+    mean = [value for value, regressor in zip(model.shift, model.regressors, strict=True) if not regressor.power]
+    names = list(dict.fromkeys(name for regressor in columns for name in regressor.sources))
+    matrix = [[dict(zip(r.sources, r.factors, strict=True)).get(name, 0.0) for name in names] for r in columns]
+    start = dict(zip(names, np.linalg.lstsq(matrix, mean, rcond=None)[0].tolist(), strict=True)) if columns else {}
     altitude = start.get("altitude", START_ALTITUDE)
     density = float(atmosphere.standard_density(altitude))
     lift = -model.predict(model.shift[None])[0, model.outputs.index("CZ")] if "CZ" in model.outputs else 0.0
@@ -248,19 +245,9 @@ def _starts(model: PortableModel) -> dict[str, float]:
 def _model_values(model: PortableModel, variables: list[_Variable], form: str) -> dict[str, Any]:
     """Return what the template of model.c is filled with."""
     places = {variable.name: k for k, variable in enumerate(variables)}
-    fixed = {v.name: k for k, v in enumerate(variables) if v.name in (*FOLLOWING, "dt", *WIND, *FORCES, *MOMENTS)}
-    fixed |= {v.name: k for k, v in enumerate(variables) if v.kind == "s"}
-    if form == "coefficients":
-        first = 1 + len(_sources(model))
-        names = {
-            "FIRST_COEFFICIENT": first,
-            "FIRST_DEVIATION": first + len(model.outputs),
-            "V_beyond": places["beyond"],
-        }
-        channels = _sources(model)
-    else:
-        names = {f"V_{name}": k for name, k in fixed.items()}
-        channels = [name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
+    channels = [name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
+    names = {f"V_{name}": k for name, k in places.items() if name.isascii() and name.isidentifier()}
+    names |= {"FIRST_COEFFICIENT": places[model.outputs[0]], "FIRST_DEVIATION": places[f"{model.outputs[0]}_std"]}
     names["FMU_VARIABLES"] = len(variables)
     tables = [
         "enum { " + ",\n".join(f"{name} = {k}" for name, k in names.items()) + " };",

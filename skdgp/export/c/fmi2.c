@@ -1,7 +1,8 @@
 /* FMI 2.0 for co-simulation. Declarations as in the standard, section 2.1 and 4.2, "default" platform. */
 #include <stddef.h>
 
-typedef void (*fmi_logger)(void *environment, const char *name, int status, const char *category, const char *text, ...);
+typedef void (*fmi_logger)(void *environment, const char *name, int status, const char *category, const char *text,
+                           ...);
 typedef int fmi_callback; /* there is none */
 #define SAY(i, status, text)                                                                                           \
     ((i)->logger != NULL ? (i)->logger((i)->environment, (i)->name, status,                                            \

@@ -143,7 +143,7 @@ static void respond(double v[], const double slope[], const double x[], double r
     const double q0 = x[6], q1 = x[7], q2 = x[8], q3 = x[9], s = 2 / (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3);
     const double down[3] = {s * (q1 * q3 - q2 * q0), s * (q2 * q3 + q1 * q0), 1 - s * (q1 * q1 + q2 * q2)};
     double input[AERO_INPUTS], mean[AERO_OUTPUTS], force[3], moment[3], spin[3] = {0, 0, 0}, turning[3], gyro[3];
-    double a[3], wind[3], carried[3], blow[3], across, speed;
+    double a[3], wind[3], carried[3], blow[3], across, along;
     int k, l;
     regressors(v, input);
     aero_predict(input, mean, NULL);
@@ -176,9 +176,9 @@ static void respond(double v[], const double slope[], const double x[], double r
     for (k = 0; k < 3; k++)
         carried[k] += rate[3 + k] - blow[k];
     across = hypot(a[0], a[2]);
-    speed = v[V_airspeed] * v[V_airspeed];
+    along = (a[0] * carried[0] + a[1] * carried[1] + a[2] * carried[2]) / (v[V_airspeed] * v[V_airspeed]);
     found[0] = (a[0] * carried[2] - a[2] * carried[0]) / (across * across);
-    found[1] = carried[1] / across - a[1] * (a[0] * carried[0] + a[1] * carried[1] + a[2] * carried[2]) / (speed * across);
+    found[1] = (carried[1] - a[1] * along) / across;
     for (k = 0; k < 3; k++) {
         found[2 + k] = rate[10 + k];
         found[5 + k] = force[k] / AERO_MASS;

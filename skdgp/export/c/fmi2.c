@@ -22,17 +22,6 @@ typedef struct {
 enum { MODEL_EXCHANGE, CO_SIMULATION };
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED_STATUS = 3 };
 
-/* An unsupported function, or variables of a type that there are none of. */
-static int none(void *component, const char *function, size_t n, ...)
-{
-    if (component == NULL)
-        return ERROR;
-    return n == 0 ? OK : refuse(component, function, "this FMU has nothing of that kind");
-}
-
-#define API FMI_EXPORT
-#define STATUS FMI_EXPORT int
-
 API const char *fmi2GetTypesPlatform(void)
 {
     return "default";
@@ -43,16 +32,9 @@ API const char *fmi2GetVersion(void)
     return "2.0";
 }
 
-STATUS fmi2SetDebugLogging(void *c, int on, size_t n, const char *const categories[])
+API int fmi2SetDebugLogging(void *c, int on, size_t n, const char *const categories[])
 {
-    size_t k;
-    if (c == NULL || !has_arrays(c, __func__, categories, n, categories))
-        return ERROR;
-    for (k = 0; k < n; k++)
-        if (strcmp(categories[k], "logStatusError") != 0 && strcmp(categories[k], "logStatusDiscard") != 0)
-            return refuse(c, __func__, "there is no such category");
-    ((instance *)c)->logging = on;
-    return OK;
+    return set_logging(c, __func__, on, n, categories);
 }
 
 API void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
@@ -76,7 +58,7 @@ API void fmi2FreeInstance(void *c)
     free(c);
 }
 
-STATUS fmi2SetupExperiment(void *c, int has_tolerance, double tolerance, double start_time, int has_stop, double stop)
+API int fmi2SetupExperiment(void *c, int has_tolerance, double tolerance, double start_time, int has_stop, double stop)
 {
     (void)has_tolerance;
     (void)tolerance;
@@ -85,70 +67,70 @@ STATUS fmi2SetupExperiment(void *c, int has_tolerance, double tolerance, double 
     return enter(c, __func__, start_time);
 }
 
-STATUS fmi2EnterInitializationMode(void *c)
+API int fmi2EnterInitializationMode(void *c)
 {
     return change(c, __func__, INSTANTIATED, INITIALIZING);
 }
 
-STATUS fmi2ExitInitializationMode(void *c)
+API int fmi2ExitInitializationMode(void *c)
 {
     return leave_initialization(c, __func__);
 }
 
-STATUS fmi2Terminate(void *c)
+API int fmi2Terminate(void *c)
 {
     return terminate(c, __func__);
 }
 
-STATUS fmi2Reset(void *c)
+API int fmi2Reset(void *c)
 {
     return reset(c, __func__);
 }
 
 /* -- values ----------------------------------------------------------------------------------------------------- */
 
-STATUS fmi2GetReal(void *c, const unsigned int vr[], size_t n, double value[])
+API int fmi2GetReal(void *c, const unsigned int vr[], size_t n, double value[])
 {
     return get_values(c, __func__, vr, n, value);
 }
 
-STATUS fmi2SetReal(void *c, const unsigned int vr[], size_t n, const double value[])
+API int fmi2SetReal(void *c, const unsigned int vr[], size_t n, const double value[])
 {
     return set_values(c, __func__, vr, n, value);
 }
 
-STATUS fmi2GetInteger(void *c, const unsigned int vr[], size_t n, int value[])
+API int fmi2GetInteger(void *c, const unsigned int vr[], size_t n, int value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
-STATUS fmi2SetInteger(void *c, const unsigned int vr[], size_t n, const int value[])
+API int fmi2SetInteger(void *c, const unsigned int vr[], size_t n, const int value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
-STATUS fmi2GetBoolean(void *c, const unsigned int vr[], size_t n, int value[])
+API int fmi2GetBoolean(void *c, const unsigned int vr[], size_t n, int value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
-STATUS fmi2SetBoolean(void *c, const unsigned int vr[], size_t n, const int value[])
+API int fmi2SetBoolean(void *c, const unsigned int vr[], size_t n, const int value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
-STATUS fmi2GetString(void *c, const unsigned int vr[], size_t n, const char *value[])
+API int fmi2GetString(void *c, const unsigned int vr[], size_t n, const char *value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
-STATUS fmi2SetString(void *c, const unsigned int vr[], size_t n, const char *const value[])
+API int fmi2SetString(void *c, const unsigned int vr[], size_t n, const char *const value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
 /* First derivatives of inputs, for the next step. */
-STATUS fmi2SetRealInputDerivatives(void *c, const unsigned int vr[], size_t n, const int order[], const double value[])
+API int fmi2SetRealInputDerivatives(void *c, const unsigned int vr[], size_t n, const int order[], const double value[])
 {
     instance *i = c;
     size_t k;
@@ -168,12 +150,12 @@ STATUS fmi2SetRealInputDerivatives(void *c, const unsigned int vr[], size_t n, c
     return OK;
 }
 
-STATUS fmi2GetRealOutputDerivatives(void *c, const unsigned int vr[], size_t n, const int order[], double value[])
+API int fmi2GetRealOutputDerivatives(void *c, const unsigned int vr[], size_t n, const int order[], double value[])
 {
     return none(c, __func__, n, vr, order, value);
 }
 
-STATUS fmi2GetDirectionalDerivative(void *c, const unsigned int unknown[], size_t n, const unsigned int known[],
+API int fmi2GetDirectionalDerivative(void *c, const unsigned int unknown[], size_t n, const unsigned int known[],
                                     size_t m, const double direction[], double value[])
 {
     return none(c, __func__, n + 1, unknown, known, m, direction, value);
@@ -181,55 +163,55 @@ STATUS fmi2GetDirectionalDerivative(void *c, const unsigned int unknown[], size_
 
 /* -- state ------------------------------------------------------------------------------------------------------ */
 
-STATUS fmi2GetFMUstate(void *c, void **state)
+API int fmi2GetFMUstate(void *c, void **state)
 {
     return save(c, __func__, state);
 }
 
-STATUS fmi2SetFMUstate(void *c, void *state)
+API int fmi2SetFMUstate(void *c, void *state)
 {
     return restore(c, __func__, state);
 }
 
-STATUS fmi2FreeFMUstate(void *c, void **state)
+API int fmi2FreeFMUstate(void *c, void **state)
 {
     return forget(c, state);
 }
 
-STATUS fmi2SerializedFMUstateSize(void *c, void *state, size_t *size)
+API int fmi2SerializedFMUstateSize(void *c, void *state, size_t *size)
 {
     return size_of_state(c, __func__, state, size);
 }
 
-STATUS fmi2SerializeFMUstate(void *c, void *state, char bytes[], size_t size)
+API int fmi2SerializeFMUstate(void *c, void *state, char bytes[], size_t size)
 {
     return to_bytes(c, __func__, state, bytes, size);
 }
 
-STATUS fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, void **state)
+API int fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, void **state)
 {
     return from_bytes(c, __func__, bytes, size, state);
 }
 
 /* -- steps ------------------------------------------------------------------------------------------------------ */
 
-STATUS fmi2DoStep(void *c, double time, double step_size, int no_return)
+API int fmi2DoStep(void *c, double time, double step_size, int no_return)
 {
     (void)no_return;
     return step(c, __func__, time, step_size);
 }
 
-STATUS fmi2CancelStep(void *c)
+API int fmi2CancelStep(void *c)
 {
     return refuse(c, __func__, "no step runs");
 }
 
-STATUS fmi2GetStatus(void *c, int what, int *value)
+API int fmi2GetStatus(void *c, int what, int *value)
 {
     return none(c, __func__, 1, what, value);
 }
 
-STATUS fmi2GetRealStatus(void *c, int what, double *value)
+API int fmi2GetRealStatus(void *c, int what, double *value)
 {
     if (c == NULL || what != LAST_SUCCESSFUL_TIME || value == NULL)
         return none(c, __func__, 1);
@@ -237,12 +219,12 @@ STATUS fmi2GetRealStatus(void *c, int what, double *value)
     return OK;
 }
 
-STATUS fmi2GetIntegerStatus(void *c, int what, int *value)
+API int fmi2GetIntegerStatus(void *c, int what, int *value)
 {
     return none(c, __func__, 1, what, value);
 }
 
-STATUS fmi2GetBooleanStatus(void *c, int what, int *value)
+API int fmi2GetBooleanStatus(void *c, int what, int *value)
 {
     if (c == NULL || what != TERMINATED_STATUS || value == NULL)
         return none(c, __func__, 1);
@@ -250,7 +232,7 @@ STATUS fmi2GetBooleanStatus(void *c, int what, int *value)
     return OK;
 }
 
-STATUS fmi2GetStringStatus(void *c, int what, const char **value)
+API int fmi2GetStringStatus(void *c, int what, const char **value)
 {
     return none(c, __func__, 1, what, value);
 }

@@ -18,32 +18,14 @@ typedef void (*fmi_callback)(void *environment, double time, bool set_inputs, bo
     } while (0)
 #include "fmu.c"
 
-/* An unsupported function, or variables of a type that there are none of. */
-static int none(void *component, const char *function, size_t n, ...)
-{
-    if (component == NULL)
-        return ERROR;
-    return n == 0 ? OK : refuse(component, function, "this FMU has nothing of that kind");
-}
-
-#define API FMI_EXPORT
-#define STATUS FMI_EXPORT int
-
 API const char *fmi3GetVersion(void)
 {
     return "3.0";
 }
 
-STATUS fmi3SetDebugLogging(void *c, bool on, size_t n, const char *const categories[])
+API int fmi3SetDebugLogging(void *c, bool on, size_t n, const char *const categories[])
 {
-    size_t k;
-    if (c == NULL || !has_arrays(c, __func__, categories, n, categories))
-        return ERROR;
-    for (k = 0; k < n; k++)
-        if (strcmp(categories[k], "logStatusError") != 0 && strcmp(categories[k], "logStatusDiscard") != 0)
-            return refuse(c, __func__, "there is no such category");
-    ((instance *)c)->logging = on;
-    return OK;
+    return set_logging(c, __func__, on, n, categories);
 }
 
 /* -- instances -------------------------------------------------------------------------------------------------- */
@@ -98,7 +80,7 @@ API void fmi3FreeInstance(void *c)
     free(c);
 }
 
-STATUS fmi3EnterInitializationMode(void *c, bool has_tolerance, double tolerance, double start_time, bool has_stop,
+API int fmi3EnterInitializationMode(void *c, bool has_tolerance, double tolerance, double start_time, bool has_stop,
                                    double stop_time)
 {
     const int status = enter(c, __func__, start_time);
@@ -109,39 +91,39 @@ STATUS fmi3EnterInitializationMode(void *c, bool has_tolerance, double tolerance
     return status == OK ? change(c, __func__, INSTANTIATED, INITIALIZING) : status;
 }
 
-STATUS fmi3ExitInitializationMode(void *c)
+API int fmi3ExitInitializationMode(void *c)
 {
     return leave_initialization(c, __func__);
 }
 
-STATUS fmi3Terminate(void *c)
+API int fmi3Terminate(void *c)
 {
     return terminate(c, __func__);
 }
 
-STATUS fmi3Reset(void *c)
+API int fmi3Reset(void *c)
 {
     return reset(c, __func__);
 }
 
 /* -- values ----------------------------------------------------------------------------------------------------- */
 
-STATUS fmi3GetFloat64(void *c, const uint32_t vr[], size_t n, double value[], size_t m)
+API int fmi3GetFloat64(void *c, const uint32_t vr[], size_t n, double value[], size_t m)
 {
     return m == n ? get_values(c, __func__, vr, n, value) : refuse(c, __func__, "got other numbers of values");
 }
 
-STATUS fmi3SetFloat64(void *c, const uint32_t vr[], size_t n, const double value[], size_t m)
+API int fmi3SetFloat64(void *c, const uint32_t vr[], size_t n, const double value[], size_t m)
 {
     return m == n ? set_values(c, __func__, vr, n, value) : refuse(c, __func__, "got other numbers of values");
 }
 
 #define NO_VARIABLES(type, number)                                                                                     \
-    STATUS fmi3Get##type(void *c, const uint32_t vr[], size_t n, number value[], size_t m)                             \
+    API int fmi3Get##type(void *c, const uint32_t vr[], size_t n, number value[], size_t m)                            \
     {                                                                                                                  \
         return none(c, __func__, n, vr, value, m);                                                                     \
     }                                                                                                                  \
-    STATUS fmi3Set##type(void *c, const uint32_t vr[], size_t n, number const value[], size_t m)                       \
+    API int fmi3Set##type(void *c, const uint32_t vr[], size_t n, number const value[], size_t m)                      \
     {                                                                                                                  \
         return none(c, __func__, n, vr, value, m);                                                                     \
     }
@@ -158,62 +140,62 @@ NO_VARIABLES(UInt64, uint64_t)
 NO_VARIABLES(Boolean, bool)
 NO_VARIABLES(String, const char *)
 
-STATUS fmi3GetBinary(void *c, const uint32_t vr[], size_t n, size_t sizes[], const uint8_t *value[], size_t m)
+API int fmi3GetBinary(void *c, const uint32_t vr[], size_t n, size_t sizes[], const uint8_t *value[], size_t m)
 {
     return none(c, __func__, n, vr, sizes, value, m);
 }
 
-STATUS fmi3SetBinary(void *c, const uint32_t vr[], size_t n, const size_t sizes[], const uint8_t *const value[],
+API int fmi3SetBinary(void *c, const uint32_t vr[], size_t n, const size_t sizes[], const uint8_t *const value[],
                      size_t m)
 {
     return none(c, __func__, n, vr, sizes, value, m);
 }
 
-STATUS fmi3GetClock(void *c, const uint32_t vr[], size_t n, bool value[])
+API int fmi3GetClock(void *c, const uint32_t vr[], size_t n, bool value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
-STATUS fmi3SetClock(void *c, const uint32_t vr[], size_t n, const bool value[])
+API int fmi3SetClock(void *c, const uint32_t vr[], size_t n, const bool value[])
 {
     return none(c, __func__, n, vr, value);
 }
 
 /* -- state ------------------------------------------------------------------------------------------------------ */
 
-STATUS fmi3GetFMUState(void *c, void **state)
+API int fmi3GetFMUState(void *c, void **state)
 {
     return save(c, __func__, state);
 }
 
-STATUS fmi3SetFMUState(void *c, void *state)
+API int fmi3SetFMUState(void *c, void *state)
 {
     return restore(c, __func__, state);
 }
 
-STATUS fmi3FreeFMUState(void *c, void **state)
+API int fmi3FreeFMUState(void *c, void **state)
 {
     return forget(c, state);
 }
 
-STATUS fmi3SerializedFMUStateSize(void *c, void *state, size_t *size)
+API int fmi3SerializedFMUStateSize(void *c, void *state, size_t *size)
 {
     return size_of_state(c, __func__, state, size);
 }
 
-STATUS fmi3SerializeFMUState(void *c, void *state, uint8_t bytes[], size_t size)
+API int fmi3SerializeFMUState(void *c, void *state, uint8_t bytes[], size_t size)
 {
     return to_bytes(c, __func__, state, bytes, size);
 }
 
-STATUS fmi3DeserializeFMUState(void *c, const uint8_t bytes[], size_t size, void **state)
+API int fmi3DeserializeFMUState(void *c, const uint8_t bytes[], size_t size, void **state)
 {
     return from_bytes(c, __func__, bytes, size, state);
 }
 
 /* -- steps ------------------------------------------------------------------------------------------------------ */
 
-STATUS fmi3DoStep(void *c, double time, double step_size, bool no_return, bool *event, bool *end, bool *early,
+API int fmi3DoStep(void *c, double time, double step_size, bool no_return, bool *event, bool *end, bool *early,
                   double *last_time)
 {
     instance *i = c;
@@ -234,7 +216,7 @@ STATUS fmi3DoStep(void *c, double time, double step_size, bool no_return, bool *
 /* -- what this FMU has not -------------------------------------------------------------------------------------- */
 
 #define UNSUPPORTED(function, arguments, ...)                                                                          \
-    STATUS function arguments                                                                                          \
+    API int function arguments                                                                                         \
     {                                                                                                                  \
         return none(c, __func__, __VA_ARGS__);                                                                         \
     }

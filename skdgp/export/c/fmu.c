@@ -11,12 +11,12 @@
 #include <string.h>
 
 #if defined _WIN32
-#define FMI_EXPORT __declspec(dllexport)
+#define API __declspec(dllexport)
 #elif defined __GNUC__
-#define FMI_EXPORT __attribute__((visibility("default")))
+#define API __attribute__((visibility("default")))
 #pragma GCC visibility push(hidden)
 #else
-#define FMI_EXPORT
+#define API
 #endif
 #include "model.c"
 #if defined __GNUC__ && !defined _WIN32
@@ -97,6 +97,12 @@ static int change(void *component, const char *function, int from, int to)
     return OK;
 }
 
+/* An unsupported function, or variables of a type that there are none of. */
+static int none(void *component, const char *function, size_t n, ...)
+{
+    return component != NULL && n == 0 ? OK : refuse(component, function, "this FMU has nothing of that kind");
+}
+
 static void clear(memory *m)
 {
     memset(m, 0, sizeof *m);
@@ -139,6 +145,18 @@ static int has_arrays(void *component, const char *function, const void *referen
         return 1;
     refuse(component, function, "got no arrays");
     return 0;
+}
+
+static int set_logging(void *component, const char *function, int on, size_t n, const char *const categories[])
+{
+    size_t k;
+    if (component == NULL || !has_arrays(component, function, categories, n, categories))
+        return ERROR;
+    for (k = 0; k < n; k++)
+        if (strcmp(categories[k], "logStatusError") != 0 && strcmp(categories[k], "logStatusDiscard") != 0)
+            return refuse(component, function, "there is no such category");
+    ((instance *)component)->logging = on;
+    return OK;
 }
 
 /* All values are set, or none. */

@@ -381,6 +381,10 @@ def test_a_flight_ends_where_that_of_simulate_ends(fmi, instance):
     if uav.second:
         assert uav.fmu.getBooleanStatus(3)
         assert uav.fmu.getRealStatus(2) == uav.get(["time"])
+    else:
+        early = instance("explicit", "aircraft", fmi, early_return_allowed=True)
+        early.begin(expected.loc[0, STATE], {"rudder": 0.0, "elevon_left": 0.0, "elevon_right": 0.0})
+        assert early.fmu.doStep(0.0, 2.0) == (False, True, True, uav.get(["time"]))
     slow = instance("explicit", "aircraft", fmi)
     with pytest.raises(fmpy.fmi1.FMICallException):
         slow.begin({"u": 0.5, "w": 0.0}, {})
@@ -401,12 +405,30 @@ def test_source_compiles_elsewhere(fmu, tmp_path, capfd):
     assert np.isfinite(fmpy.simulate_fmu(str(tmp_path / "fmu"), stop_time=0.1)[-1]["CZ"])
 
 
-def test_without_a_compiler_there_is_the_source(tmp_path, monkeypatch):
+FIXED = Propeller(0.5, (0.1,))
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (MODELS["explicit"], {"thrust"}),
+        (replace(MODELS["explicit"], provenance={"options": {"thrust": None}}), set()),
+        (model_of(CLASSICAL, propeller=FIXED), {"propeller_speed"}),
+        (model_of(CLASSICAL, propeller=PROPELLER), {"throttle"}),
+    ],
+)
+def test_without_a_compiler_there_is_the_source(model, expected, tmp_path, monkeypatch):
+    """An input sets the thrust, unless the coefficients include it."""
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
+    path = str(tmp_path / "a.fmu")
     with pytest.warns(UserWarning, match="source code alone, no binary: there is no C compiler"):
-        assert write_fmu(tmp_path / "a.fmu", MODELS["explicit"]) is None
-    assert fmpy.supported_platforms(str(tmp_path / "a.fmu")) == ["c-code"]
+        assert write_fmu(path, model) is None
+    assert fmpy.supported_platforms(path) == ["c-code"]
+    inputs = {v.name for v in fmpy.read_model_description(path).modelVariables if v.causality == "input"}
+    loads = {f"thrust_{axis}" for axis in "xyzlmn"}
+    wind = {"wind_north", "wind_east", "wind_down"}
+    assert inputs == {*SURFACES, "rudder"} | loads | wind | expected
 
 
 def renamed(model, old, new):

@@ -1,7 +1,7 @@
 /* An instance of the model: its variables, its modes and its steps, the same for every version of FMI.
  *
  * fmi2.c or fmi3.c includes this file, and this file the model: one translation unit, which exports the functions of
- * FMI alone. A version defines SAY(i, status, text) and CONTINUOUS(i), whether it sets inputs between two stages.
+ * FMI alone. A version defines SAY(i, status, text), and CONTINUOUS(i, time), which may set the inputs of that time.
  */
 #include <math.h>
 #include <stddef.h>

@@ -12,6 +12,7 @@ from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model
 from skdgp.export import FORMATS, export_model, load_portable
 from skdgp.export._c import TOLERANCE
+from skdgp.export._fmu import FMI_VERSIONS, FMU_FILES
 
 
 def export(run: Run) -> None:
@@ -21,12 +22,13 @@ def export(run: Run) -> None:
     c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
+    fmu       aircraft.fmu: the whole aircraft for co-simulation, or aero.fmu with --form coefficients; C inside
     jsbsim    aircraft/NAME/NAME.xml: an aircraft with the coefficients as functions, or as tables with --form tables
     ardupilot plane.json: constant derivatives for the plane of SITL
     gazebo    model.sdf: constant derivatives for AdvancedLiftDrag
     dave-ml   aero.dml: tables with standard deviations and check cases
 
-    MODEL is the model.joblib that identify wrote; for the first four also a model.npz. With --max-kb the form gets
+    MODEL is the model.joblib that identify wrote; for the first five also a model.npz. With --max-kb the form gets
     fewer basis functions; the loss is printed in standard deviations of the posterior. Derivatives and tables are
     fitted to the model at the samples; the loss is printed beside the posterior deviation. All files are written into
     DIR, or none, with config.toml, all options of this run.
@@ -39,7 +41,7 @@ def export(run: Run) -> None:
     run.console.stage("reading")
     model = _read(options)
     run.console.stage(f"exporting to {options.to}")
-    given = {name: getattr(options, name) for name in ("max_kb", "precision", "form", "draws")}
+    given = {name: getattr(options, name) for name in ("max_kb", "precision", "form", "fmi", "draws")}
     given = {name: value for name, value in given.items() if value is not None}
     with tempfile.TemporaryDirectory(dir=run.folder.path if run.folder else None) as temporary:
         facts = export_model(temporary, model, options.to, **given)
@@ -97,7 +99,13 @@ EXPORT = Command(
             ),
             opt.Option(
                 ("--form",),
-                {"choices": ["functions", "tables"], "help": "of the coefficients, of jsbsim (default: functions)"},
+                {
+                    "choices": ["functions", "tables", *FMU_FILES],
+                    "help": "of jsbsim: functions (default) or tables; of fmu: aircraft (default) or coefficients",
+                },
+            ),
+            opt.Option(
+                ("--fmi",), {"choices": list(FMI_VERSIONS), "help": "version of the standard, of fmu (default: 2.0)"}
             ),
             opt.option(
                 "--draws K",

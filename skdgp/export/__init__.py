@@ -6,6 +6,7 @@ from skdgp.export._c import write_c
 from skdgp.export._casadi import casadi_function
 from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._file import PortableFileError, load_portable, save_portable
+from skdgp.export._fmu import write_fmu
 from skdgp.export._formats import FORMATS, export_model
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
@@ -32,6 +33,7 @@ __all__ = [
     "write_ardupilot",
     "write_c",
     "write_dave_ml",
+    "write_fmu",
     "write_gazebo",
     "write_jsbsim",
 ]

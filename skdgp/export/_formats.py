@@ -16,10 +16,11 @@ from sklearn.utils import Bunch
 from skdgp.dynamics import Aircraft
 from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import BuildUp, build_up
-from skdgp.export._c import write_c
+from skdgp.export._c import sized_for_c, write_c
 from skdgp.export._casadi import write_casadi
 from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._file import save_portable
+from skdgp.export._fmu import FMU_FILES, write_fmu
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
 from skdgp.export._onnx import write_onnx
@@ -41,7 +42,7 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     to : str
         Name of the format.
     **options
-        Of the format: ``max_kb``, ``precision``, ``form``, ``draws``.
+        Of the format: ``max_kb``, ``precision``, ``form``, ``fmi``, ``draws``.
 
     Returns
     -------
@@ -90,6 +91,15 @@ def _onnx(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str,
     """Write aero.onnx."""
     portable = _sized(model, max_kb)
     return {"files": [write_onnx(folder / "aero.onnx", portable)], "loss": loss_of(portable)}
+
+
+def _fmu(
+    folder: Path, model: Any, *, form: str = "aircraft", fmi: str = "2.0", max_kb: float | None = None
+) -> dict[str, Any]:
+    """Write aircraft.fmu or aero.fmu."""
+    portable = sized_for_c(_as_portable(model), max_kb=max_kb)
+    path = folder / FMU_FILES.get(form, "")
+    return {"binary": write_fmu(path, portable, form=form, fmi=fmi), "files": [path], "loss": loss_of(portable)}
 
 
 def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0) -> dict[str, Any]:
@@ -161,6 +171,7 @@ FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
     "c": _c,
     "casadi": _casadi,
     "onnx": _onnx,
+    "fmu": _fmu,
     "jsbsim": _jsbsim,
     "ardupilot": _ardupilot,
     "gazebo": _gazebo,

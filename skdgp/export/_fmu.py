@@ -1,0 +1,434 @@
+"""The model as an FMU for co-simulation, FMI 2.0 or 3.0: C source, its description, and a binary for this platform."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from string import Template
+from typing import Any, NamedTuple
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
+
+import numpy as np
+
+from skdgp._compute.files import write_atomically
+from skdgp._flight import atmosphere
+from skdgp._flight.channels import (
+    BODY_VELOCITY,
+    CHANNELS,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+    TRUTH_SUFFIX,
+    WIND,
+)
+from skdgp.dynamics._equations.motion import CONTROLS, IMPLICIT, STATES
+from skdgp.dynamics._simulation.simulate import FASTEST, SLOWEST, SPINNING
+from skdgp.dynamics._vehicle.loads import CENTRED, FORCES, MOMENTS, thrust_control
+from skdgp.export._c import _array, _braces, _comment, _names, _sources, _template, c_files
+from skdgp.export._model import PortableModel
+
+FMU_FILES = {"aircraft": "aircraft.fmu", "coefficients": "aero.fmu"}
+"""The file of each form; its stem is the model identifier."""
+FMI_VERSIONS = ("2.0", "3.0")
+TIME_STEP, STOP_TIME = 0.02, 10.0
+START_ALTITUDE = 1000.0
+START_AIRSPEED = 20.0
+SLOWEST_START, FASTEST_START = 5.0, 250.0
+COMPILERS = ("cc", "gcc", "clang")
+BASE_UNITS: dict[str, dict[str, int]] = {
+    "s": {"s": 1},
+    "m": {"m": 1},
+    "m/s": {"m": 1, "s": -1},
+    "m/s^2": {"m": 1, "s": -2},
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1, "s": -1},
+    "rad/s^2": {"rad": 1, "s": -2},
+    "kg/m^3": {"kg": 1, "m": -3},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N m": {"kg": 1, "m": 2, "s": -2},
+}
+FOLLOWING = (
+    *(*EARTH_VELOCITY, "airspeed", "alpha", "beta", "altitude", "density"),
+    *(*IMPLICIT, *COEFFICIENTS, *(f"{name}_std" for name in COEFFICIENTS), "beyond"),
+)
+"""Outputs of an aircraft besides its state."""
+MEANINGS = {
+    "dt": "largest step of the integrator, by Runge and Kutta",
+    "beyond": "number of regressors outside of what the model was learned from",
+}
+
+
+class _Variable(NamedTuple):
+    """A variable of the FMU: its kind is t time, s start and state, p parameter, i input, o output, d deviation."""
+
+    name: str
+    kind: str
+    start: float = 0.0
+
+    @property
+    def channel(self) -> str:
+        """The column of a flight that it is."""
+        return self.name.removesuffix("_std" if self.kind == "d" else TRUTH_SUFFIX)
+
+    @property
+    def unit(self) -> str:
+        """Its unit, or ""."""
+        return "s" if self.name == "dt" else CHANNELS[self.channel].unit if self.channel in CHANNELS else ""
+
+    @property
+    def meaning(self) -> str:
+        """Its description, or ""."""
+        meaning = CHANNELS[self.channel].meaning if self.channel in CHANNELS else MEANINGS.get(self.name, "")
+        return f"standard deviation: {meaning}" if self.kind == "d" else meaning
+
+
+def write_fmu(
+    path: str | os.PathLike[str], model: PortableModel, *, form: str = "aircraft", fmi: str = "2.0"
+) -> str | None:
+    r"""Write a model as an FMU for co-simulation; return the platform that it has a binary for.
+
+    The FMU is a C program with its description. It holds the C source, and a binary for this platform if there is a C
+    compiler (``CC``, cc, gcc or clang). It needs no Python.
+
+    Parameters
+    ----------
+    path : path-like
+        Such as ``aircraft.fmu``.
+    model : PortableModel
+    form : {"aircraft", "coefficients"}, default="aircraft"
+        "aircraft": six degrees of freedom, :math:`\dot x = f(x, u)` of :func:`skdgp.dynamics.simulate`, by the same
+        method of Runge and Kutta with at most ``dt`` a step. Inputs are the controls [rad], the thrust [N], further
+        forces and moments of the propulsion [N, N m] and the wind [m/s]. Outputs are the state, air data,
+        accelerations, the coefficients and their standard deviations.
+        "coefficients": the coefficients and their standard deviations, of columns of a flight.
+    fmi : {"2.0", "3.0"}, default="2.0"
+        Version of the standard.
+
+    Returns
+    -------
+    str or None
+        Such as "linux64", or "x86_64-linux" of FMI 3.0; None: the FMU has source code alone.
+
+    Raises
+    ------
+    ValueError
+        If ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has a control
+        of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a simulation
+        cannot rebuild.
+
+    Warns
+    -----
+    UserWarning
+        If no binary can be made: there is no compiler, it fails, or FMI has no name for this platform.
+
+    Examples
+    --------
+    ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
+    """
+    if form not in FMU_FILES:
+        raise ValueError(f"Got form={form!r}, but expected one of {list(FMU_FILES)}.")
+    if fmi not in FMI_VERSIONS:
+        raise ValueError(f"Got fmi={fmi!r}, but expected one of {list(FMI_VERSIONS)}.")
+    variables = list(_aircraft(model) if form == "aircraft" else _coefficients(model))
+    names = [variable.name for variable in variables]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(
+            f"Got a model of {twice}, but the FMU has other variables of these names: learn from columns of other "
+            "names."
+        )
+    content = repr((model.content_hash, model.aircraft.to_dict(), variables, form, fmi))
+    token = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
+    root = "fmi" + fmi[0] + ".c"
+    sources = {name: text for name, text in c_files(model).items() if name in ("aero.h", "aero.c")}
+    sources |= {name: _template(name) for name in ("fmu.c", root)}
+    values = _model_values(model, variables, form) | {"token": token}
+    sources["model.c"] = Template(_template(f"fmu_{form}.c")).substitute(values)
+    identifier = Path(FMU_FILES[form]).stem
+    members: dict[str, str | bytes] = {f"sources/{name}": text for name, text in sources.items()}
+    members["modelDescription.xml"] = _xml(_description(model, variables, identifier, fmi, token, root))
+    if fmi == "3.0":
+        members["sources/buildDescription.xml"] = _xml(_build_description(identifier, fmi, root))
+    found = _binary(sources, root, identifier, fmi)
+    if found is not None:
+        members[f"binaries/{found[0]}/{identifier}{found[1]}"] = found[2]
+    write_atomically(path, lambda temporary: _zip(temporary, members))
+    return None if found is None else found[0]
+
+
+def _zip(path: Path, members: dict[str, str | bytes]) -> None:
+    """Write an archive that depends on its members alone."""
+    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        for name, content in sorted(members.items()):
+            member = ZipInfo(name)
+            member.external_attr = 0o644 << 16
+            archive.writestr(member, content, ZIP_DEFLATED)
+
+
+# -- variables -----------------------------------------------------------------------------------------------------
+
+
+def _coefficients(model: PortableModel) -> Iterator[_Variable]:
+    """Yield the variables of the coefficients alone, in the order of their value references."""
+    start = _starts(model)
+    yield _Variable("time", "t")
+    yield from (_Variable(name, "i", start.get(name, 0.0)) for name in _sources(model))
+    yield from (_Variable(name, "o") for name in model.outputs)
+    yield from (_Variable(f"{name}_std", "d") for name in model.outputs)
+    yield _Variable("beyond", "o")
+
+
+def _aircraft(model: PortableModel) -> Iterator[_Variable]:
+    """Yield the variables of the aircraft, in the order of their value references."""
+    lacking = [name for name in COEFFICIENTS if name not in model.outputs]
+    if lacking:
+        raise ValueError(
+            f"Got a model without {lacking}, but an aircraft needs all of {', '.join(COEFFICIENTS)}: "
+            "export form='coefficients', or learn them all."
+        )
+    channels = [name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
+    controls = [name for name in channels if name not in (*STATES, *IMPLICIT)]
+    unknown = [name for name in controls if name in CHANNELS and name not in CONTROLS]
+    if unknown:
+        raise ValueError(
+            f"Got a model of {unknown}, which are neither controls nor rebuilt along a flight: export "
+            "form='coefficients', or learn a model without them."
+        )
+    start = _starts(model)
+    yield _Variable("time", "t")
+    for name in (*POSITION, *BODY_VELOCITY, *EULER, *RATES):
+        yield _Variable(name, "s", start.get(name, 0.0))
+    yield _Variable("dt", "p", TIME_STEP)
+    yield from (_Variable(name, "d" if name.endswith("_std") else "o") for name in FOLLOWING)
+    propulsion = _propulsion_control(model)
+    inputs = (*WIND, *FORCES, *MOMENTS, *([propulsion] if propulsion else []), *controls)
+    yield from (_Variable(name, "i", start.get(name, 0.0)) for name in dict.fromkeys(inputs))
+
+
+def _propulsion_control(model: PortableModel) -> str | None:
+    """Return the input that sets the thrust; None where the coefficients include the thrust."""
+    options = model.provenance.get("options") or {}
+    return thrust_control(model.aircraft, "auto" if options.get("thrust", "auto") else None)
+
+
+def _starts(model: PortableModel) -> dict[str, float]:
+    """Return values near level flight at the mean of the training data: without any input, an FMU flies."""
+    columns = [regressor for regressor in model.regressors if not regressor.power]
+    mean = [value for value, regressor in zip(model.shift, model.regressors, strict=True) if not regressor.power]
+    names = list(dict.fromkeys(name for regressor in columns for name in regressor.sources))
+    matrix = [[dict(zip(r.sources, r.factors, strict=True)).get(name, 0.0) for name in names] for r in columns]
+    start = dict(zip(names, np.linalg.lstsq(matrix, mean, rcond=None)[0].tolist(), strict=True)) if columns else {}
+    altitude = start.get("altitude", START_ALTITUDE)
+    density = float(atmosphere.standard_density(altitude))
+    lift = -model.predict(model.shift[None])[0, model.outputs.index("CZ")] if "CZ" in model.outputs else 0.0
+    speed, aircraft = start.get("airspeed", START_AIRSPEED), model.aircraft
+    if "airspeed" not in start and lift > 0:
+        speed = np.sqrt(2 * aircraft.mass * atmosphere.GRAVITY / (density * aircraft.wing_area * lift))
+    speed, alpha = float(np.clip(speed, SLOWEST_START, FASTEST_START)), start.get("alpha", 0.0)
+    start |= {"u": speed * float(np.cos(alpha)), "w": speed * float(np.sin(alpha)), "theta": alpha, "airspeed": speed}
+    return start | {"down": -altitude, "altitude": altitude, "density": density}
+
+
+# -- C -------------------------------------------------------------------------------------------------------------
+
+
+def _model_values(model: PortableModel, variables: list[_Variable], form: str) -> dict[str, Any]:
+    """Return what the template of model.c is filled with."""
+    places = {variable.name: k for k, variable in enumerate(variables)}
+    channels = [name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
+    names = {f"V_{name}": k for name, k in places.items() if name.isascii() and name.isidentifier()}
+    names |= {"FIRST_COEFFICIENT": places[model.outputs[0]], "FIRST_DEVIATION": places[f"{model.outputs[0]}_std"]}
+    names["FMU_VARIABLES"] = len(variables)
+    tables = [
+        "enum { " + ",\n".join(f"{name} = {k}" for name, k in names.items()) + " };",
+        "static " + _names("names", [_comment(v.name) for v in variables]),
+        f'static const char kind[FMU_VARIABLES + 1] = "{"".join(v.kind for v in variables)}";',
+        _array("start", [v.start for v in variables]),
+        _array("place", [places[name] for name in channels], "static const int"),
+    ]
+    if form == "coefficients":
+        return {"tables": "\n".join(tables)}
+    implicit = [k for k, name in enumerate(IMPLICIT) if name in channels]
+    tables.append(_array("coefficient", [model.outputs.index(name) for name in COEFFICIENTS], "static const int"))
+    if implicit:
+        tables.append(_array("implicit", implicit, "static const int"))
+    line = model.aircraft.thrust_line or CENTRED
+    return {
+        "tables": "\n".join(tables),
+        "n_implicit": len(implicit),
+        "base": _braces(atmosphere.BASE),
+        "lapse": _braces(atmosphere.LAPSE),
+        "temperature": _braces(atmosphere._TEMPERATURE),
+        "pressure": _braces(atmosphere._PRESSURE),
+        "gas": repr(atmosphere.GAS_CONSTANT),
+        "gravity": repr(atmosphere.GRAVITY),
+        "lowest": repr(atmosphere.LOWEST),
+        "highest": repr(atmosphere.HIGHEST),
+        "fastest": repr(FASTEST),
+        "spinning": repr(SPINNING),
+        "slowest": f"{SLOWEST:g}",
+        "direction": _braces(line.direction),
+        "arm": _braces(line._arm),
+        "inertia": _braces(model.aircraft.inertia),
+        "inverse": _braces(model.aircraft.inertia_inverse),
+        "propulsion": _propulsion(model, places),
+    }
+
+
+def _propulsion(model: PortableModel, places: dict[str, int]) -> str:
+    """Return the statements that set the thrust and the torque on the aircraft."""
+    control, propeller = _propulsion_control(model), model.aircraft.propeller
+    if control is None:
+        return ""
+    value = f"v[{places[control]}]"
+    if propeller is None:
+        return f"    thrust = {value};"
+    if control == "throttle" and propeller.speed_range is not None:
+        idle, full = propeller.speed_range
+        value = f"({idle!r} + {full - idle!r} * {value})"
+    lines = [f"    const double n = {value} / {2 * np.pi!r}, advance = v[V_airspeed] / {propeller.diameter!r};"]
+    for load, sign, coefficients, power in (
+        ("thrust", 1.0, propeller.thrust_coefficients, 4),
+        ("torque", -float(propeller.rotation), propeller.torque_coefficients, 5),
+    ):
+        c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
+        scale = sign * propeller.diameter**power
+        formula = f"(({c0!r} * n + {c1!r} * advance) * n + {c2!r} * advance * advance)"
+        lines.append(f"    {load} = {scale!r} * v[V_density] * {formula};")
+    return "\n".join(lines)
+
+
+def _binary(sources: dict[str, str], root: str, identifier: str, fmi: str) -> tuple[str, str, bytes] | None:
+    """Return the platform, the suffix and the bytes of the shared library; None without one, with a warning."""
+    place, compiler = _platform(fmi), _compiler()
+    if place is None:
+        why = "FMI has no name for this platform"
+    elif compiler is None:
+        why = f"there is no C compiler ({', '.join(COMPILERS)})"
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            for name, text in sources.items():
+                (Path(folder) / name).write_text(text, encoding="utf-8")
+            library = Path(folder, identifier + place[1])
+            options = ["-O2", "-std=c99", "-shared", *([] if os.name == "nt" else ["-fPIC"])]
+            command = [compiler[0], *options, *compiler[1:], root, "-o", library.name, "-lm"]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+            if done.returncode == 0:
+                return *place, library.read_bytes()
+        why = f"{compiler[0]} failed: {done.stderr.strip()[:200]}"
+    warnings.warn(f"The FMU has source code alone, no binary: {why}. Compile it where it is used.", stacklevel=3)
+    return None
+
+
+def _compiler() -> list[str] | None:
+    """Return the command of the C compiler."""
+    for command in (os.environ.get("CC", "").split(), *([name] for name in COMPILERS)):
+        if command and (path := shutil.which(command[0])):
+            return [path, *command[1:]]
+    return None
+
+
+def _platform(fmi: str) -> tuple[str, str] | None:
+    """Return the folder of binaries for this platform, and the suffix of its shared libraries."""
+    system = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}.get(sys.platform)
+    machine = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}.get(
+        platform.machine().lower()
+    )
+    if system is None or machine is None or sys.maxsize < 2**32:
+        return None
+    name, suffix = system
+    return (f"{machine}-{name}" if fmi == "3.0" else name.removesuffix("dows") + "64"), suffix
+
+
+# -- descriptions --------------------------------------------------------------------------------------------------
+
+
+def _description(
+    model: PortableModel, variables: list[_Variable], identifier: str, fmi: str, token: str, root: str
+) -> ET.Element:
+    """Return modelDescription.xml."""
+    second = fmi == "2.0"
+    top = ET.Element("fmiModelDescription", fmiVersion=fmi, modelName=model.aircraft.name)
+    top.set("guid" if second else "instantiationToken", token)
+    top.set("description", f"A posterior of Gaussian processes, by skdgp. Content {model.content_hash}")
+    top.set("generationTool", "skdgp")
+    top.set("variableNamingConvention", "flat")
+    simulation = ET.SubElement(top, "CoSimulation", modelIdentifier=identifier)
+    spelling = "FMUstate" if second else "FMUState"
+    capable = ["canHandleVariableCommunicationStepSize", f"canGetAndSet{spelling}", f"canSerialize{spelling}"]
+    for name in (*capable, "canInterpolateInputs" if second else "providesIntermediateUpdate"):
+        simulation.set(name, "true")
+    if second:
+        ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name=root)
+    units = ET.SubElement(top, "UnitDefinitions")
+    for unit in sorted({variable.unit for variable in variables} - {""}):
+        powers = {name: str(power) for name, power in BASE_UNITS[unit].items()}
+        ET.SubElement(ET.SubElement(units, "Unit", name=unit), "BaseUnit", powers)
+    categories = ET.SubElement(top, "LogCategories")
+    for name in ("logStatusError", "logStatusDiscard"):
+        ET.SubElement(categories, "Category", name=name)
+    step = {"startTime": "0", "stopTime": f"{STOP_TIME:g}", "stepSize": repr(TIME_STEP)}
+    ET.SubElement(top, "DefaultExperiment", step)
+    listed = ET.SubElement(top, "ModelVariables")
+    for k, variable in enumerate(variables):
+        _add_variable(listed, k, variable, second)
+    structure = ET.SubElement(top, "ModelStructure")
+    outputs = [k for k, variable in enumerate(variables) if variable.kind in "sod"]
+    unknown = [k for k in outputs if variables[k].kind != "s"]
+    for group, element, places in (("Outputs", "Output", outputs), ("InitialUnknowns", "InitialUnknown", unknown)):
+        parent = ET.SubElement(structure, group) if second else structure
+        for k in places:
+            if second:
+                ET.SubElement(parent, "Unknown", index=str(k + 1))
+            else:
+                ET.SubElement(parent, element, valueReference=str(k))
+    return top
+
+
+_ROLES = {
+    "t": ("independent", "continuous", ""),
+    "s": ("output", "continuous", "exact"),
+    "p": ("parameter", "fixed", "exact"),
+    "i": ("input", "continuous", ""),
+    "o": ("output", "continuous", "calculated"),
+    "d": ("output", "continuous", "calculated"),
+}
+"""Causality, variability and initial of each kind of variable."""
+
+
+def _add_variable(parent: ET.Element, reference: int, variable: _Variable, second: bool) -> None:
+    words = {"name": variable.name, "valueReference": str(reference)}
+    words |= zip(("causality", "variability", "initial"), _ROLES[variable.kind], strict=True)
+    words |= {"description": variable.meaning}
+    number = {"unit": variable.unit, "start": repr(float(variable.start)) if variable.kind in "spi" else ""}
+    words, number = ({name: value for name, value in each.items() if value} for each in (words, number))
+    if second:
+        ET.SubElement(ET.SubElement(parent, "ScalarVariable", words), "Real", number)
+    else:
+        element = ET.SubElement(parent, "Float64", words | number)
+        if variable.kind == "i":
+            element.set("intermediateUpdate", "true")
+
+
+def _build_description(identifier: str, fmi: str, root: str) -> ET.Element:
+    """Return buildDescription.xml."""
+    top = ET.Element("fmiBuildDescription", fmiVersion=fmi)
+    configuration = ET.SubElement(top, "BuildConfiguration", modelIdentifier=identifier)
+    ET.SubElement(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", name=root)
+    ET.SubElement(configuration, "Library", name="m")
+    return top
+
+
+def _xml(root: ET.Element) -> bytes:
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True)

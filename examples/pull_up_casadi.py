@@ -21,9 +21,9 @@ by e, which contain its deviations. 95 % of all e are shorter than :math:`\sqrt{
 changes y by more than :math:`2.80\,|G|`. With this margin at all times and of both limits, 95 % of the aircraft keep
 them all the time. The margin belongs to a plan: IPOPT plans with the margin of the last plan until it stays the same.
 
-An export says how large the error of a coefficient is, but not how the errors at two points are correlated. Constant
-errors add up more than others where they act in one direction, so the margin is rather too large; where they cancel
-each other, as in the load factor at the end of the pull-up, it is too small. So fly drawn aircraft to check a plan.
+An export says how large the error of a coefficient is, but not how the errors at two points are correlated. That they
+are constant is the simple assumption. It is too large where errors add up, and too small where constant ones cancel each
+other, as in the load factor at the end of the pull-up. Drawn aircraft, which do not make it, show whether it does.
 
 Needs CasADi and matplotlib: pip install "skdgp[export,plot]".
 """

@@ -21,9 +21,9 @@ by e, which contain its deviations. 95 % of all e are shorter than :math:`\sqrt{
 changes y by more than :math:`2.80\,|G|`. With this margin at all times and of both limits, 95 % of the aircraft keep
 them all the time. The margin belongs to a plan: IPOPT plans with the margin of the last plan until it stays the same.
 
-An export says how large the error of a coefficient is, but not how the errors at two points are correlated. That they
-are constant is the simple assumption. It is too large where errors add up, and too small where constant ones cancel each
-other, as in the load factor at the end of the pull-up. Drawn aircraft, which do not make it, show whether it does.
+An export says how large the error of a coefficient is, but not how the errors at two points are correlated, so that
+they are constant is an assumption. With it the margin is too large where errors add up, and too small where constant
+ones cancel each other, as in the load factor at the end of the pull-up. The drawn aircraft show whether it suffices.
 
 Needs CasADi and matplotlib: pip install "skdgp[export,plot]".
 """

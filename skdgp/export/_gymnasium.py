@@ -86,7 +86,7 @@ def gymnasium_env(
     ImportError
         If Gymnasium is not installed.
     ValueError
-        If the trim is outside of the limits, or a name is unknown.
+        If the trim is not within the limits, such as above the ground, a name is unknown, or ``duration`` is too short.
 
     Examples
     --------
@@ -148,13 +148,13 @@ class _Task:
         check_names(self.initial_std, OBSERVED, "observations")
         check_names(limits or {}, (*OBSERVED, *self.controls), "observations and controls of this aircraft")
         self.limits = self._limits() | dict(limits or {})
-        begin = self.trim | self.held
         self.low, self.high = self.box(OBSERVED)
-        outside = {n: (begin[n], *pair) for n, pair in self.limits.items() if not pair[0] <= begin[n] <= pair[1]}
+        begin = self.trim | self.held
+        outside = {n: (begin[n], *pair) for n, pair in self.limits.items() if not pair[0] < begin[n] < pair[1]}
         if outside:
             raise ValueError(
-                f"Got a trim outside of its limits, (value, smallest, largest) {outside}: choose another trim "
-                "(trim(..., altitude=...)), or give limits={name: (smallest, largest)}."
+                f"Got a trim that is not within its limits, (value, smallest, largest) {outside}: choose another trim, such as "
+                "trim(..., altitude=100.0) above the ground, or give limits={name: (smallest, largest)}."
             )
 
     def _limits(self) -> dict[str, tuple[float, float]]:
@@ -170,7 +170,8 @@ class _Task:
         found |= {name: engine.get(name, (-DEFLECTION, DEFLECTION)) for name in self.controls}
         if self.model.limits is not None:
             flown = zip(self.model.regressors, self.model.limits.T.tolist(), strict=True)
-            found |= {name: tuple(pair) for name, pair in flown if name in found and name not in ("p", "q", "r")}
+            surfaces = set(self.controls) - set(engine)
+            found |= {name: (low, high) for name, (low, high) in flown if name in {"alpha", "beta"} | surfaces}
         return found
 
     def box(self, names: tuple[str, ...]) -> tuple[Array, Array]:

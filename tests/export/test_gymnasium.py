@@ -121,20 +121,21 @@ def test_a_flight_that_diverges_ends_with_what_was_last_seen(uav, start):
 
 
 def test_spaces_have_the_range_that_the_model_was_learned_from(uav, start):
-    limits = np.array([[-0.1, -0.4, -0.3], [0.2, 0.4, 0.1]])
-    model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha", "elevator", "rudder"], limits=limits)
+    limits = np.array([[-0.1, -0.4, -0.3, 20.0], [0.2, 0.4, 0.1, 30.0]])
+    model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha", "elevator", "rudder", "airspeed"], limits=limits)
     env = gymnasium_env(model, uav, start, limits={"rudder": (-0.2, 0.2)})
     names = [name for name in start.solved if name in start.controls]
     space = dict(zip(names, zip(env.action_space.low, env.action_space.high, strict=True), strict=True))
     assert (env.observation_space.low[1], env.observation_space.high[1]) == (-0.1, 0.2)
+    assert env.observation_space.low[0] == pytest.approx(25 / 2**0.5)
     assert space["elevator"] == (-0.4, 0.4)
     assert space["rudder"] == (-0.2, 0.2)
     assert space["thrust"] == (0.0, pytest.approx(2 * start.controls["thrust"]))
 
 
 def test_what_cannot_be_flown_is_refused(make, fitted, uav):
-    with pytest.raises(ValueError, match=r"outside of its limits, .*'altitude': \(120.0, 200, 300\).*choose another"):
-        make(limits={"altitude": (200, 300)})
+    with pytest.raises(ValueError, match=r"not within its limits, .*'altitude': \(120.0, 120, 300\).*choose another"):
+        make(limits={"altitude": (120, 300)})
     with pytest.raises(ValueError, match="speed"):
         make(limits={"speed": (10, 30)})
     with pytest.raises(ValueError, match="duration=0, but expected at least one step"):

@@ -153,8 +153,8 @@ class _Task:
         outside = {n: (begin[n], *pair) for n, pair in self.limits.items() if not pair[0] < begin[n] < pair[1]}
         if outside:
             raise ValueError(
-                f"Got a trim that is not within its limits, (value, smallest, largest) {outside}: choose another trim, such as "
-                "trim(..., altitude=100.0) above the ground, or give limits={name: (smallest, largest)}."
+                f"Got a trim that is not within its limits, (value, smallest, largest) {outside}: choose another trim, "
+                "such as trim(..., altitude=100.0) above the ground, or give limits={name: (smallest, largest)}."
             )
 
     def _limits(self) -> dict[str, tuple[float, float]]:

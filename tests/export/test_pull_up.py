@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Aerodynamics, Aircraft, simulate, standard_density, trim
+from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, simulate, standard_density, trim
 from skdgp.export import portable_model
 from skdgp.identification import make_identification_pipeline
 
@@ -75,31 +75,39 @@ def steady(aircraft, pipeline):
 
 @pytest.fixture(scope="module")
 def pull_up(example, aircraft, pipeline, steady):
-    model = portable_model(pipeline, aircraft)
-    return example.PullUp(model, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None)
+    model, covariance = portable_model(pipeline, aircraft), as_aerodynamics(pipeline).covariance
+    return example.PullUp(model, covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None)
 
 
 @pytest.fixture(scope="module")
 def careful(example, pull_up):
     """Return the plan with a margin."""
-    return pull_up.plan(example.REACH, ELEVATOR)
-
-
-def share(example, aircraft, pipeline, steady, plan):
-    return example.violated(example.flown(pipeline, aircraft, steady, plan, DENSITY, PATHS)[0], LIMITS)
+    return pull_up.plan(example.SHARE, ELEVATOR)
 
 
 def test_the_margin_keeps_the_limits_for_95_percent(example, aircraft, pipeline, steady, pull_up, careful):
     bold = pull_up.plan(0.0, ELEVATOR)
     np.testing.assert_allclose(bold.values.max(axis=0), LIMITS, rtol=1e-5)
-    assert share(example, aircraft, pipeline, steady, bold) > 0.4
-    assert share(example, aircraft, pipeline, steady, careful) <= 0.05
+    drawn = [example.flown(pipeline, aircraft, steady, plan, DENSITY, PATHS)[0] for plan in (bold, careful)]
+    bad, good = (example.violated(values, LIMITS) for values in drawn)
+    assert bad > 0.4
+    assert good <= 0.05
     assert bold.altitude[-1] > careful.altitude[-1] > ALTITUDE + 5
     assert ((careful.values + careful.margins) / LIMITS).max() == pytest.approx(1.0, abs=example.SETTLED)
+    at = slice(20, None, 20)  # after 0.4 s, 0.8 s, ..., of the flights; the plan has a point each 0.05 s
+    planned = np.linalg.norm(effects(pull_up, careful), axis=2)[8::8]
+    np.testing.assert_allclose(planned, drawn[1].std(axis=0)[at], rtol=0.2)
 
 
-def test_the_margin_is_what_constant_errors_change_in_free_flight(example, aircraft, pipeline, steady, careful):
-    """Errors of a hundredth of a deviation, flown in six degrees of freedom."""
+def effects(pull_up, plan):
+    """Return G of a plan, whose states are flown again."""
+    return pull_up.effects(plan.states, plan.controls["elevator"].to_numpy())
+
+
+def test_the_effects_are_those_of_errors_in_free_flight(
+    example, aircraft, pipeline, steady, pull_up, careful, monkeypatch
+):
+    """Constant errors of a hundredth of a deviation, flown in six degrees of freedom."""
     model = portable_model(pipeline, aircraft)
 
     def flight(error):
@@ -114,5 +122,6 @@ def test_the_margin_is_what_constant_errors_change_in_free_flight(example, aircr
     mean = flight(np.zeros(6))
     np.testing.assert_allclose(mean[::2], careful.values, atol=6e-3)
     changes = [(flight(0.01 * row) - mean)[::2] / 0.01 for row in np.eye(6)[[0, 2, 4]]]
-    margins = example.REACH * np.linalg.norm(changes, axis=0)
-    np.testing.assert_allclose(careful.margins, margins, rtol=0.05)
+    monkeypatch.setattr(pull_up, "covariance", lambda X: np.kron(np.eye(6), np.ones((len(X), len(X)))))
+    found = np.linalg.norm(effects(pull_up, careful), axis=2)
+    np.testing.assert_allclose(found, np.linalg.norm(changes, axis=0), rtol=0.05)

@@ -132,6 +132,8 @@ class PullUp:
             last, margins = margins, self.margins(states, elevator, share) if share else margins
             if np.all(np.abs(margins - last) < SETTLED * self.limits):
                 break
+        else:
+            raise RuntimeError(f"The margin still changes after {MOST_ROUNDS} rounds: raise the limits.")
         controls = pd.DataFrame({"time": self.time} | self.steady.controls | {"elevator": elevator})
         values = np.array(self.motion.map(n)(states.T, elevator[None])[1]).T
         return Plan(controls, values, margins, states, seconds)

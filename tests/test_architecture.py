@@ -38,7 +38,10 @@ FLOOR = {part: number for number, parts in enumerate(FLOORS, start=1) for part i
 LEARNING = {"kernels", "inference", "_regressor"}
 AIRCRAFT = {"_flight", "io", "preprocessing", "dynamics", "datasets"}
 # Imported inside the functions that use them, or not at all.
-EXTRAS = {"matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink", "casadi", "onnx"}
+EXTRAS = {
+    *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),
+    *("casadi", "onnx", "gymnasium"),
+}
 
 
 class Import(NamedTuple):

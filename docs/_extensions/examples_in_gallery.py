@@ -11,6 +11,7 @@ SMALLER = {
     "fly_the_model.py": ["--samples", "400", "--paths", "30"],
     "grid_search_flights.py": ["--days", "1", "--samples", "120", "--max-iter", "10", "--n-jobs", "1"],
     "identify_example_flights.py": ["--samples", "150"],
+    "pull_up_casadi.py": ["--paths", "100"],
 }
 
 

@@ -1,4 +1,4 @@
-"""Models that leave Python: the portable model, its file, and the formats of other programs."""
+"""Models that leave Python: the portable model, its file, and the formats of other programs; an environment."""
 
 from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import BuildUp, Table, build_up
@@ -8,6 +8,7 @@ from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._file import PortableFileError, load_portable, save_portable
 from skdgp.export._fmu import write_fmu
 from skdgp.export._formats import FORMATS, export_model
+from skdgp.export._gymnasium import gymnasium_env
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 from skdgp.export._onnx import onnx_model
@@ -26,6 +27,7 @@ __all__ = [
     "build_up",
     "casadi_function",
     "export_model",
+    "gymnasium_env",
     "load_portable",
     "onnx_model",
     "portable_model",

@@ -1,0 +1,36 @@
+"""Design of flights: inputs that excite an aircraft, in sequences that autopilots and pilots fly."""
+
+from skdgp.design._bands import input_bands
+from skdgp.design._signals import (
+    Chirp,
+    Limits,
+    Multisine,
+    Signal,
+    Steps,
+    chirp,
+    doublet,
+    multisine,
+    orthogonal_multisines,
+    three_two_one_one,
+)
+from skdgp.design._wavetrain import Wavetrain, wavetrain
+from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
+
+__all__ = [
+    "Chirp",
+    "Limits",
+    "Multisine",
+    "Signal",
+    "Steps",
+    "Wavetrain",
+    "chirp",
+    "doublet",
+    "input_bands",
+    "multisine",
+    "orthogonal_multisines",
+    "three_two_one_one",
+    "wavetrain",
+    "write_ardupilot_lua",
+    "write_csv",
+    "write_px4",
+]

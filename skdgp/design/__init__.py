@@ -1,6 +1,7 @@
-"""Design of flights: inputs that excite an aircraft, in sequences that autopilots and pilots fly."""
+"""Design of flights: inputs that excite an aircraft, their sequences, and what they teach."""
 
 from skdgp.design._bands import input_bands
+from skdgp.design._information import Information, coefficient_noise, expected_information
 from skdgp.design._signals import (
     Chirp,
     Limits,
@@ -18,13 +19,16 @@ from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
 
 __all__ = [
     "Chirp",
+    "Information",
     "Limits",
     "Multisine",
     "Signal",
     "Steps",
     "Wavetrain",
     "chirp",
+    "coefficient_noise",
     "doublet",
+    "expected_information",
     "input_bands",
     "multisine",
     "orthogonal_multisines",

@@ -2,16 +2,14 @@
 
 from skdgp.design._bands import input_bands
 from skdgp.design._information import Information, coefficient_noise, expected_information
+from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
 from skdgp.design._signals import (
     Chirp,
     Limits,
-    Multisine,
     Signal,
     Steps,
     chirp,
     doublet,
-    multisine,
-    orthogonal_multisines,
     three_two_one_one,
 )
 from skdgp.design._wavetrain import Wavetrain, wavetrain

@@ -53,7 +53,7 @@ class Wavetrain:
     def __post_init__(self) -> None:
         check_names([*self.inputs, *self.limits], AXES, "axes")
         for axis, start, signal in self.events():
-            if start < 0:
+            if not 0 <= start < np.inf:
                 raise ValueError(f"Got an input of the {axis} at {start:g} s, but expected a time >= 0.")
             if axis in self.limits:
                 self.limits[axis].check(signal, axis)
@@ -116,7 +116,7 @@ class Wavetrain:
         a lower band or longer pulses.
         """
         for axis, _, signal in self.events():
-            if rate * signal.period < SAMPLES_PER_PERIOD * (1.0 - ROUNDING):
+            if not rate * signal.period >= SAMPLES_PER_PERIOD * (1.0 - ROUNDING):
                 raise ValueError(
                     f"Got a rate of {rate:g} Hz, but an input of the {axis} has periods of {signal.period:.3g} s: "
                     f"expected at least {SAMPLES_PER_PERIOD / signal.period:.3g} Hz, or a lower band or longer pulses."

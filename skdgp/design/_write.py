@@ -12,7 +12,8 @@ import pandas as pd
 
 from skdgp._compute.files import write_atomically
 from skdgp._flight.checks import check_names
-from skdgp.design._signals import ROUNDING, Chirp, Limits, Multisine, Signal, Steps
+from skdgp.design._multisines import Multisine
+from skdgp.design._signals import ROUNDING, Chirp, Limits, Signal, Steps
 from skdgp.design._wavetrain import Wavetrain
 
 SCRIPT = Path(__file__).with_name("replay.lua")

@@ -24,6 +24,8 @@ ARDUPILOT = {
     "elevon_left": (77, -1.0), "elevon_right": (78, -1.0),
 }  # fmt: skip
 """SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move elevons up."""
+MIXES = {"elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0}}
+"""Surfaces that several axes move."""
 SCALES = {"throttle": 100.0}
 """Of ArduPilot's scaled commands [%]; of surfaces: centidegrees of a range of 45."""
 SURFACE_SCALE = 4500.0
@@ -109,7 +111,7 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
     """
     check_names(train.axes, PX4, "axes of PX4's torque setpoint")
     table = train.table(rate)
-    _check_full(table, train, full)
+    _check_full(train, table, {axis: {axis: 1.0} for axis in full if axis in train.axes}, full)
     columns = {"timestamp": (1e6 * table["time"]).round().astype(np.int64)}
     for axis, (name, sign) in PX4.items():
         columns[name] = sign * table[axis] / full[axis] if axis in table else 0.0 * table["time"]
@@ -130,19 +132,20 @@ def write_ardupilot_lua(
     path : path-like
         Such as ``plan.lua``; copy it to ``APM/scripts`` of the autopilot's card and set SCR_ENABLE to 1.
     train : Wavetrain
-        Of elevator, aileron, rudder, throttle, or elevons, as the aircraft's servos have them (SERVOn_FUNCTION).
+        Of elevator, aileron, rudder, throttle, or of the elevons.
     rate : float
         At which the script runs [Hz].
     full : mapping of str to float
-        Deflection of each surface at the end of its servo's range [rad]. The throttle needs none.
+        The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the servo's range
+        [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron. The throttle needs none.
     switch : int, default=300
         RCn_OPTION of the switch of the transmitter, Scripting1 to Scripting8: 300 to 307.
 
     Raises
     ------
     ValueError
-        If ArduPilot has no servo function for an axis, an input is larger than the full deflection, a signal is none
-        of this package, or as of `Wavetrain.table`.
+        If an axis moves none of the surfaces, ArduPilot has no servo function for one, the inputs of a surface are
+        larger than its full deflection, a signal is none of this package, or as of `Wavetrain.table`.
 
     Examples
     --------
@@ -154,30 +157,26 @@ def write_ardupilot_lua(
     >>> "SRV_Channels" in path.read_text()
     True
     """
-    check_names(train.axes, ARDUPILOT, "servo functions of ArduPilot")
-    full = {"throttle": 1.0, **full}
-    _check_full(train.table(rate), train, full)
+    full = dict(full) | ({"throttle": 1.0} if "throttle" in train.axes else {})
+    check_names(full, ARDUPILOT, "servo functions of ArduPilot")
+    mixes = {name: {axis: gain for axis, gain in MIXES.get(name, {}).items() if axis in train.axes} for name in full}
+    mixes = {name: mix or {name: 1.0} for name, mix in mixes.items() if mix or name in train.axes}
+    _check_full(train, train.table(rate), mixes, full)
     axes = []
-    for name in train.axes:
+    for axis in train.axes:
+        limit = train.limits.get(axis, Limits(np.inf))
+        signals = [_parts(signal) | {"start": start} for start, signal in train.inputs[axis].items()]
+        axes.append({"name": axis, "amplitude": limit.amplitude, "rate": limit.rate, "signals": signals})
+    surfaces = []
+    for name, mix in mixes.items():
         servo, sign = ARDUPILOT[name]
-        limit = train.limits.get(name, Limits(full[name]))
-        signals = [_parts(signal) | {"start": start} for axis, start, signal in train.events() if axis == name]
-        axes.append(
-            {
-                "name": name,
-                "servo": servo,
-                "sign": sign,
-                "full": full[name],
-                "range": name == "throttle",
-                "scale": SCALES.get(name, SURFACE_SCALE),
-                "amplitude": limit.amplitude,
-                "rate": limit.rate,
-                "signals": signals,
-            }
-        )
+        surface = {"name": name, "servo": servo, "full": sign * full[name], "range": name == "throttle"}
+        parts = [mix.get(axis, 0.0) for axis in train.axes]
+        surfaces.append(surface | {"scale": SCALES.get(name, SURFACE_SCALE), "parts": parts})
     plan = {
         "switch": switch, "period": int(1000.0 / rate), "duration": train.duration,
         "labels": ",".join(["t", *train.axes]), "format": "f" * (1 + len(axes)), "axes": axes,
+        "surfaces": surfaces,
     }  # fmt: skip
     text = SCRIPT.read_text(encoding="utf-8").replace("--[[PLAN]]", _lua(plan))
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
@@ -188,14 +187,17 @@ def _written(path: str | os.PathLike[str], table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _check_full(table: pd.DataFrame, train: Wavetrain, full: Mapping[str, float]) -> None:
-    """Raise ValueError if a full deflection is missing or smaller than an input."""
-    check_names(train.axes, full, "full deflections")
-    for axis in train.axes:
-        peak = table[axis].abs().max()
-        if not peak <= full[axis] * (1.0 + ROUNDING):
+def _check_full(
+    train: Wavetrain, table: pd.DataFrame, mixes: Mapping[str, Mapping[str, float]], full: Mapping[str, float]
+) -> None:
+    """Raise ValueError if an axis moves no surface, or a full deflection is smaller than the inputs of a surface."""
+    moved = [axis for mix in mixes.values() for axis in mix]
+    check_names(train.axes, moved, "axes of the surfaces whose full deflections are given")
+    for name, mix in mixes.items():
+        peak = np.abs(sum(gain * table[axis] for axis, gain in mix.items())).max()
+        if not peak <= full[name] * (1.0 + ROUNDING):
             raise ValueError(
-                f"Got inputs of the {axis} up to {peak:.4g}, but its full deflection is {full[axis]:g}: make them "
+                f"Got inputs of the {name} up to {peak:.4g}, but its full deflection is {full[name]:g}: make them "
                 "smaller."
             )
 

@@ -54,11 +54,11 @@ local function planned(axis, t)
   return limited(value, -axis.amplitude, axis.amplitude)
 end
 
-local function servos(axis) -- all that have the function of an axis
+local function servos(surface) -- all that have its function
   local found = {}
   for channel = 0, 31 do
     local name = "SERVO" .. (channel + 1) .. "_"
-    if param:get(name .. "FUNCTION") == axis.servo then
+    if param:get(name .. "FUNCTION") == surface.servo then
       table.insert(found, {
         channel = channel,
         min = param:get(name .. "MIN"),
@@ -80,10 +80,10 @@ local function pulse(servo, command, range) -- [us] of a command of 0 to 1 (a ra
   return servo.trim + command * (command > 0 and servo.max - servo.trim or servo.trim - servo.min)
 end
 
-for _, axis in ipairs(plan.axes) do
-  axis.servos = servos(axis)
-  if #axis.servos == 0 then
-    gcs:send_text(2, "plan: no servo has the function " .. axis.servo .. " of the " .. axis.name)
+for _, surface in ipairs(plan.surfaces) do
+  surface.servos = servos(surface)
+  if #surface.servos == 0 then
+    gcs:send_text(2, "plan: no servo has the function " .. surface.servo .. " of the " .. surface.name)
     return
   end
 end
@@ -96,10 +96,15 @@ local function set(t)
     local most = axis.rate * (t - before)
     axis.value = limited(planned(axis, t), axis.value - most, axis.value + most)
     values[k] = axis.value
-    local command = SRV_Channels:get_output_scaled(axis.servo) / axis.scale + axis.sign * axis.value / axis.full
-    command = limited(command, axis.range and 0.0 or -1.0, 1.0)
-    for _, servo in ipairs(axis.servos) do
-      local width = math.floor(pulse(servo, command, axis.range) + 0.5)
+  end
+  for _, surface in ipairs(plan.surfaces) do
+    local command = SRV_Channels:get_output_scaled(surface.servo) / surface.scale
+    for k, part in ipairs(surface.parts) do
+      command = command + part * values[k] / surface.full
+    end
+    command = limited(command, surface.range and 0.0 or -1.0, 1.0)
+    for _, servo in ipairs(surface.servos) do
+      local width = math.floor(pulse(servo, command, surface.range) + 0.5)
       SRV_Channels:set_output_pwm_chan_timeout(servo.channel, width, 5 * plan.period) -- then the autopilot's own again
     end
   end

@@ -11,7 +11,7 @@ function millis() return setmetatable({ms = now}, Time) end
 
 local PARAMETERS = { -- two ailerons, one of them reversed
   SERVO1_FUNCTION = 4, SERVO2_FUNCTION = 19, SERVO3_FUNCTION = 70, SERVO4_FUNCTION = 21, SERVO5_FUNCTION = 4,
-  SERVO5_REVERSED = 1, SERVO2_TRIM = 1480,
+  SERVO5_REVERSED = 1, SERVO2_TRIM = 1480, SERVO6_FUNCTION = 77, SERVO7_FUNCTION = 78,
 }
 local DEFAULTS = {FUNCTION = 0, MIN = 1000, TRIM = 1500, MAX = 2000, REVERSED = 0}
 param = {}
@@ -43,7 +43,7 @@ while update and now < 100000 do
   if line.logged then
     local row = {}
     for _, value in ipairs(line.logged) do row[#row + 1] = string.format("%.17g", value) end
-    for channel = 1, 5 do row[#row + 1] = tostring(line[channel] or 0) end
+    for channel = 1, 7 do row[#row + 1] = tostring(line[channel] or 0) end
     print(table.concat(row, ","))
   end
   now = now + delay + (jitter > 0 and (now * 7) % (jitter + 1) or 0)

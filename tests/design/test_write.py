@@ -65,19 +65,19 @@ def test_px4_has_normalised_setpoints_of_its_signs(tmp_path):
 
 @pytest.fixture(scope="module")
 def flown(train, tmp_path_factory):
-    """Return what the script logs and sets: time, inputs by axis, widths of servos 1 to 5."""
+    """Return what the script logs and sets: time, inputs by axis, widths of servos 1 to 7."""
     lua = shutil.which("lua5.4")
     if lua is None:
         pytest.skip("runs the script with lua5.4, which is not installed: apt-get install lua5.4")
     path = tmp_path_factory.mktemp("lua") / "plan.lua"
-    write_ardupilot_lua(path, train, 50.0, FULL)
     stub = Path(__file__).with_name("autopilot.lua")
 
-    def run(jitter=0, off=1e9):
+    def run(jitter=0, off=1e9, full=FULL):
+        write_ardupilot_lua(path, train, 50.0, full)
         command = [lua, str(stub), str(path), str(jitter), str(off)]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         rows = [line.split(",") for line in done.stdout.splitlines()]
-        names = ["time", *train.axes, *(f"servo{k}" for k in range(1, 6))]
+        names = ["time", *train.axes, *(f"servo{k}" for k in range(1, 8))]
         return pd.DataFrame(rows, columns=names).astype(float), done.stderr
 
     return run
@@ -117,6 +117,15 @@ def test_servos_move_by_the_inputs_around_the_autopilots_commands(flown):
         np.testing.assert_allclose(logged[name], expected, atol=0.5 + 1e-6)
 
 
+def test_elevons_move_with_elevator_and_aileron(flown):
+    """ArduPilot's positive elevons are up."""
+    logged, _ = flown(full={"elevon_left": 0.4, "elevon_right": 0.5, "rudder": 0.5})
+    assert (logged[["servo1", "servo2"]] == 0).all(axis=None)
+    left, right = logged["elevator"] + logged["aileron"], logged["elevator"] - logged["aileron"]
+    np.testing.assert_allclose(logged["servo6"], 1500 + 500 * (0.05 - left / 0.4), atol=0.5 + 1e-6)
+    np.testing.assert_allclose(logged["servo7"], 1500 + 500 * (0.05 - right / 0.5), atol=0.5 + 1e-6)
+
+
 def test_the_switch_ends_the_inputs(flown):
     logged, said = flown(off=3.0)
     assert logged["time"].iloc[-1] < 2.5
@@ -141,9 +150,17 @@ class Noise(Signal):
     [
         (write_px4, {"throttle": {0.0: doublet(1, 0.1)}}, 50.0, {"throttle": 1.0}, "PX4's torque setpoint lack"),
         (write_px4, {"elevator": {0.0: doublet(1, 0.5)}}, 50.0, FULL, "full deflection is 0.4"),
-        (write_px4, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {}, "full deflections lack 'elevator'"),
+        (write_px4, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {}, "full deflections are given lack 'elevator'"),
         (write_px4, {"elevator": {0.0: doublet(0.1, 0.1)}}, 20.0, FULL, "at least 50 Hz"),
-        (write_ardupilot_lua, {"thrust": {0.0: doublet(1, 5.0)}}, 50.0, FULL, "servo functions of ArduPilot lack"),
+        (write_ardupilot_lua, {"thrust": {0.0: doublet(1, 5.0)}}, 50.0, FULL, "are given lack 'thrust'"),
+        (write_ardupilot_lua, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {"flap": 1.0}, "of ArduPilot lack 'flap'"),
+        (
+            write_ardupilot_lua,
+            {name: {0.0: doublet(1, 0.1)} for name in ("elevator", "aileron")},
+            50.0,
+            dict.fromkeys(("elevon_left", "elevon_right"), 0.15),
+            "elevon_left up to 0.2",
+        ),
         (write_ardupilot_lua, {"rudder": {0.0: Noise()}}, 50.0, FULL, "Got a Noise"),
         (write_ardupilot_lua, {"throttle": {0.0: doublet(1, 1.5)}}, 50.0, FULL, "full deflection is 1"),
     ],

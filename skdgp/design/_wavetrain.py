@@ -133,8 +133,9 @@ class Wavetrain:
     def flyable(self, *, tick: float = 0.5, detent: float = np.deg2rad(1.0)) -> Wavetrain:
         """Return the inputs as a pilot can fly them: times in multiples of a tick, steps in multiples of a detent.
 
-        Durations become the nearest multiple, at least one; levels the next smaller one, so that limits hold; starts
-        the next later one. The ramps are the pilot's own.
+        Durations become the nearest multiple; an input with a shorter one than a tick is first stretched as a whole.
+        Levels become the next smaller multiple, so that limits hold; starts the next later one. The ramps are the
+        pilot's own.
 
         Parameters
         ----------
@@ -168,7 +169,8 @@ class Wavetrain:
                     f"Got levels {signal.levels} of the {axis}, but expected each to be at least a detent, "
                     f"{detent:.3g}: use larger steps or a smaller detent."
                 )
-            durations = [tick * max(1, round(duration / tick)) for duration in signal.durations]
+            stretch = max(1.0, tick / min(signal.durations))
+            durations = [tick * round(stretch * duration / tick) for duration in signal.durations]
             inputs[axis][tick * float(np.ceil(start / tick - ROUNDING))] = Steps(durations, levels)
         return Wavetrain(inputs, {axis: replace(limit, rate=np.inf, rms=np.inf) for axis, limit in self.limits.items()})
 

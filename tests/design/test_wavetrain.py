@@ -1,7 +1,6 @@
 """Sequences of inputs: times, tables, limits, cards; bands from modes."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from skdgp.design import (
@@ -84,7 +83,8 @@ def test_a_pilots_card_is_in_ticks_and_detents_and_within_limits():
     np.testing.assert_allclose(card["time"] % 0.5, 0.0)
     np.testing.assert_allclose(card["level"], [0.04, -0.04, 0, -0.12, 0.12, -0.12, 0.12, 0], atol=1e-12)
     np.testing.assert_allclose(card["time"].diff()[4:], [2.0, 1.5, 0.5, 0.5])
-    assert isinstance(card, pd.DataFrame)
+    quick = Wavetrain({"elevator": {0.0: three_two_one_one(0.2, 0.05)}}).flyable().card()
+    np.testing.assert_allclose(quick["time"], [0.0, 1.5, 2.5, 3.0, 3.5])  # the shape is kept
     with pytest.raises(ValueError, match="no pilot"):
         Wavetrain({"elevator": {0.0: chirp(20, (0.1, 1), 0.1)}}).flyable()
     with pytest.raises(ValueError, match="at least a detent"):

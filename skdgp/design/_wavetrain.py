@@ -152,7 +152,7 @@ class Wavetrain:
         Raises
         ------
         ValueError
-            If an input is not made of steps, or is smaller than a detent.
+            If an input is not made of steps, is smaller than a detent, or would overlap the next one of its axis.
         """
         if not (tick > 0 and detent > 0):
             raise ValueError(f"Got tick={tick}, detent={detent}, but expected both > 0.")
@@ -172,6 +172,13 @@ class Wavetrain:
             stretch = max(1.0, tick / min(signal.durations))
             durations = [tick * round(stretch * duration / tick) for duration in signal.durations]
             inputs[axis][tick * float(np.ceil(start / tick - ROUNDING))] = Steps(durations, levels)
+        for axis, signals in inputs.items():
+            ends = [start + signal.duration for start, signal in sorted(signals.items())]
+            if len(signals) < len(self.inputs[axis]) or (np.array(ends[:-1]) > sorted(signals)[1:]).any():
+                raise ValueError(
+                    f"Got inputs of the {axis} that overlap once their times are multiples of {tick:g} s: leave longer "
+                    "pauses."
+                )
         return Wavetrain(inputs, {axis: replace(limit, rate=np.inf, rms=np.inf) for axis, limit in self.limits.items()})
 
     def card(self) -> pd.DataFrame:

@@ -1,5 +1,7 @@
 """Sequences of inputs: times, tables, limits, cards; bands from modes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from skdgp.design import (
     wavetrain,
 )
 from skdgp.dynamics import Aerodynamics, linearize, simulate, trim
+from skdgp.dynamics._control.linearize import Matrices
 
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 
@@ -85,6 +88,8 @@ def test_a_pilots_card_is_in_ticks_and_detents_and_within_limits():
     np.testing.assert_allclose(card["time"].diff()[4:], [2.0, 1.5, 0.5, 0.5])
     quick = Wavetrain({"elevator": {0.0: three_two_one_one(0.2, 0.05)}}).flyable().card()
     np.testing.assert_allclose(quick["time"], [0.0, 1.5, 2.5, 3.0, 3.5])  # the shape is kept
+    with pytest.raises(ValueError, match="leave longer pauses"):
+        Wavetrain({"elevator": {0.0: doublet(0.2, 0.05), 0.5: doublet(0.2, 0.05)}}).flyable()
     with pytest.raises(ValueError, match="no pilot"):
         Wavetrain({"elevator": {0.0: chirp(20, (0.1, 1), 0.1)}}).flyable()
     with pytest.raises(ValueError, match="at least a detent"):
@@ -137,3 +142,13 @@ def test_modes_that_are_missing_are_said(uav, point):
     half = linearize(MODEL, uav, point, states=["v", "p", "r", "phi"])
     with pytest.raises(ValueError, match="elevator"):
         input_bands(half)
+
+
+def test_a_band_is_wider_where_modes_are_uncertain(uav, point):
+    """All rates of a path are those of the mean times a factor: frequencies spread by a tenth."""
+    known = linearize(MODEL, uav, point)
+    paths = Matrices(*(np.stack([f * table.to_numpy() for f in (0.9, 1.0, 1.1)]) for table in known._tables()))
+    sure, unsure = (input_bands(model).loc["elevator"] for model in (known, replace(known, paths=paths)))
+    assert unsure["frequency"] == sure["frequency"]
+    assert unsure["lowest"] == pytest.approx(0.8 * sure["lowest"])
+    assert unsure["highest"] == pytest.approx(1.2 * sure["highest"])

@@ -24,7 +24,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = [
     ["_flight", "_compute"],
     ["kernels", "metrics", "io", "preprocessing", "dynamics"],
-    ["inference"],
+    ["inference", "design"],
     ["_regressor", "model_selection", "datasets"],
     ["_effects"],
     ["plotting", "calibration"],
@@ -36,7 +36,7 @@ FLOORS = [
 ]
 FLOOR = {part: number for number, parts in enumerate(FLOORS, start=1) for part in parts}
 LEARNING = {"kernels", "inference", "_regressor"}
-AIRCRAFT = {"_flight", "io", "preprocessing", "dynamics", "datasets"}
+AIRCRAFT = {"_flight", "io", "preprocessing", "dynamics", "design", "datasets"}
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),

@@ -12,8 +12,9 @@ from skdgp.datasets._flight_plans import FlightPlan, scheduled
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 ALPHA = 0.085
+COMMANDS = ("elevator", "aileron", "rudder", "throttle")
 TRIM = (-0.04, -0.007, 0.0, 0.63)
-"""Of straight level flight: elevator, aileron, rudder [rad], throttle."""
+"""Of the commands in straight level flight [rad]."""
 BANK_LIMIT, ELEVON_LIMIT, RUDDER_LIMIT = 0.70, 0.42, 0.35
 TIME_CONSTANTS = np.array([0.04, 0.04, 0.04, 0.25])
 """Of the lags of both elevons, rudder and propeller [s]."""
@@ -37,7 +38,9 @@ class FlightControls:
             along("altitudes")[..., 0],
             along("airspeeds")[..., 0],
         )
-        self.manoeuvres = np.stack([np.stack(plan.excitation(time), axis=-1) for plan in plans], axis=1)
+        self.manoeuvres = np.stack(
+            [np.stack([plan.manoeuvres(axis, time) for axis in COMMANDS], axis=-1) for plan in plans], axis=1
+        )
         self.autopilot, self.step, self.now = Autopilot(step, len(plans)), step, -1
         self.end, _ = _targets(np.tile(TRIM, (len(plans), 1)))
 

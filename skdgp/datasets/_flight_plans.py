@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
+from skdgp.design import Steps, Wavetrain, doublet, multisine, three_two_one_one
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class FlightPlan:
     """Mean velocity of the air, NED [m/s]."""
     wind_at_6m: float
     """Wind near the ground [m/s], which sets the turbulence."""
-    excitation: Callable[[Array], tuple]
-    """Time (n,) to additions to elevator, aileron, rudder [rad] and throttle, (n,) each."""
+    manoeuvres: Wavetrain
+    """Additions to elevator, aileron, rudder [rad] and throttle."""
 
 
 def scheduled(steps: ArrayLike, time: Array) -> Array:
@@ -36,121 +36,89 @@ def scheduled(steps: ArrayLike, time: Array) -> Array:
     return values[np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)]
 
 
-def pulse(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
-    """Return ``amplitude`` during ``width`` seconds from ``start`` on, else 0."""
-    since = np.asarray(time, dtype=float) - start
-    return np.where((since >= 0) & (since < width), amplitude, 0.0)
+def interrupted(amplitude: float) -> Steps:
+    """Return the 3-2-1-1 of 0.4 s as these flights have it, with a row at trim before the third pulse."""
+    return Steps([1.2, 0.8, 0.025, 0.375, 0.4], [amplitude, -amplitude, 0.0, amplitude, -amplitude])
 
 
-def doublet(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
-    """Return one pulse up and one down, each ``width`` seconds long."""
-    return pulse(time, start, width, amplitude) - pulse(time, start + width, width, amplitude)
-
-
-def three_two_one_one(time: ArrayLike, start: float, width: float, amplitude: float) -> Array:
-    """Return the 3-2-1-1: pulses up, down, up, down of 3, 2, 1 and 1 times ``width`` seconds.
-
-    (Jategaonkar, Flight Vehicle System Identification, 2nd edition, 2015, section 2.3.)
-    """
-    signal, sign = np.zeros(np.shape(time)), 1.0
-    for units in (3, 2, 1, 1):
-        signal = signal + pulse(time, start, units * width, sign * amplitude)
-        start, sign = start + units * width, -sign
-    return signal
-
-
-def multisine(time: ArrayLike, start: float, stop: float, harmonics: ArrayLike, rms: float) -> Array:
-    """Return a sum of sines of equal power with Schroeder phases between ``start`` and ``stop``, else 0.
-
-    Harmonics k of the frequency 1 / (stop - start), phases -pi i (i - 1) / n for the i-th of n, which keep the peaks
-    low. Disjoint harmonics on several controls make their inputs orthogonal (Morelli, AIAA 2003-5700).
-    """
-    harmonics = np.asarray(harmonics, dtype=float)
-    order = np.arange(1, len(harmonics) + 1)
-    since = (np.asarray(time, dtype=float) - start) / (stop - start)
-    phases = -np.pi * order * (order - 1) / len(order)
-    waves = np.sin(2.0 * np.pi * since[:, None] * harmonics + phases)
-    return rms * np.sqrt(2.0 / len(order)) * waves.sum(axis=1) * ((since >= 0) & (since < 1))
-
-
-def _lateral(time: Array) -> tuple[Array, ...]:
-    even, odd = np.arange(12, 60, 2), np.arange(13, 60, 2)
-    aileron = (
-        multisine(time, 6, 36, even, 0.055)
-        + doublet(time, 40, 0.5, 0.14)
-        + multisine(time, 66, 96, odd, 0.07)
-        + three_two_one_one(time, 104, 0.4, 0.13)
-        + multisine(time, 140, 170, even, 0.05)
-        + doublet(time, 172, 0.7, -0.11)
-    )
-    rudder = (
-        multisine(time, 6, 36, odd, 0.12)
-        + doublet(time, 44, 0.9, 0.18)
-        + multisine(time, 66, 96, even, 0.15)
-        + three_two_one_one(time, 98, 0.7, -0.16)
-        + doublet(time, 110, 0.7, -0.23)
-        + multisine(time, 140, 170, odd, 0.09)
-    )
-    return np.zeros_like(time), aileron, rudder, np.zeros_like(time)
-
-
-def _latlon(time: Array) -> tuple[Array, ...]:
-    first, second, third = (np.arange(k, 60, 3) for k in (10, 11, 12))
-    elevator = (
-        multisine(time, 6, 36, first, 0.04)
-        + three_two_one_one(time, 40, 0.5, 0.05)
-        + doublet(time, 47, 0.9, -0.075)
-        + multisine(time, 70, 100, second, 0.045)
-        + three_two_one_one(time, 104, 0.6, -0.055)
-        + doublet(time, 110, 0.6, 0.09)
-        + multisine(time, 144, 174, third, 0.04)
-    )
-    aileron = (
-        multisine(time, 6, 36, second, 0.04)
-        + doublet(time, 51, 0.5, 0.13)
-        + multisine(time, 70, 100, third, 0.05)
-        + three_two_one_one(time, 114, 0.4, 0.085)
-        + multisine(time, 144, 174, first, 0.04)
-    )
-    rudder = (
-        multisine(time, 6, 36, third, 0.07)
-        + doublet(time, 54, 0.8, -0.16)
-        + multisine(time, 70, 100, first, 0.08)
-        + doublet(time, 118, 0.6, 0.18)
-        + multisine(time, 144, 174, second, 0.07)
-    )
-    throttle = (
-        pulse(time, 20, 5, 0.2)
-        + pulse(time, 25, 5, -0.2)
-        + doublet(time, 84, 6, 0.25)
-        + pulse(time, 108, 4, -0.3)
-        + multisine(time, 144, 174, np.arange(1, 12, 2), 0.12)
-    )
-    return elevator, aileron, rudder, throttle
-
-
-def _two_altitudes(time: Array) -> tuple[Array, ...]:
-    elevator = (
-        doublet(time, 14, 0.7, -0.06)
-        + multisine(time, 24, 48, np.arange(8, 42, 3), 0.035)
-        + three_two_one_one(time, 96, 0.5, 0.05)
-        + multisine(time, 140, 170, np.arange(10, 54, 4), 0.035)
-    )
-    aileron = (
-        doublet(time, 18, 0.6, 0.11)
-        + multisine(time, 24, 48, np.arange(9, 42, 3), 0.05)
-        + three_two_one_one(time, 101, 0.45, -0.10)
-        + multisine(time, 140, 170, np.arange(11, 54, 4), 0.04)
-    )
-    rudder = (
-        doublet(time, 21, 0.8, 0.16)
-        + multisine(time, 24, 48, np.arange(10, 42, 3), 0.09)
-        + three_two_one_one(time, 106, 0.6, 0.13)
-        + multisine(time, 140, 170, np.arange(12, 54, 4), 0.09)
-    )
-    throttle = pulse(time, 44, 5, -0.15) + doublet(time, 150, 7, 0.15)
-    return elevator, aileron, rudder, throttle
-
+LATERAL_EVEN, LATERAL_ODD = range(12, 60, 2), range(13, 60, 2)
+FIRST, SECOND, THIRD = (range(k, 60, 3) for k in (10, 11, 12))
+LATERAL = Wavetrain(
+    {
+        "aileron": {
+            6: multisine(30, LATERAL_EVEN, rms=0.055),
+            40: doublet(0.5, 0.14),
+            66: multisine(30, LATERAL_ODD, rms=0.07),
+            104: interrupted(0.13),
+            140: multisine(30, LATERAL_EVEN, rms=0.05),
+            172: doublet(0.7, -0.11),
+        },
+        "rudder": {
+            6: multisine(30, LATERAL_ODD, rms=0.12),
+            44: doublet(0.9, 0.18),
+            66: multisine(30, LATERAL_EVEN, rms=0.15),
+            98: three_two_one_one(0.7, -0.16),
+            110: doublet(0.7, -0.23),
+            140: multisine(30, LATERAL_ODD, rms=0.09),
+        },
+    }
+)
+LATLON = Wavetrain(
+    {
+        "elevator": {
+            6: multisine(30, FIRST, rms=0.04),
+            40: three_two_one_one(0.5, 0.05),
+            47: doublet(0.9, -0.075),
+            70: multisine(30, SECOND, rms=0.045),
+            104: three_two_one_one(0.6, -0.055),
+            110: doublet(0.6, 0.09),
+            144: multisine(30, THIRD, rms=0.04),
+        },
+        "aileron": {
+            6: multisine(30, SECOND, rms=0.04),
+            51: doublet(0.5, 0.13),
+            70: multisine(30, THIRD, rms=0.05),
+            114: interrupted(0.085),
+            144: multisine(30, FIRST, rms=0.04),
+        },
+        "rudder": {
+            6: multisine(30, THIRD, rms=0.07),
+            54: doublet(0.8, -0.16),
+            70: multisine(30, FIRST, rms=0.08),
+            118: doublet(0.6, 0.18),
+            144: multisine(30, SECOND, rms=0.07),
+        },
+        "throttle": {
+            20: doublet(5, 0.2),
+            84: doublet(6, 0.25),
+            108: Steps([4], [-0.3]),
+            144: multisine(30, range(1, 12, 2), rms=0.12),
+        },
+    }
+)
+TWO_ALTITUDES = Wavetrain(
+    {
+        "elevator": {
+            14: doublet(0.7, -0.06),
+            24: multisine(24, range(8, 42, 3), rms=0.035),
+            96: three_two_one_one(0.5, 0.05),
+            140: multisine(30, range(10, 54, 4), rms=0.035),
+        },
+        "aileron": {
+            18: doublet(0.6, 0.11),
+            24: multisine(24, range(9, 42, 3), rms=0.05),
+            101: three_two_one_one(0.45, -0.10),
+            140: multisine(30, range(11, 54, 4), rms=0.04),
+        },
+        "rudder": {
+            21: doublet(0.8, 0.16),
+            24: multisine(24, range(10, 42, 3), rms=0.09),
+            106: three_two_one_one(0.6, 0.13),
+            140: multisine(30, range(12, 54, 4), rms=0.09),
+        },
+        "throttle": {44: Steps([5], [-0.15]), 150: doublet(7, 0.15)},
+    }
+)
 
 FLIGHT_PLANS = (
     FlightPlan(
@@ -160,7 +128,7 @@ FLIGHT_PLANS = (
         airspeeds=((-99, 35),),
         wind=(-2.0, 3.0, 0.0),
         wind_at_6m=3.5,
-        excitation=_lateral,
+        manoeuvres=LATERAL,
     ),
     FlightPlan(
         name="latlon",
@@ -169,7 +137,7 @@ FLIGHT_PLANS = (
         airspeeds=((-99, 36), (38, 31), (66, 38), (120, 34)),
         wind=(3.0, -1.5, 0.0),
         wind_at_6m=3.5,
-        excitation=_latlon,
+        manoeuvres=LATLON,
     ),
     FlightPlan(
         name="two_altitudes",
@@ -178,6 +146,6 @@ FLIGHT_PLANS = (
         airspeeds=((-99, 37), (50, 32.5), (110, 35)),
         wind=(-3.5, -3.0, 0.0),
         wind_at_6m=5.5,
-        excitation=_two_altitudes,
+        manoeuvres=TWO_ALTITUDES,
     ),
 )

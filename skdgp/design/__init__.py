@@ -1,0 +1,38 @@
+"""Design of flights: inputs that excite an aircraft, their sequences, and what they teach."""
+
+from skdgp.design._bands import input_bands
+from skdgp.design._information import Information, coefficient_noise, expected_information
+from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
+from skdgp.design._signals import (
+    Chirp,
+    Limits,
+    Signal,
+    Steps,
+    chirp,
+    doublet,
+    three_two_one_one,
+)
+from skdgp.design._wavetrain import Wavetrain, wavetrain
+from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
+
+__all__ = [
+    "Chirp",
+    "Information",
+    "Limits",
+    "Multisine",
+    "Signal",
+    "Steps",
+    "Wavetrain",
+    "chirp",
+    "coefficient_noise",
+    "doublet",
+    "expected_information",
+    "input_bands",
+    "multisine",
+    "orthogonal_multisines",
+    "three_two_one_one",
+    "wavetrain",
+    "write_ardupilot_lua",
+    "write_csv",
+    "write_px4",
+]

@@ -1,0 +1,88 @@
+"""Lengths of pulses and bands of frequencies, from the modes of an aircraft."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from skdgp.dynamics import LinearModel
+
+DOUBLET_PEAK = 2.331
+"""Frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x."""
+LONGITUDINAL, LATERAL = ("short period",), ("Dutch roll", "roll")
+"""Modes that the surfaces excite. Names begin so: a pair that has split has numbers."""
+MODES = {"elevator": LONGITUDINAL, "aileron": LATERAL, "rudder": LATERAL}
+MODES |= dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL)
+MODES |= dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",))
+BELOW, ABOVE = 0.4, 2.5
+"""The band begins at this part of the slowest mode and ends at this multiple of an oscillation."""
+
+
+def input_bands(linear: LinearModel) -> pd.DataFrame:
+    r"""Return lengths of pulses and bands of frequencies that excite the modes of an aircraft.
+
+    The mode of the elevator is the short period, of aileron and rudder Dutch roll and roll, of the thrust the phugoid.
+    A doublet has the largest part of its spectrum at the slowest of them, :math:`\omega`, if its pulses last
+    :math:`2.33 / \omega`. The second pulse of a 3-2-1-1 lasts half a period: its unit is :math:`\pi / 2\omega` (Klein &
+    Morelli, Aircraft System Identification, 2006, chapter 9). The band of multisines and sweeps begins at 0.4 times
+    the slowest frequency. It ends at 2.5 times that of an oscillation, or at that of a faster mode without.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Of :func:`skdgp.dynamics.linearize`. With paths of the posterior the band is wider, by two standard deviations
+        of the frequencies.
+
+    Returns
+    -------
+    DataFrame
+        A row for each input: ``frequency`` [rad/s] of its slowest mode, ``doublet_width`` and
+        ``three_two_one_one_width`` [s], ``lowest`` and ``highest`` frequency [Hz].
+
+    Raises
+    ------
+    ValueError
+        If the linear model lacks the modes of an input, or has an input that is no surface and no thrust.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.design import input_bands
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, linearize, trim
+    >>> def linear(X):
+    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
+    ...     lift = 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
+    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
+    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
+    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+    >>> model = Aerodynamics(linear, names)
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    >>> bands = input_bands(linearize(model, aircraft, trim(model, aircraft, 20.0)))
+    >>> bands.loc["aileron"].round(2)
+    frequency                  4.98
+    doublet_width              0.47
+    three_two_one_one_width    0.32
+    lowest                     0.32
+    highest                    3.11
+    Name: aileron, dtype: float64
+    """
+    table = linear.modes()
+    rows = {}
+    for name in linear.inputs:
+        modes = table[[str(mode).startswith(MODES.get(name, ())) for mode in table.index]]
+        if modes.empty:
+            raise ValueError(
+                f"Got a linear model with the input {name!r} and the modes {list(table.index)}, but expected inputs of "
+                f"{sorted(MODES)} and the modes that they excite: linearise with all states and such inputs."
+            )
+        frequency, swings = modes["frequency"], np.isfinite(modes["period"])
+        spread = 2.0 * modes["frequency_std"] if "frequency_std" in modes else 0.0 * frequency
+        rows[name] = {
+            "frequency": frequency.min(),
+            "doublet_width": DOUBLET_PEAK / frequency.min(),
+            "three_two_one_one_width": 0.5 * np.pi / frequency.min(),
+            "lowest": BELOW * np.maximum(frequency - spread, 0.5 * frequency).min() / (2.0 * np.pi),
+            "highest": ((frequency + spread) * np.where(swings, ABOVE, 1.0)).max() / (2.0 * np.pi),
+        }
+    return pd.DataFrame.from_dict(rows, orient="index")

@@ -1,0 +1,254 @@
+"""What a flight will teach: standard errors of derivatives before it is flown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from skdgp._compute.typing import Array, Matrix
+from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, RATE_LENGTHS, rate_factor
+from skdgp._flight.checks import check_columns, check_names, check_table
+from skdgp.dynamics import Aircraft
+
+LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
+UNKNOWN = 1e-10
+"""Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
+NO_SHARE = 1e-6
+"""Share of a regressor in such a combination below which it does not matter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    r"""Fisher information about the derivatives of coefficients, :math:`F_i = X^T V_i^{-1} X`.
+
+    The information of several flights is their sum: ``first + second``.
+
+    Parameters
+    ----------
+    fisher : ndarray of shape (P, 1 + d, 1 + d)
+        Of the constant and the derivatives of each coefficient.
+    coefficients, regressors : tuple of str
+        Names of the P coefficients and d regressors.
+    """
+
+    fisher: Array
+    coefficients: tuple[str, ...]
+    regressors: tuple[str, ...]
+
+    def __add__(self, other: Information) -> Information:
+        if (self.coefficients, self.regressors) != (other.coefficients, other.regressors):
+            raise ValueError(
+                f"Got information about {other.coefficients} by {other.regressors}, but expected "
+                f"{self.coefficients} by {self.regressors}: give both flights the same regressors and noise."
+            )
+        return Information(self.fisher + other.fisher, self.coefficients, self.regressors)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the estimated derivatives, (P, d, d); infinite where the flight does not determine them."""
+        return np.stack([_inverse(fisher)[1:, 1:] for fisher in self.fisher])
+
+    @property
+    def std(self) -> pd.DataFrame:
+        """Standard error of each derivative: coefficients by regressors."""
+        values = np.sqrt(np.einsum("pdd->pd", self.covariance))
+        return pd.DataFrame(values, index=self.coefficients, columns=self.regressors)
+
+    def correlation(self, coefficient: str) -> pd.DataFrame:
+        """Return the correlation between the errors of the derivatives of a coefficient, (d, d)."""
+        check_names([coefficient], self.coefficients, "coefficients")
+        covariance = self.covariance[self.coefficients.index(coefficient)]
+        std = np.sqrt(np.diag(covariance))
+        with np.errstate(invalid="ignore"):
+            values = covariance / np.outer(std, std)
+        return pd.DataFrame(values, index=self.regressors, columns=self.regressors)
+
+    def confounded(self, least: float = 0.7) -> pd.DataFrame:
+        """Return the pairs of regressors that the flight does not tell apart.
+
+        Parameters
+        ----------
+        least : float, default=0.7
+            Least correlation, positive or negative, between the errors of their derivatives.
+
+        Returns
+        -------
+        DataFrame
+            ``coefficient``, ``first``, ``second``, ``correlation``, the strongest first. Derivatives that are not
+            determined at all have an infinite `std`; they are in no pair.
+        """
+        rows = []
+        for name in self.coefficients:
+            table = self.correlation(name)
+            rows += [(name, a, b, table.loc[a, b]) for a, b in combinations(self.regressors, 2)]
+        found = pd.DataFrame(rows, columns=["coefficient", "first", "second", "correlation"])
+        found = found[found["correlation"].abs() >= least]
+        return found.sort_values("correlation", key=np.abs, ascending=False, ignore_index=True)
+
+
+def expected_information(
+    flight: pd.DataFrame, aircraft: Aircraft, regressors: Sequence[str], noise: Mapping[str, float] | pd.DataFrame
+) -> Information:
+    r"""Return what a simulated flight will tell about the derivatives of coefficients.
+
+    Each coefficient is linear in the regressors around a trim, :math:`y = \theta_0 + x^T \theta + e`. Its noise e is
+    white, with an Ornstein-Uhlenbeck process added: the covariance of two rows is :math:`\sigma^2 \delta + \tau^2
+    e^{-|t - t'| / T}`, and zero between flights. :math:`F = X^T V^{-1} X` is computed from innovations of a Kalman
+    filter (Klein & Morelli, Aircraft System Identification, 2006, chapters 5 and 9). Sensor errors of the regressors
+    are not included.
+
+    Parameters
+    ----------
+    flight : DataFrame
+        As of :func:`skdgp.dynamics.simulate`: ``time``, airspeed, states, controls. With a column ``flight`` several.
+        Its rows are those of the log: white noise counts for each.
+    aircraft : Aircraft
+        For the lengths of non-dimensional rates.
+    regressors : sequence of str
+        Such as ``alpha``, ``q_hat``, ``elevator``. ``alpha_dot`` and ``beta_dot`` are differentiated where the flight
+        lacks them.
+    noise : mapping of str to float, or DataFrame
+        Standard deviation of the white noise of each coefficient; or a table with the coefficients as index and the
+        columns ``white``, ``drift`` (tau) and ``memory`` (T [s]), such as `coefficient_noise` returns.
+
+    Returns
+    -------
+    Information
+
+    Raises
+    ------
+    ValueError
+        If the flight lacks a column, or a noise is not > 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from skdgp.design import expected_information
+    >>> from skdgp.dynamics import Aircraft
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
+    >>> time = np.arange(0, 10, 0.02)
+    >>> flight = pd.DataFrame({"time": time, "alpha": 0.05 * np.sin(3 * time), "elevator": 0.05 * np.cos(3 * time)})
+    >>> found = expected_information(flight, aircraft, ["alpha", "elevator"], {"Cm": 0.002})
+    >>> found.std.round(4)
+         alpha  elevator
+    Cm  0.0025    0.0025
+    """
+    if not isinstance(noise, pd.DataFrame):
+        noise = pd.DataFrame({"white": dict(noise), "drift": 0.0, "memory": 1.0})
+    check_columns(noise, ("white", "drift", "memory"), what="noise")
+    table = check_table(flight)
+    check_columns(table, ["time"])
+    white, drift, memory = (noise[name].to_numpy(float) for name in ("white", "drift", "memory"))
+    if not (np.isfinite(white + drift + memory).all() and (white > 0).all() and (drift >= 0).all() and min(memory) > 0):
+        raise ValueError(
+            f"Got the noise\n{noise}\nbut expected white > 0, drift >= 0 and memory > 0: a coefficient without white "
+            "noise would be known exactly."
+        )
+    parts = [part for _, part in table.groupby("flight", sort=False, observed=True)] if "flight" in table else [table]
+    fisher = np.zeros((len(noise), 1 + len(regressors), 1 + len(regressors)))
+    for part in parts:
+        X = np.column_stack([np.ones(len(part)), _regressors(part, aircraft, regressors)])
+        whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
+        fisher += np.einsum("npa,npb->pab", whitened, whitened)
+    return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))
+
+
+def coefficient_noise(model: Any) -> pd.DataFrame:
+    """Return the noise of coefficients that a fitted model has found: ``white``, ``drift`` and ``memory`` [s] of each.
+
+    Parameters
+    ----------
+    model : DependentGPRegressor or Pipeline that ends with it
+        Fitted; with ``time`` it knows the drift, else all noise is white.
+
+    Returns
+    -------
+    DataFrame
+        Standard deviations, for `expected_information`.
+
+    Raises
+    ------
+    ValueError
+        If the model has no noise, or is not fitted.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp import DependentGPRegressor
+    >>> from skdgp.design import coefficient_noise
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.uniform(size=(60, 1))
+    >>> model = DependentGPRegressor(structure="trend").fit(X, 2 * X + 0.1 * rng.standard_normal((60, 1)))
+    >>> coefficient_noise(model).round(1)
+        white  drift  memory
+    y0    0.1    0.0     1.0
+    """
+    regressor = model[-1] if isinstance(model, Pipeline) else model
+    if not hasattr(regressor, "noise_variance_"):
+        raise ValueError(
+            f"Got a {type(regressor).__name__} without noise_variance_, but expected a fitted DependentGPRegressor."
+        )
+    drift, memory = regressor.drift_variance_, regressor.drift_memory_
+    return pd.DataFrame(
+        {
+            "white": np.sqrt(np.maximum(regressor.noise_variance_ - drift, 0.0)),
+            "drift": np.sqrt(drift),
+            "memory": np.where(drift > 0, memory, 1.0),
+        },
+        index=list(regressor.output_names_),
+    )
+
+
+def _regressors(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
+    """Return the regressors (n, d) of one flight."""
+    time, columns = flight["time"].to_numpy(float), []
+    for name in names:
+        channel = name.removesuffix(HAT) if name not in flight else name
+        source = channel.removesuffix("_dot") if channel in ("alpha_dot", "beta_dot") else channel
+        source = channel if channel in flight else source
+        check_columns(flight, [source])
+        values = flight[source].to_numpy(float)
+        if source != channel:
+            values = np.gradient(values, time)
+        if channel != name and channel in LENGTHS:
+            check_columns(flight, ["airspeed"])
+            length = getattr(aircraft, LENGTHS[channel])
+            values = values * rate_factor(channel, length, flight["airspeed"].to_numpy(float))
+        columns.append(values)
+    return np.stack(columns, axis=-1)
+
+
+def _whitened(X: Matrix, time: Array, white: Array, drift: Array, memory: Array) -> Array:
+    """Return V_i^(-1/2) X for the noise of each coefficient, (n, P, columns): scaled innovations of a Kalman filter."""
+    found = np.empty((len(X), len(white), X.shape[1]))
+    mean, variance = np.zeros((len(white), X.shape[1])), drift
+    for k, row in enumerate(X):
+        if k:
+            kept = np.exp(-(time[k] - time[k - 1]) / memory)
+            mean, variance = kept[:, None] * mean, kept**2 * variance + (1.0 - kept**2) * drift
+        total = variance + white
+        innovation = row - mean
+        found[k] = innovation / np.sqrt(total)[:, None]
+        mean = mean + (variance / total)[:, None] * innovation
+        variance = variance * white / total
+    return found
+
+
+def _inverse(fisher: Matrix) -> Matrix:
+    """Return the inverse, with infinite variance of what is not determined."""
+    scale = np.sqrt(np.diag(fisher))
+    seen = scale > 0
+    scale = np.where(seen, scale, 1.0)
+    values, vectors = np.linalg.eigh(fisher / np.outer(scale, scale))
+    known = values > UNKNOWN * values[-1]
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T / np.outer(scale, scale)
+    lost = ~seen | ((vectors[:, ~known] ** 2).sum(axis=1) > NO_SHARE)
+    inverse[lost, lost] = np.inf
+    return inverse

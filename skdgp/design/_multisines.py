@@ -1,0 +1,323 @@
+"""Multisines: sums of harmonics, orthogonal between axes, with phases of low peaks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq, minimize
+from sklearn.utils import check_random_state
+
+from skdgp._compute.threads import one_blas_thread
+from skdgp._compute.typing import Array, Seed, Vector
+from skdgp.design._signals import ROUNDING, Limits, Signal, checked_band, freeze
+
+POWERS = (4, 8, 16, 32, 64, 128, 256)
+"""Of the norms that approach the peak in the search for phases."""
+SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
+"""Samples per period of the highest harmonic: in the search for phases, and for a peak."""
+LEAST_COVERAGE = 0.8
+"""Share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly."""
+
+
+@dataclass(frozen=True)
+class Multisine(Signal):
+    r"""Sum of sines whose frequencies are harmonics of one period: :math:`\sum_k a_k \sin(2\pi h_k t / T + \phi_k)`.
+
+    Multisines of the same duration T without common harmonics are orthogonal over it, and so are the responses of a
+    linear aircraft to them (Morelli, AIAA 2003-5700; Klein & Morelli, Aircraft System Identification, 2006, chapter 9).
+
+    Parameters
+    ----------
+    duration : float
+        T [s], the period.
+    harmonics : sequence of int
+        h.
+    amplitudes, phases : sequence of float
+        a, and phi [rad].
+
+    Raises
+    ------
+    ValueError
+        If harmonics are not distinct integers > 0, or the numbers of harmonics, amplitudes and phases differ.
+
+    Examples
+    --------
+    >>> from skdgp.design import multisine
+    >>> signal = multisine(10.0, range(2, 12), rms=0.03)
+    >>> best = signal.optimized()
+    >>> print(f"{signal.relative_peak_factor:.1f} {best.relative_peak_factor:.1f}, from {abs(best(0.0)):.3f}")
+    1.3 1.0, from 0.000
+    """
+
+    duration: float
+    harmonics: Sequence[int]
+    amplitudes: Sequence[float]
+    phases: Sequence[float]
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.harmonics)
+        if not (len(given) and (given == given.astype(int)).all() and given.min() > 0 and len({*given}) == len(given)):
+            raise ValueError(f"Got harmonics {list(self.harmonics)}, but expected distinct integers > 0.")
+        if not 0 < self.duration < np.inf:
+            raise ValueError(f"Got a duration of {self.duration} s, but expected one > 0.")
+        if not len(given) == len(self.amplitudes) == len(self.phases):
+            raise ValueError(
+                f"Got {len(self.amplitudes)} amplitudes and {len(self.phases)} phases of {len(given)} harmonics, but "
+                "expected one for each."
+            )
+        freeze(self, int, "harmonics")
+        freeze(self, float, "amplitudes", "phases")
+
+    def __call__(self, time: ArrayLike) -> Array:
+        x = np.asarray(time, dtype=float) / self.duration
+        inside = (x >= 0) & (x < 1)
+        return _waves(x, self.harmonics, self.phases) @ np.array(self.amplitudes) * inside
+
+    @property
+    def peak(self) -> float:
+        return _bound(self.harmonics, self.amplitudes, self.phases)
+
+    @property
+    def speed(self) -> float:
+        rates = 2.0 * np.pi / self.duration * np.multiply(self.harmonics, self.amplitudes)
+        return _bound(self.harmonics, rates, np.add(self.phases, 0.5 * np.pi))
+
+    @property
+    def period(self) -> float:
+        return self.duration / max(self.harmonics)
+
+    @property
+    def relative_peak_factor(self) -> float:
+        r""":math:`(\max s - \min s) / (2\sqrt 2\,\mathrm{rms})`, which is 1 for a single sine."""
+        signal = _waves(_grid(self.harmonics, PEAK_SAMPLES), self.harmonics, self.phases) @ np.array(self.amplitudes)
+        return float(np.ptp(signal) / (2.0 * np.linalg.norm(self.amplitudes)))
+
+    def scaled(self, factor: float) -> Self:
+        return replace(self, amplitudes=[factor * amplitude for amplitude in self.amplitudes])
+
+    def optimized(self, *, n_starts: int = 8, random_state: Seed = 0) -> Multisine:
+        r"""Return it with the phases of the lowest relative peak factor that is found, beginning and ending at zero.
+
+        The range of the signal is the limit of :math:`\|s_+\|_p + \|s_-\|_p`, which is smooth; p grows step by step
+        (Guillaume, Schoukens, Pintelon & Kollar, IEEE Trans. Instrum. Meas. 40, 1991). Then time is shifted to a zero.
+
+        Parameters
+        ----------
+        n_starts : int, default=8
+            Number of searches: one from Schroeder's phases, the others from random ones.
+        random_state : int, RandomState instance or None
+            Of the random phases.
+
+        Returns
+        -------
+        Multisine
+        """
+        amplitudes = np.array(self.amplitudes)
+        random = check_random_state(random_state)
+        starts = [_schroeder(amplitudes**2)] + [
+            random.uniform(0.0, 2.0 * np.pi, len(amplitudes)) for _ in range(n_starts - 1)
+        ]
+        with one_blas_thread():
+            found = [replace(self, phases=_flattest(self.harmonics, amplitudes, start).tolist()) for start in starts]
+        return min(found, key=lambda one: one.relative_peak_factor)._from_zero()
+
+    def _from_zero(self) -> Multisine:
+        """Return it shifted in time to the zero crossing of least slope, so that it begins and ends at zero."""
+        x = _grid(self.harmonics, PEAK_SAMPLES)
+        amplitudes = np.array(self.amplitudes)
+
+        def value(x: float) -> float:
+            return float(_waves(np.array(x), self.harmonics, self.phases) @ amplitudes)
+
+        signal = _waves(x, self.harmonics, self.phases) @ amplitudes
+        following = np.roll(signal, -1)
+        crossings = np.flatnonzero(signal * following <= 0)
+        k = crossings[np.argmin(np.abs(following - signal)[crossings])]
+        at = x[k] if signal[k] == 0 else brentq(value, x[k], x[k] + 1.0 / len(x), xtol=1e-16)
+        phases = np.mod(self.phases + 2.0 * np.pi * np.array(self.harmonics) * at, 2.0 * np.pi)
+        return replace(self, phases=phases.tolist())
+
+
+def multisine(
+    duration: float,
+    harmonics: Sequence[int],
+    *,
+    rms: float,
+    power: ArrayLike | None = None,
+    limits: Limits | None = None,
+) -> Multisine:
+    r"""Return a multisine with Schroeder's phases, which keep the peaks low (IEEE Trans. Inf. Theory 16, 1970).
+
+    With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l`. `Multisine.optimized`
+    finds better ones.
+
+    Parameters
+    ----------
+    duration : float
+        T [s], the period.
+    harmonics : sequence of int
+        Its frequencies are these over T.
+    rms : float
+        Root mean square.
+    power : array-like of shape (n,), optional
+        Relative power of each harmonic; by default all have the same.
+    limits : Limits, optional
+        Of its axis.
+
+    Returns
+    -------
+    Multisine
+
+    Raises
+    ------
+    ValueError
+        If harmonics are not distinct integers > 0, a power or the rms is not > 0, or a limit is exceeded.
+
+    Examples
+    --------
+    >>> from skdgp.design import multisine
+    >>> round(multisine(10.0, [2, 3, 5], rms=0.02).rms, 6)
+    0.02
+    """
+    shares = np.ones(len(harmonics)) if power is None else np.array(power, dtype=float)
+    if len(shares) != len(harmonics) or not (shares > 0).all():
+        raise ValueError(f"Got power {power!r} of {len(harmonics)} harmonics, but expected a number > 0 for each.")
+    if not 0 < rms < np.inf:
+        raise ValueError(f"Got rms={rms!r}, but expected a number > 0.")
+    amplitudes = rms * np.sqrt(2.0 * shares / shares.sum())
+    signal = Multisine(duration, harmonics, amplitudes.tolist(), _schroeder(shares).tolist())
+    if limits is not None:
+        limits.check(signal)
+    return signal
+
+
+def orthogonal_multisines(
+    limits: Mapping[str, Limits | float],
+    duration: float,
+    band: tuple[float, float],
+    *,
+    n_tones: int | None = None,
+    power: Callable[[Array], ArrayLike] | None = None,
+    n_starts: int = 8,
+    random_state: Seed = 0,
+) -> dict[str, Multisine]:
+    """Return multisines for several axes at once: orthogonal, as large as the limits allow, with low peaks.
+
+    The harmonics of the band are dealt out to the axes in turn, so that each covers the band (Morelli, AIAA 2003-5700).
+    Phases are those of `Multisine.optimized`: each input begins and ends at zero.
+
+    Parameters
+    ----------
+    limits : mapping of str to Limits or float
+        Of each axis; a float is the amplitude.
+    duration : float
+        [s].
+    band : tuple of float
+        Lowest and highest frequency [Hz].
+    n_tones : int, optional
+        Of each axis, spread over the band; by default all there are.
+    power : callable, optional
+        Frequencies [Hz] to their relative power; by default the same for all.
+    n_starts : int, default=8
+        Number of searches for phases of each input.
+    random_state : int, RandomState instance or None, default=0
+        Of the searches.
+
+    Returns
+    -------
+    dict of str to Multisine
+
+    Raises
+    ------
+    ValueError
+        If there are fewer harmonics in the band than tones, or no axis.
+
+    Examples
+    --------
+    >>> from skdgp.design import orthogonal_multisines
+    >>> inputs = orthogonal_multisines({"aileron": 0.1, "rudder": 0.2}, 20.0, (0.2, 1.5), n_tones=6)
+    >>> inputs["aileron"].harmonics, inputs["rudder"].harmonics
+    ((4, 8, 12, 16, 20, 24), (6, 10, 14, 18, 22, 26))
+    """
+    low, high = checked_band(band)
+    found = np.arange(int(np.ceil(low * duration - ROUNDING)), int(np.floor(high * duration + ROUNDING)) + 1)
+    each = len(found) // max(1, len(limits)) if n_tones is None else n_tones
+    if not limits or each < 1 or each * len(limits) > len(found):
+        raise ValueError(
+            f"Got {len(limits)} axes with {n_tones or 'at least 1'} tones each, but there are {len(found)} harmonics "
+            f"of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: fly longer, widen the band or use fewer "
+            "tones."
+        )
+    chosen = _spread(found, each * len(limits))
+    inputs = {}
+    for k, (axis, limit) in enumerate(limits.items()):
+        harmonics = chosen[k :: len(limits)]
+        shares = None if power is None else np.broadcast_to(power(harmonics / duration), len(harmonics))
+        best = multisine(duration, harmonics.tolist(), rms=1.0, power=shares).optimized(
+            n_starts=n_starts, random_state=random_state
+        )
+        allowed = limit if isinstance(limit, Limits) else Limits(limit)
+        inputs[axis] = allowed.largest(best)
+    return inputs
+
+
+def _spread(harmonics: np.ndarray, n: int) -> np.ndarray:
+    """Return n of the harmonics, evenly spaced if they then cover most of the band: peaks are lower."""
+    last = len(harmonics) - 1
+    stride = last // max(1, n - 1)
+    if stride * (n - 1) >= LEAST_COVERAGE * last:
+        return harmonics[: stride * (n - 1) + 1 : stride]
+    return harmonics[np.linspace(0, last, n).round().astype(int)]
+
+
+def _grid(harmonics: Sequence[int], samples: int) -> Vector:
+    """Return a period in [0, 1) at ``samples`` per period of the highest harmonic."""
+    n = samples * max(harmonics)
+    return np.arange(n) / n
+
+
+def _waves(x: Array, harmonics: Sequence[int], phases: ArrayLike) -> Array:
+    """Return the sines at parts x (...) of the period, (..., n)."""
+    return np.sin(2.0 * np.pi * x[..., None] * np.array(harmonics, dtype=float) + np.array(phases))
+
+
+def _bound(harmonics: Sequence[int], amplitudes: ArrayLike, phases: ArrayLike) -> float:
+    """Return a bound of a multisine: the largest sample, and what a curve can rise between two, step^2 / 8 |s''|."""
+    weights = np.asarray(amplitudes, dtype=float)
+    signal = _waves(_grid(harmonics, PEAK_SAMPLES), harmonics, phases) @ weights
+    step = 2.0 * np.pi * np.array(harmonics) / (PEAK_SAMPLES * max(harmonics))
+    return float(np.abs(signal).max() + step**2 @ np.abs(weights) / 8.0)
+
+
+def _schroeder(power: Vector) -> Vector:
+    """Return Schroeder's phases."""
+    shares = power / power.sum()
+    return -2.0 * np.pi * np.array([np.arange(k, 0, -1) @ shares[:k] for k in range(len(shares))])
+
+
+def _flattest(harmonics: Sequence[int], amplitudes: Vector, phases: Vector) -> Vector:
+    """Return the phases of a local minimum of the range of a multisine."""
+    angles = 2.0 * np.pi * _grid(harmonics, SEARCH_SAMPLES)[:, None] * np.array(harmonics)
+    sines, cosines = np.sin(angles), np.cos(angles)
+    weights = amplitudes / np.linalg.norm(amplitudes)
+
+    def size(phases: Vector, p: int) -> tuple[float, Vector]:
+        """Return the sum of the p-norms of the positive and the negative part, and its gradient."""
+        sine, cosine = weights * np.sin(phases), weights * np.cos(phases)
+        signal = sines @ cosine + cosines @ sine
+        total, by_signal = 0.0, np.zeros_like(signal)
+        for sign in (1.0, -1.0):
+            part = np.maximum(sign * signal, 0.0)
+            ratio = part / part.max()
+            mean = np.mean(ratio**p)
+            total += part.max() * mean ** (1.0 / p)
+            by_signal += sign * mean ** (1.0 / p - 1.0) * ratio ** (p - 1) / len(signal)
+        return total, cosine * (by_signal @ cosines) - sine * (by_signal @ sines)
+
+    for p in POWERS:
+        phases = minimize(size, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": 200}).x
+    return phases

@@ -1,0 +1,249 @@
+"""Inputs of several axes in a sequence, as tables that autopilots and simulations fly and cards that pilots fly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from skdgp._compute.typing import Array
+from skdgp._flight.checks import check_names
+from skdgp.design._signals import ROUNDING, Limits, Signal, Steps
+
+AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
+SAMPLES_PER_PERIOD = 10
+"""Least number in the shortest period of a signal: held for a sample, it is then late by a twentieth of the period."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wavetrain:
+    """Inputs of several axes, each at its time.
+
+    Parameters
+    ----------
+    inputs : mapping of str to mapping of float to Signal
+        For each axis (elevator, aileron, rudder [rad], throttle, ...) the time of each input's start [s].
+    limits : mapping of str to Limits, optional
+        Of the axes; every input is checked against them, and so is every row of `table`.
+
+    Raises
+    ------
+    ValueError
+        If an axis is unknown, an input begins before time 0, or a limit is exceeded.
+
+    Examples
+    --------
+    >>> from skdgp.design import Wavetrain, doublet
+    >>> train = Wavetrain({"elevator": {1.0: doublet(0.5, 0.05)}, "rudder": {3.0: doublet(0.5, 0.1)}})
+    >>> train.duration
+    4.0
+    >>> train.table(rate=50.0).iloc[60]
+    time        1.20
+    elevator    0.05
+    rudder      0.00
+    Name: 60, dtype: float64
+    """
+
+    inputs: Mapping[str, Mapping[float, Signal]]
+    limits: Mapping[str, Limits] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_names([*self.inputs, *self.limits], AXES, "axes")
+        for axis, start, signal in self.events():
+            if not 0 <= start < np.inf:
+                raise ValueError(f"Got an input of the {axis} at {start:g} s, but expected a time >= 0.")
+            if axis in self.limits:
+                self.limits[axis].check(signal, axis)
+
+    def __call__(self, axis: str, time: ArrayLike) -> Array:
+        """Return the deviation of an axis from trim at times [s]; zero of an axis without inputs."""
+        time = np.asarray(time, dtype=float)
+        total = np.zeros(time.shape)
+        for start, signal in self.inputs.get(axis, {}).items():
+            total += signal(time - start)
+        return total
+
+    @property
+    def axes(self) -> list[str]:
+        """Names of the axes that have inputs."""
+        return list(self.inputs)
+
+    @property
+    def duration(self) -> float:
+        """When the last input ends [s]."""
+        return max((start + signal.duration for _, start, signal in self.events()), default=0.0)
+
+    def events(self) -> Iterator[tuple[str, float, Signal]]:
+        """Yield axis, start [s] and signal of each input, axis by axis."""
+        for axis, signals in self.inputs.items():
+            for start, signal in signals.items():
+                yield axis, start, signal
+
+    def table(self, rate: float, *, trim: Mapping[str, float] | None = None, pause: float = 0.0) -> pd.DataFrame:
+        """Return the inputs as a table of the rate at which an autopilot sets them.
+
+        Parameters
+        ----------
+        rate : float
+            Of its rows [Hz].
+        trim : mapping of str to float, optional
+            Controls of trimmed flight, such as ``Trim.controls``, to which the inputs are added: the table is then
+            what :func:`skdgp.dynamics.simulate` flies. By default the table holds deviations from trim.
+        pause : float, default=0.0
+            At trim, after the last input [s].
+
+        Returns
+        -------
+        DataFrame
+            ``time`` [s] and the axes, and other controls of ``trim``.
+
+        Raises
+        ------
+        ValueError
+            If the rate is too low for an input, inputs that overlap exceed a limit of their axis, or ``trim`` lacks an
+            axis.
+
+        Examples
+        --------
+        >>> from skdgp.design import Wavetrain, doublet
+        >>> Wavetrain({"elevator": {0.0: doublet(0.1, 0.05)}}).table(rate=10.0)
+        Traceback (most recent call last):
+        ...
+        ValueError: Got a rate of 10 Hz, but an input of the elevator has periods of 0.2 s: expected at least 50 Hz, or
+        a lower band or longer pulses.
+        """
+        for axis, _, signal in self.events():
+            if not rate * signal.period >= SAMPLES_PER_PERIOD * (1.0 - ROUNDING):
+                raise ValueError(
+                    f"Got a rate of {rate:g} Hz, but an input of the {axis} has periods of {signal.period:.3g} s: "
+                    f"expected at least {SAMPLES_PER_PERIOD / signal.period:.3g} Hz, or a lower band or longer pulses."
+                )
+        time = np.arange(round(np.ceil((self.duration + pause) * rate - ROUNDING)) + 1) / rate
+        columns = {axis: self(axis, time) for axis in self.axes}
+        for axis, values in columns.items():
+            self._check(axis, values, rate)
+        if trim is not None:
+            check_names(columns, trim, "controls of the trim")
+            columns = {name: trim[name] + columns.get(name, np.zeros(len(time))) for name in trim}
+        return pd.DataFrame({"time": time, **columns})
+
+    def flyable(self, *, tick: float = 0.5, detent: float = np.deg2rad(1.0)) -> Wavetrain:
+        """Return the inputs as a pilot can fly them: times in multiples of a tick, steps in multiples of a detent.
+
+        Durations become the nearest multiple; an input with a shorter one than a tick is first stretched as a whole.
+        Levels become the next smaller multiple, so that limits hold; starts the next later one. The ramps are the
+        pilot's own.
+
+        Parameters
+        ----------
+        tick : float, default=0.5
+            [s].
+        detent : float
+            [rad, or 1 of the throttle]; by default a degree.
+
+        Returns
+        -------
+        Wavetrain
+            Without limits of rate.
+
+        Raises
+        ------
+        ValueError
+            If an input is not made of steps, is smaller than a detent, or would overlap the next one of its axis.
+        """
+        if not (tick > 0 and detent > 0):
+            raise ValueError(f"Got tick={tick}, detent={detent}, but expected both > 0.")
+        inputs: dict[str, dict[float, Signal]] = {axis: {} for axis in self.inputs}
+        for axis, start, signal in self.events():
+            if not isinstance(signal, Steps):
+                raise ValueError(
+                    f"Got a {type(signal).__name__} of the {axis}, which no pilot can fly: choose doublets, 3-2-1-1s "
+                    "or other Steps."
+                )
+            levels = [np.sign(level) * detent * np.floor(abs(level) / detent + ROUNDING) for level in signal.levels]
+            if not all(levels):
+                raise ValueError(
+                    f"Got levels {signal.levels} of the {axis}, but expected each to be at least a detent, "
+                    f"{detent:.3g}: use larger steps or a smaller detent."
+                )
+            stretch = max(1.0, tick / min(signal.durations))
+            durations = [tick * round(stretch * duration / tick) for duration in signal.durations]
+            inputs[axis][tick * float(np.ceil(start / tick - ROUNDING))] = Steps(durations, levels)
+        for axis, signals in inputs.items():
+            ends = [start + signal.duration for start, signal in sorted(signals.items())]
+            if len(signals) < len(self.inputs[axis]) or (np.array(ends[:-1]) > sorted(signals)[1:]).any():
+                raise ValueError(
+                    f"Got inputs of the {axis} that overlap once their times are multiples of {tick:g} s: leave longer "
+                    "pauses."
+                )
+        return Wavetrain(inputs, {axis: replace(limit, rate=np.inf, rms=np.inf) for axis, limit in self.limits.items()})
+
+    def card(self) -> pd.DataFrame:
+        """Return what a pilot does: ``time`` [s], ``axis``, and the ``level`` to move it to, a row for each step.
+
+        Raises
+        ------
+        ValueError
+            If an input is not made of steps.
+        """
+        rows: list[tuple[float, str, float]] = []
+        for axis, start, signal in self.events():
+            if not isinstance(signal, Steps):
+                raise ValueError(f"Got a {type(signal).__name__} of the {axis}, but expected Steps: see flyable().")
+            levels = [*signal.levels, 0.0]
+            rows += [(start + edge, axis, level) for edge, level in zip(signal.edges, levels, strict=True)]
+        return pd.DataFrame(sorted(rows), columns=["time", "axis", "level"])
+
+    def _check(self, axis: str, values: Array, rate: float) -> None:
+        """Raise ValueError if inputs that overlap exceed a limit."""
+        limit = self.limits.get(axis)
+        if limit is None:
+            return
+        peak, speed = np.abs(values).max(), np.abs(np.diff(values, prepend=0.0)).max() * rate
+        if peak > limit.amplitude * (1.0 + ROUNDING) or speed > limit.rate * (1.0 + ROUNDING):
+            raise ValueError(
+                f"Got inputs of the {axis} that overlap with a peak of {peak:.4g} and a rate of {speed:.4g}, but the "
+                f"limits are {limit.amplitude:g} and {limit.rate:g}: let one begin after the other."
+            )
+
+
+def wavetrain(
+    manoeuvres: Sequence[Mapping[str, Signal]], *, pause: float = 5.0, limits: Mapping[str, Limits] | None = None
+) -> Wavetrain:
+    """Return manoeuvres one after another, with flight at trim before, between and after them.
+
+    Parameters
+    ----------
+    manoeuvres : sequence of mapping of str to Signal
+        The inputs of each, which begin together, by axis.
+    pause : float, default=5.0
+        Time at trim before each, in which the modes decay [s].
+    limits : mapping of str to Limits, optional
+        Of the axes.
+
+    Returns
+    -------
+    Wavetrain
+
+    Raises
+    ------
+    ValueError
+        As of `Wavetrain`.
+
+    Examples
+    --------
+    >>> from skdgp.design import doublet, three_two_one_one, wavetrain
+    >>> train = wavetrain([{"elevator": three_two_one_one(0.5, 0.05)}, {"aileron": doublet(0.5, 0.1)}], pause=4.0)
+    >>> [(axis, start) for axis, start, _ in train.events()]
+    [('elevator', 4.0), ('aileron', 11.5)]
+    """
+    inputs: dict[str, dict[float, Signal]] = {}
+    start = float(pause)
+    for manoeuvre in manoeuvres:
+        for axis, signal in manoeuvre.items():
+            inputs.setdefault(axis, {})[start] = signal
+        start += max(signal.duration for signal in manoeuvre.values()) + pause
+    return Wavetrain(inputs, limits or {})

@@ -1,0 +1,227 @@
+"""Files of planned inputs: tables, and a script that ArduPilot runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.files import write_atomically
+from skdgp._flight.checks import check_names
+from skdgp.design._multisines import Multisine
+from skdgp.design._signals import ROUNDING, Chirp, Limits, Signal, Steps
+from skdgp.design._wavetrain import Wavetrain
+
+SCRIPT = Path(__file__).with_name("replay.lua")
+PX4 = {"aileron": ("xyz[0]", 1.0), "elevator": ("xyz[1]", -1.0), "rudder": ("xyz[2]", -1.0)}
+"""Component of vehicle_torque_setpoint, and sign: PX4's positive commands roll right, pitch up, yaw right."""
+ARDUPILOT = {
+    "elevator": (19, -1.0), "aileron": (4, 1.0), "rudder": (21, -1.0), "throttle": (70, 1.0),
+    "elevon_left": (77, -1.0), "elevon_right": (78, -1.0),
+}  # fmt: skip
+"""SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move elevons up."""
+MIXES = {"elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0}}
+"""Surfaces that several axes move."""
+SCALES = {"throttle": 100.0}
+"""Of ArduPilot's scaled commands [%]; of surfaces: centidegrees of a range of 45."""
+SURFACE_SCALE = 4500.0
+NO_LIMIT = 1e30
+
+
+def write_csv(
+    path: str | os.PathLike[str], train: Wavetrain, rate: float, *, trim: Mapping[str, float] | None = None
+) -> pd.DataFrame:
+    """Write the inputs as CSV at the rate of an autopilot, and return the table.
+
+    Parameters
+    ----------
+    path : path-like
+    train : Wavetrain
+    rate : float
+        [Hz].
+    trim : mapping of str to float, optional
+        Controls of trimmed flight, to which the inputs are added; see `Wavetrain.table`.
+
+    Returns
+    -------
+    DataFrame
+        ``time`` [s] and the axes [rad, or 1 of the throttle], in this package's signs.
+
+    Raises
+    ------
+    ValueError
+        As of `Wavetrain.table`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from skdgp.design import Wavetrain, doublet, write_csv
+    >>> path = Path(tempfile.mkdtemp()) / "plan.csv"
+    >>> table = write_csv(path, Wavetrain({"elevator": {0.2: doublet(0.5, 0.05)}}), rate=50.0)
+    >>> path.read_text().splitlines()[:2]
+    ['time,elevator', '0.0,0.0']
+    """
+    return _written(path, train.table(rate, trim=trim))
+
+
+def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full: Mapping[str, float]) -> pd.DataFrame:
+    """Write the inputs in the columns, units and signs of PX4's topic vehicle_torque_setpoint, and return the table.
+
+    Torque setpoints are from -1 to 1 about x, y, z: positive rolls right, pitches up, yaws right. Those of the file are
+    to be added to the setpoints of the controllers.
+
+    Parameters
+    ----------
+    path : path-like
+        A CSV file.
+    train : Wavetrain
+        Of elevator, aileron and rudder.
+    rate : float
+        [Hz].
+    full : mapping of str to float
+        Deflection of each axis at a setpoint of 1 [rad].
+
+    Returns
+    -------
+    DataFrame
+        ``timestamp`` [us], ``xyz[0]``, ``xyz[1]``, ``xyz[2]``.
+
+    Raises
+    ------
+    ValueError
+        If an axis is none of these, an input is larger than the full deflection, or as of `Wavetrain.table`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from skdgp.design import Wavetrain, doublet, write_px4
+    >>> train = Wavetrain({"elevator": {0.0: doublet(0.5, 0.1)}})
+    >>> write_px4(Path(tempfile.mkdtemp()) / "plan.csv", train, 50.0, {"elevator": 0.4}).iloc[10]
+    timestamp    200000.00
+    xyz[0]            0.00
+    xyz[1]           -0.25
+    xyz[2]            0.00
+    Name: 10, dtype: float64
+    """
+    check_names(train.axes, PX4, "axes of PX4's torque setpoint")
+    table = train.table(rate)
+    _check_full(train, table, {axis: {axis: 1.0} for axis in full if axis in train.axes}, full)
+    columns = {"timestamp": (1e6 * table["time"]).round().astype(np.int64)}
+    for axis, (name, sign) in PX4.items():
+        columns[name] = sign * table[axis] / full[axis] if axis in table else 0.0 * table["time"]
+    return _written(path, pd.DataFrame(columns))
+
+
+def write_ardupilot_lua(
+    path: str | os.PathLike[str], train: Wavetrain, rate: float, full: Mapping[str, float], *, switch: int = 300
+) -> None:
+    """Write a Lua script for ArduPilot that adds the inputs to the autopilot's commands while a switch is high.
+
+    The script holds the signals as formulas, not as samples: some kilobytes for any duration. It keeps the limits of
+    the axes at every step, also where steps come late. The inputs end at once when the switch is low or the aircraft is
+    disarmed, and the autopilot's own commands return within five steps if the script stops. It logs them (PLAN).
+
+    Parameters
+    ----------
+    path : path-like
+        Such as ``plan.lua``; copy it to ``APM/scripts`` of the autopilot's card and set SCR_ENABLE to 1.
+    train : Wavetrain
+        Of elevator, aileron, rudder, throttle, or of the elevons.
+    rate : float
+        At which the script runs [Hz].
+    full : mapping of str to float
+        The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the servo's range
+        [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron. The throttle needs none.
+    switch : int, default=300
+        RCn_OPTION of the switch of the transmitter, Scripting1 to Scripting8: 300 to 307.
+
+    Raises
+    ------
+    ValueError
+        If an axis moves none of the surfaces, ArduPilot has no servo function for one, the inputs of a surface are
+        larger than its full deflection, a signal is none of this package, or as of `Wavetrain.table`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from skdgp.design import Wavetrain, doublet, write_ardupilot_lua
+    >>> path = Path(tempfile.mkdtemp()) / "plan.lua"
+    >>> write_ardupilot_lua(path, Wavetrain({"elevator": {1.0: doublet(0.5, 0.05)}}), 50.0, {"elevator": 0.4})
+    >>> "SRV_Channels" in path.read_text()
+    True
+    """
+    full = dict(full) | ({"throttle": 1.0} if "throttle" in train.axes else {})
+    check_names(full, ARDUPILOT, "servo functions of ArduPilot")
+    mixes = {name: {axis: gain for axis, gain in MIXES.get(name, {}).items() if axis in train.axes} for name in full}
+    mixes = {name: mix or {name: 1.0} for name, mix in mixes.items() if mix or name in train.axes}
+    _check_full(train, train.table(rate), mixes, full)
+    axes = []
+    for axis in train.axes:
+        limit = train.limits.get(axis, Limits(np.inf))
+        signals = [_parts(signal) | {"start": start} for start, signal in train.inputs[axis].items()]
+        axes.append({"name": axis, "amplitude": limit.amplitude, "rate": limit.rate, "signals": signals})
+    surfaces = []
+    for name, mix in mixes.items():
+        servo, sign = ARDUPILOT[name]
+        surface = {"name": name, "servo": servo, "full": sign * full[name], "range": name == "throttle"}
+        parts = [mix.get(axis, 0.0) for axis in train.axes]
+        surfaces.append(surface | {"scale": SCALES.get(name, SURFACE_SCALE), "parts": parts})
+    plan = {
+        "switch": switch, "period": int(1000.0 / rate), "duration": train.duration,
+        "labels": ",".join(["t", *train.axes]), "format": "f" * (1 + len(axes)), "axes": axes,
+        "surfaces": surfaces,
+    }  # fmt: skip
+    text = SCRIPT.read_text(encoding="utf-8").replace("--[[PLAN]]", _lua(plan))
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _written(path: str | os.PathLike[str], table: pd.DataFrame) -> pd.DataFrame:
+    write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
+    return table
+
+
+def _check_full(
+    train: Wavetrain, table: pd.DataFrame, mixes: Mapping[str, Mapping[str, float]], full: Mapping[str, float]
+) -> None:
+    """Raise ValueError if an axis moves no surface, or a full deflection is smaller than the inputs of a surface."""
+    moved = [axis for mix in mixes.values() for axis in mix]
+    check_names(train.axes, moved, "axes of the surfaces whose full deflections are given")
+    for name, mix in mixes.items():
+        peak = np.abs(sum(gain * table[axis] for axis, gain in mix.items())).max()
+        if not peak <= full[name] * (1.0 + ROUNDING):
+            raise ValueError(
+                f"Got inputs of the {name} up to {peak:.4g}, but its full deflection is {full[name]:g}: make them "
+                "smaller."
+            )
+
+
+def _parts(signal: Signal) -> dict[str, Any]:
+    """Return what the script evaluates a signal from."""
+    kind = {"kind": type(signal).__name__, "duration": signal.duration}
+    if isinstance(signal, Steps):
+        return kind | {name: getattr(signal, name).tolist() for name in ("edges", "swings", "ramps")}
+    if isinstance(signal, Chirp | Multisine):
+        return kind | vars(signal)
+    raise ValueError(
+        f"Got a {type(signal).__name__}, which the script does not know, but expected Steps, Chirp or Multisine."
+    )
+
+
+def _lua(value: Any) -> str:
+    """Return a value as Lua writes it."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name} = {_lua(part)}" for name, part in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "{" + ", ".join(map(_lua, value)) + "}"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    return str(value) if isinstance(value, int) else repr(min(float(value), NO_LIMIT))

@@ -1,0 +1,142 @@
+-- Adds planned inputs to the commands of the autopilot while a switch of the transmitter is high (ArduPilot, Lua scripting).
+-- The switch: RCx_OPTION = plan.switch (300 is Scripting1). Low ends the inputs at once; low, then high, begins them again.
+-- The log message PLAN holds the time since the start [s] and the inputs [rad, or 1 of the throttle].
+
+local plan = --[[PLAN]]
+
+local EDGE = 1e-5 -- by which a sample may lie before a step [s]
+local signals = {}
+
+function signals.Steps(s, t)
+  local value = 0.0
+  for k, edge in ipairs(s.edges) do
+    local after, ramp = t - edge, s.ramps[k]
+    local risen = after >= -EDGE and 1.0 or 0.0
+    if ramp > 0 then
+      risen = math.max(0.0, math.min(1.0, after / ramp + 0.5))
+    end
+    value = value + risen * s.swings[k]
+  end
+  return value
+end
+
+function signals.Chirp(s, t)
+  local x, low, high = t / s.duration, s.band[1], s.band[2]
+  local cycles = s.duration * (low * x + 0.5 * (high - low) * x * x)
+  if s.logarithmic then
+    local ratio = math.log(high / low)
+    cycles = low * s.duration * (math.exp(ratio * x) - 1.0) / ratio
+  end
+  local envelope = math.sin(0.5 * math.pi * math.min(1.0, x / s.fade, (1.0 - x) / s.fade)) ^ 2
+  return s.amplitude * envelope * math.sin(2.0 * math.pi * (cycles % 1.0))
+end
+
+function signals.Multisine(s, t)
+  local value = 0.0
+  for k, harmonic in ipairs(s.harmonics) do
+    value = value + s.amplitudes[k] * math.sin(2.0 * math.pi * (harmonic * t / s.duration % 1.0) + s.phases[k])
+  end
+  return value
+end
+
+local function limited(value, low, high)
+  return math.max(low, math.min(high, value))
+end
+
+local function planned(axis, t)
+  local value = 0.0
+  for _, signal in ipairs(axis.signals) do
+    local since = t - signal.start
+    if since > -EDGE and since < signal.duration - EDGE then
+      value = value + signals[signal.kind](signal, math.max(since, 0.0))
+    end
+  end
+  return limited(value, -axis.amplitude, axis.amplitude)
+end
+
+local function servos(surface) -- all that have its function
+  local found = {}
+  for channel = 0, 31 do
+    local name = "SERVO" .. (channel + 1) .. "_"
+    if param:get(name .. "FUNCTION") == surface.servo then
+      table.insert(found, {
+        channel = channel,
+        min = param:get(name .. "MIN"),
+        trim = param:get(name .. "TRIM"),
+        max = param:get(name .. "MAX"),
+        reversed = param:get(name .. "REVERSED") == 1,
+      })
+    end
+  end
+  return found
+end
+
+local function pulse(servo, command, range) -- [us] of a command of 0 to 1 (a range) or -1 to 1
+  if range then
+    command = servo.reversed and 1.0 - command or command
+    return servo.min + command * (servo.max - servo.min)
+  end
+  command = servo.reversed and -command or command
+  return servo.trim + command * (command > 0 and servo.max - servo.trim or servo.trim - servo.min)
+end
+
+for _, surface in ipairs(plan.surfaces) do
+  surface.servos = servos(surface)
+  if #surface.servos == 0 then
+    gcs:send_text(2, "plan: no servo has the function " .. surface.servo .. " of the " .. surface.name)
+    return
+  end
+end
+
+local began, before, ready = nil, 0.0, false
+
+local function set(t)
+  local values = {}
+  for k, axis in ipairs(plan.axes) do
+    local most = axis.rate * (t - before)
+    axis.value = limited(planned(axis, t), axis.value - most, axis.value + most)
+    values[k] = axis.value
+  end
+  for _, surface in ipairs(plan.surfaces) do
+    local command = SRV_Channels:get_output_scaled(surface.servo) / surface.scale
+    for k, part in ipairs(surface.parts) do
+      command = command + part * values[k] / surface.full
+    end
+    command = limited(command, surface.range and 0.0 or -1.0, 1.0)
+    for _, servo in ipairs(surface.servos) do
+      local width = math.floor(pulse(servo, command, surface.range) + 0.5)
+      SRV_Channels:set_output_pwm_chan_timeout(servo.channel, width, 5 * plan.period) -- then the autopilot's own again
+    end
+  end
+  before = t
+  logger:write("PLAN", plan.labels, plan.format, t, table.unpack(values))
+end
+
+local function update()
+  local switch = rc:find_channel_for_option(plan.switch)
+  local on = switch ~= nil and switch:get_aux_switch_pos() == 2 and arming:is_armed()
+  if not on then
+    if began then
+      gcs:send_text(4, "plan: ended by the switch")
+    end
+    began, ready = nil, true
+  elseif began == nil and ready then -- not at once if the switch was high when the script began
+    began, before, ready = millis(), -0.001 * plan.period, false
+    for _, axis in ipairs(plan.axes) do
+      axis.value = 0.0
+    end
+    gcs:send_text(6, "plan: begins")
+  end
+  if began then
+    local t = 0.001 * (millis() - began):tofloat()
+    if t <= plan.duration + 0.001 * plan.period then
+      set(t)
+    else
+      began = nil
+      gcs:send_text(6, "plan: complete")
+    end
+  end
+  return update, plan.period
+end
+
+return update, plan.period

@@ -1,0 +1,117 @@
+"""Predicted standard errors: dense algebra, scatter of estimates, what a flight cannot tell apart."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.design import coefficient_noise, doublet, expected_information, multisine
+
+TIME = np.arange(0.0, 8.0, 0.04)
+NOISE = pd.DataFrame(
+    {"white": [0.002, 0.001], "drift": [0.003, 0.0], "memory": [0.6, 1.0]}, index=["Cm", "Cn"]
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def flight():
+    elevator = doublet(0.6, 0.05)(TIME - 1.0) + multisine(6.0, range(2, 9), rms=0.02)(TIME - 2.0)
+    alpha = 0.05 + 0.04 * np.sin(2.5 * TIME) * np.exp(-0.2 * TIME) - 0.3 * np.cumsum(elevator) * 0.04
+    q = np.gradient(alpha, TIME) + 0.05 * np.sin(1.3 * TIME)
+    return pd.DataFrame({"time": TIME, "airspeed": 20.0 + TIME, "alpha": alpha, "q": q, "elevator": elevator})
+
+
+def dense(time, white, drift, memory):
+    lag = np.abs(np.subtract.outer(time, time))
+    return white**2 * np.eye(len(time)) + drift**2 * np.exp(-lag / memory)
+
+
+def columns(flight, chord):
+    q_hat = flight["q"] * chord / (2 * flight["airspeed"])
+    return np.column_stack([np.ones(len(flight)), flight["alpha"], q_hat, flight["elevator"]])
+
+
+def test_standard_errors_are_those_of_generalised_least_squares(flight, uav):
+    found = expected_information(flight, uav, ["alpha", "q_hat", "elevator"], NOISE)
+    X = columns(flight, uav.chord)
+    for k, name in enumerate(NOISE.index):
+        expected = np.linalg.inv(X.T @ np.linalg.solve(dense(TIME, *NOISE.loc[name]), X))[1:, 1:]
+        np.testing.assert_allclose(found.covariance[k], expected, rtol=1e-7)
+        np.testing.assert_allclose(found.std.loc[name], np.sqrt(np.diag(expected)), rtol=1e-7)
+    std = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found.correlation("Cn"), expected / np.outer(std, std), rtol=1e-6)
+
+
+def test_standard_errors_are_the_scatter_of_estimates(flight, uav):
+    found = expected_information(flight, uav, ["alpha", "q_hat", "elevator"], NOISE)
+    X, rng = columns(flight, uav.chord), np.random.default_rng(0)
+    for name in NOISE.index:
+        V = dense(TIME, *NOISE.loc[name])
+        weights = np.linalg.solve(V, X)
+        measured = X @ [0.1, -0.6, -9.0, -1.0] + rng.standard_normal((3000, len(TIME))) @ np.linalg.cholesky(V).T
+        estimates = np.linalg.solve(X.T @ weights, weights.T @ measured.T)
+        np.testing.assert_allclose(estimates[1:].std(axis=1), found.std.loc[name], rtol=0.05)
+        np.testing.assert_allclose(estimates[1:].mean(axis=1), [-0.6, -9.0, -1.0], rtol=0.05)
+
+
+def test_correlated_noise_costs_what_white_noise_of_the_same_size_would_not(flight, uav):
+    correlated = expected_information(flight, uav, ["alpha", "elevator"], NOISE)
+    white = expected_information(flight, uav, ["alpha", "elevator"], {"Cm": np.hypot(0.002, 0.003)})
+    assert correlated.std.loc["Cm", "alpha"] > 1.3 * white.std.loc["Cm", "alpha"]
+
+
+def test_information_of_flights_adds_up(flight, uav):
+    names = ["alpha", "elevator"]
+    one = expected_information(flight, uav, names, NOISE)
+    both = expected_information(pd.concat([flight.assign(flight=k) for k in "ab"]), uav, names, NOISE)
+    np.testing.assert_allclose((one + one).std, both.std)
+    np.testing.assert_allclose(both.std, one.std / np.sqrt(2))
+    with pytest.raises(ValueError, match="same regressors"):
+        one + expected_information(flight, uav, ["alpha"], NOISE)
+
+
+def test_what_a_flight_cannot_tell_is_said(flight, uav):
+    flight = flight.assign(aileron=0.0, beta=2 * flight["elevator"])
+    found = expected_information(flight, uav, ["alpha", "aileron", "beta", "elevator"], NOISE)
+    std = found.std.loc["Cm"]
+    assert np.isinf(std[["aileron", "beta", "elevator"]]).all()
+    assert std["alpha"] == pytest.approx(
+        expected_information(flight, uav, ["alpha", "elevator"], NOISE).std.loc["Cm", "alpha"], rel=1e-6
+    )
+
+
+def test_pairs_that_move_alike_are_confounded(flight, uav):
+    """Pitch rate and alpha_dot differ by the slow turn of the flight path alone."""
+    found = expected_information(flight, uav, ["alpha", "alpha_dot_hat", "q_hat", "elevator"], NOISE)
+    pairs = found.confounded(0.7)
+    assert {"alpha_dot_hat", "q_hat"} in [set(pair) for pair in zip(pairs["first"], pairs["second"], strict=True)]
+    assert (pairs["correlation"].abs().diff()[1:] <= 0).all()
+    assert pairs["correlation"].abs().min() >= 0.7
+
+
+def test_the_noise_of_a_model_is_split_into_white_noise_and_drift():
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 40.0, 0.1)
+    X = rng.uniform(size=(400, 1))
+    noise = np.linalg.cholesky(dense(time, 0.05, 0.1, 1.0)) @ rng.standard_normal(400)
+    model = DependentGPRegressor(structure="trend").fit(X, (2 * X[:, 0] + noise)[:, None], time=time)
+    found = coefficient_noise(model).iloc[0]
+    assert found["white"] == pytest.approx(0.05, rel=0.3)
+    assert found["drift"] == pytest.approx(0.1, rel=0.4)
+    assert 0.3 < found["memory"] < 3.0
+    with pytest.raises(ValueError, match="fitted DependentGPRegressor"):
+        coefficient_noise(DependentGPRegressor())
+
+
+@pytest.mark.parametrize(
+    ("regressors", "noise", "words"),
+    [
+        (["elevater"], {"Cm": 0.1}, "nearest: 'elevator'"),
+        (["beta_dot_hat"], {"Cm": 0.1}, "'beta'"),
+        (["alpha"], {"Cm": 0.0}, "white > 0"),
+        (["alpha"], pd.DataFrame({"white": [0.1]}, index=["Cm"]), "drift"),
+    ],
+)
+def test_what_is_missing_is_said(flight, uav, regressors, noise, words):
+    with pytest.raises(ValueError, match=words):
+        expected_information(flight, uav, regressors, noise)

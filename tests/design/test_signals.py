@@ -1,0 +1,162 @@
+"""Inputs: shapes, spectra, peaks, limits."""
+
+import numpy as np
+import pytest
+
+from skdgp.design import (
+    Limits,
+    Multisine,
+    Steps,
+    chirp,
+    doublet,
+    multisine,
+    orthogonal_multisines,
+    three_two_one_one,
+)
+
+TIME = np.arange(-1.0, 40.0, 0.01)
+LIMITS = Limits(0.1, rate=0.8)
+SIGNALS = {
+    "doublet": doublet(0.8, 0.1, limits=LIMITS),
+    "3-2-1-1": three_two_one_one(0.5, -0.08, limits=LIMITS),
+    "steps": Steps([1.0, 0.5, 2.0], [0.02, 0.1, -0.04], rate=0.5),
+    "chirp": chirp(20.0, (0.1, 1.0), 0.1, limits=LIMITS),
+    "linear chirp": chirp(20.0, (0.1, 1.0), 0.1, spacing="linear", fade=0.02),
+    "multisine": multisine(20.0, range(3, 20, 2), rms=0.05).optimized(n_starts=1),
+}
+
+
+@pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
+def test_a_signal_keeps_its_stated_peak_rate_and_duration(signal):
+    time = np.linspace(-0.1, signal.duration + 0.1, 200_001)
+    values, step = signal(time), time[1] - time[0]
+    outside = (time < 0) | (time >= signal.duration)
+    assert (values[time < 0] == 0).all()
+    assert abs(values[time >= signal.duration]).max() < 1e-15
+    assert abs(values).max() <= signal.peak <= 1.001 * abs(values).max()
+    rate = abs(np.diff(values)).max() / step
+    assert rate <= signal.speed * (1 + 1e-9)
+    assert signal.speed <= 1.005 * rate
+    assert signal.rms == pytest.approx(np.sqrt(np.mean(values[~outside] ** 2)), rel=1e-3)
+
+
+@pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
+def test_a_scaled_signal_is_the_signal_times_the_factor(signal):
+    scaled = signal.scaled(-0.3)
+    np.testing.assert_allclose(scaled(TIME), -0.3 * signal(TIME), atol=1e-16)
+    assert scaled.speed == pytest.approx(0.3 * signal.speed)
+
+
+@pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
+def test_the_largest_signal_meets_one_limit_and_exceeds_none(signal):
+    limits = Limits(0.06, rate=0.3, rms=0.03)
+    largest = limits.largest(signal)
+    limits.check(largest)
+    used = largest.peak / 0.06, largest.speed / 0.3, largest.rms / 0.03
+    assert max(used) == pytest.approx(1.0)
+
+
+def test_ramps_leave_the_mean_of_steps_as_it_was():
+    steps, ramps = three_two_one_one(0.5, 0.1), three_two_one_one(0.5, 0.1, limits=LIMITS)
+    time = np.arange(0.0, 5.0, 1e-4)
+    assert ramps(time).sum() * 1e-4 == pytest.approx(steps(time).sum() * 1e-4, abs=1e-5)
+    assert doublet(0.5, 0.1, limits=LIMITS)(time).sum() * 1e-4 == pytest.approx(0.0, abs=1e-5)
+
+
+def test_three_two_one_one_is_three_two_one_one():
+    middles = 0.5 * (np.arange(8) + 0.5)
+    np.testing.assert_array_equal(three_two_one_one(0.5, 0.1)(middles), [0.1, 0.1, 0.1, -0.1, -0.1, 0.1, -0.1, 0.0])
+
+
+def test_steps_are_not_late_by_the_rounding_of_a_clock():
+    rows = np.arange(200) * 0.1
+    values = doublet(0.3, 1.0)(rows - 0.7)
+    np.testing.assert_array_equal(np.flatnonzero(values == 1.0), [7, 8, 9])
+    np.testing.assert_array_equal(np.flatnonzero(values == -1.0), [10, 11, 12])
+
+
+def test_the_frequency_of_a_sweep_goes_through_its_band():
+    time = np.arange(0.0, 60.0, 1e-3)
+    for spacing, middle in (("logarithmic", np.sqrt(0.2 * 3.2)), ("linear", 1.7)):
+        values = chirp(60.0, (0.2, 3.2), 1.0, spacing=spacing, fade=0.01)(time)
+        rises = time[1:][(values[:-1] < 0) & (values[1:] >= 0)]
+        frequency = np.interp(30.0, 0.5 * (rises[1:] + rises[:-1]), 1 / np.diff(rises))
+        assert frequency == pytest.approx(middle, rel=0.02)
+
+
+def test_a_multisine_has_its_power_in_its_harmonics_alone():
+    harmonics = np.arange(10, 60, 5)
+    power = np.linspace(1.0, 3.0, 10)
+    signal = multisine(20.0, harmonics, rms=0.03, power=power)
+    found = abs(np.fft.rfft(signal(np.arange(2000) * 0.01))) ** 2 / 2000**2
+    np.testing.assert_allclose(2 * found[harmonics], 0.03**2 * power / power.sum(), rtol=1e-9)
+    assert np.delete(found, harmonics).max() < 1e-20
+
+
+def test_schroeders_phases_are_those_of_his_paper_for_equal_power():
+    order = np.arange(1, 13)
+    phases = multisine(10.0, order, rms=1.0).phases
+    np.testing.assert_allclose(np.exp(1j * np.array(phases)), np.exp(-1j * np.pi * order * (order - 1) / 12))
+
+
+@pytest.mark.parametrize("first", [2, 8])
+def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(first):
+    axes = ("elevator", "aileron", "rudder", "throttle")
+    inputs = orthogonal_multisines(
+        dict.fromkeys(axes, 0.1), 20.0, (first / 20, (first + 31) / 20), n_tones=8, n_starts=2
+    )
+    assert sorted(k for one in inputs.values() for k in one.harmonics) == [*range(first, first + 32)]
+    values = np.array([one(np.arange(2000) * 0.01) for one in inputs.values()])
+    norms = np.linalg.norm(values, axis=1)
+    np.testing.assert_allclose(values @ values.T / np.outer(norms, norms), np.eye(4), atol=1e-12)
+    for one in inputs.values():
+        assert one.relative_peak_factor <= 1.14
+        assert one.peak == pytest.approx(0.1)
+        assert abs(one([0.0, 20.0 - 1e-12])).max() < 1e-12
+        spread = np.ptp(one(np.arange(0, 20, 1e-3))) / (2 * np.sqrt(2) * one.rms)
+        assert one.relative_peak_factor == pytest.approx(spread, rel=1e-3)
+
+
+def test_phases_are_the_same_for_the_same_seed_and_better_with_more_starts():
+    signal = multisine(10.0, [3, 4, 7, 11, 12, 17, 21], rms=1.0, power=[1, 2, 1, 3, 1, 2, 1])
+    few, again, many = (signal.optimized(n_starts=n, random_state=5) for n in (2, 2, 6))
+    assert few == again
+    assert many.relative_peak_factor <= few.relative_peak_factor < signal.relative_peak_factor
+
+
+def test_power_of_the_spectrum_is_as_given():
+    inputs = orthogonal_multisines({"elevator": 0.1}, 10.0, (0.5, 2.0), power=lambda f: 1 / f, n_starts=1)
+    one = inputs["elevator"]
+    np.testing.assert_allclose(np.square(one.amplitudes) * one.harmonics, 5 * one.amplitudes[0] ** 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Limits(0.0), "forbids every input"),
+        (lambda: Limits(0.1, rate=-1.0), "forbids every input"),
+        (lambda: doublet(0.5, 0.2, limits=LIMITS), "peak of 0.2, but the limit is 0.1"),
+        (lambda: doublet(0.1, 0.1, limits=LIMITS), "choose a longer duration"),
+        (lambda: chirp(20.0, (0.1, 5.0), 0.1, limits=LIMITS), "rate of 2"),
+        (lambda: multisine(20.0, [3, 5], rms=0.05, limits=Limits(0.2, rms=0.04)), "rms of 0.05"),
+        (lambda: LIMITS.check(doublet(0.5, 0.1)), "ramps"),
+        (lambda: LIMITS.largest(doublet(0.5, 0.1)), "ramps"),
+        (lambda: chirp(2.0, (0.1, 5.0), 0.1), "fly longer"),
+        (lambda: chirp(20.0, (5.0, 0.1), 0.1), "lowest < highest"),
+        (lambda: chirp(20.0, (0.1, 5.0), 0.1, fade=0.0), "share"),
+        (lambda: chirp(20.0, (0.1, 5.0), np.nan), "expected a number"),
+        (lambda: LIMITS.largest(doublet(0.5, 0.0)), "is zero"),
+        (lambda: multisine(10.0, [1, 2], rms=0.0), "rms=0.0"),
+        (lambda: Steps([1.0], [0.1, 0.2]), "one finite level"),
+        (lambda: Steps([0.0], [0.1]), "expected all > 0"),
+        (lambda: Multisine(10.0, [1, 1], [1, 1], [0, 0]), "distinct integers"),
+        (lambda: Multisine(10.0, [1, 2], [1], [0, 0]), "one for each"),
+        (lambda: Multisine(-1.0, [1, 2], [1, 1], [0, 0]), "duration"),
+        (lambda: multisine(10.0, [1, 2], rms=1.0, power=[1.0, 0.0]), "a number > 0"),
+        (lambda: orthogonal_multisines({"elevator": 0.1, "rudder": 0.1}, 4.0, (0.3, 0.5)), "fly longer"),
+        (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "0 axes"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()

@@ -1,0 +1,154 @@
+"""Sequences of inputs: times, tables, limits, cards; bands from modes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skdgp.design import (
+    Limits,
+    Wavetrain,
+    chirp,
+    doublet,
+    input_bands,
+    multisine,
+    orthogonal_multisines,
+    three_two_one_one,
+    wavetrain,
+)
+from skdgp.dynamics import Aerodynamics, linearize, simulate, trim
+from skdgp.dynamics._control.linearize import Matrices
+
+REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+
+
+def linear(X):
+    alpha, beta, p, q, r, elevator, aileron, rudder = np.moveaxis(np.asarray(X), -1, 0)
+    lift = 0.3 + 4.5 * alpha
+    return np.stack([
+        -0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
+        -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
+        0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder,
+    ], axis=-1)  # fmt: skip
+
+
+MODEL = Aerodynamics(linear, REGRESSORS)
+
+
+@pytest.fixture(scope="module")
+def point(uav):
+    return trim(MODEL, uav, 20.0)
+
+
+def test_manoeuvres_follow_one_another_with_pauses_at_trim():
+    manoeuvres = [
+        {"elevator": doublet(0.5, 0.1)},
+        {"aileron": three_two_one_one(0.5, 0.1), "rudder": doublet(1.0, 0.2)},
+        {"elevator": doublet(1.0, 0.05)},
+    ]
+    train = wavetrain(manoeuvres, pause=2.0)
+    table = train.table(50.0, pause=1.0)
+    moving = (table[["elevator", "aileron", "rudder"]] != 0).any(axis=1)
+    begins = table["time"][moving & ~moving.shift(fill_value=False)]
+    np.testing.assert_allclose(begins, [2.0, 5.0, 10.5])
+    assert table["time"].iloc[-1] == train.duration + 1.0 == 13.5
+    assert (table.drop(columns="time").iloc[-1] == 0).all()
+
+
+def test_a_table_with_its_trim_is_flown_and_returns_to_it(uav, point):
+    train = wavetrain([{"elevator": doublet(0.2, 0.02)}, {"rudder": doublet(0.5, 0.05)}], pause=1.0)
+    flight = simulate(MODEL, uav, point, train.table(50.0, trim=point.controls, pause=10.0))
+    assert np.ptp(flight["alpha"]) > 0.01
+    assert np.ptp(flight["beta"]) > 0.01
+    end = flight.iloc[-1]
+    assert abs(end["beta"]) < 2e-3
+    assert end["alpha"] == pytest.approx(point.alpha, abs=1e-2)
+
+
+def test_overlapping_inputs_add_up_within_limits():
+    signals = {0.0: doublet(1.0, 0.06), 0.5: doublet(1.0, 0.06)}
+    np.testing.assert_allclose(Wavetrain({"rudder": signals})("rudder", [0.25, 0.75, 1.25]), [0.06, 0.12, 0.0])
+    with pytest.raises(ValueError, match="overlap with a peak of 0"):
+        Wavetrain({"rudder": signals}, {"rudder": Limits(0.1)}).table(50.0)
+    both = {start: doublet(1.0, 0.05, limits=Limits(0.1, rate=0.5)) for start in (0.0, 0.01)}
+    with pytest.raises(ValueError, match="overlap"):
+        Wavetrain({"rudder": both}, {"rudder": Limits(0.2, rate=0.5)}).table(50.0)
+
+
+def test_a_pilots_card_is_in_ticks_and_detents_and_within_limits():
+    train = wavetrain(
+        [{"elevator": doublet(0.31, 0.043)}, {"rudder": three_two_one_one(0.7, -0.12)}],
+        pause=4.3,
+        limits={"rudder": Limits(0.13)},
+    )
+    flown = train.flyable(tick=0.5, detent=0.01)
+    card = flown.card()
+    np.testing.assert_allclose(card["time"] % 0.5, 0.0)
+    np.testing.assert_allclose(card["level"], [0.04, -0.04, 0, -0.12, 0.12, -0.12, 0.12, 0], atol=1e-12)
+    np.testing.assert_allclose(card["time"].diff()[4:], [2.0, 1.5, 0.5, 0.5])
+    quick = Wavetrain({"elevator": {0.0: three_two_one_one(0.2, 0.05)}}).flyable().card()
+    np.testing.assert_allclose(quick["time"], [0.0, 1.5, 2.5, 3.0, 3.5])  # the shape is kept
+    with pytest.raises(ValueError, match="leave longer pauses"):
+        Wavetrain({"elevator": {0.0: doublet(0.2, 0.05), 0.5: doublet(0.2, 0.05)}}).flyable()
+    with pytest.raises(ValueError, match="no pilot"):
+        Wavetrain({"elevator": {0.0: chirp(20, (0.1, 1), 0.1)}}).flyable()
+    with pytest.raises(ValueError, match="at least a detent"):
+        train.flyable(detent=0.1)
+    with pytest.raises(ValueError, match="flyable"):
+        Wavetrain({"elevator": {0.0: chirp(20, (0.1, 1), 0.1)}}).card()
+    with pytest.raises(ValueError, match="both > 0"):
+        train.flyable(tick=0.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Wavetrain({"elevater": {0.0: doublet(1, 0.1)}}), "nearest: 'elevator'"),
+        (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}, {"flaps": Limits(0.1)}), "flaps"),
+        (lambda: Wavetrain({"elevator": {-1.0: doublet(1, 0.1)}}), "time >= 0"),
+        (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}, {"elevator": Limits(0.05)}), "elevator with a peak"),
+        (lambda: Wavetrain({"elevator": {0.0: doublet(0.1, 0.1)}}).table(25.0), "at least 50 Hz"),
+        (lambda: Wavetrain({"elevator": {0.0: multisine(10, [60], rms=1)}}).table(50.0), "at least 60 Hz"),
+        (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}).table(50.0, trim={"rudder": 0.0}), "elevator"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_doublets_of_the_suggested_width_have_their_spectrum_at_the_mode(uav, point):
+    bands = input_bands(linearize(MODEL, uav, point))
+    modes = linearize(MODEL, uav, point).modes()
+    time = np.arange(0.0, 2000.0, 0.01)
+    for axis, mode in (("elevator", "short period"), ("rudder", "Dutch roll")):
+        frequency = modes.loc[mode, "frequency"]
+        assert bands.loc[axis, "frequency"] == pytest.approx(frequency)
+        spectrum = abs(np.fft.rfft(doublet(bands.loc[axis, "doublet_width"], 1.0)(time)))
+        assert 2 * np.pi * spectrum.argmax() / 2000.0 == pytest.approx(frequency, rel=0.03)
+        assert bands.loc[axis, "lowest"] * 2 * np.pi < frequency < bands.loc[axis, "highest"] * 2 * np.pi
+    assert (bands.loc[["aileron", "rudder"], "highest"] >= modes.loc["roll", "frequency"] / (2 * np.pi)).all()
+
+
+def test_a_band_is_wide_enough_for_multisines(uav, point):
+    lowest, highest = input_bands(linearize(MODEL, uav, point)).loc["elevator", ["lowest", "highest"]]
+    limits = {"elevator": Limits(0.03, rate=0.5)}
+    inputs = orthogonal_multisines(limits, 20.0, (lowest, highest), n_tones=8, n_starts=1)
+    table = Wavetrain({"elevator": {2.0: inputs["elevator"]}}).table(50.0)
+    assert abs(np.diff(table["elevator"])).max() * 50.0 <= 0.5
+
+
+def test_modes_that_are_missing_are_said(uav, point):
+    half = linearize(MODEL, uav, point, states=["v", "p", "r", "phi"])
+    with pytest.raises(ValueError, match="elevator"):
+        input_bands(half)
+
+
+def test_a_band_is_wider_where_modes_are_uncertain(uav, point):
+    """All rates of a path are those of the mean times a factor: frequencies spread by a tenth."""
+    known = linearize(MODEL, uav, point)
+    paths = Matrices(*(np.stack([f * table.to_numpy() for f in (0.9, 1.0, 1.1)]) for table in known._tables()))
+    sure, unsure = (input_bands(model).loc["elevator"] for model in (known, replace(known, paths=paths)))
+    assert unsure["frequency"] == sure["frequency"]
+    assert unsure["lowest"] == pytest.approx(0.8 * sure["lowest"])
+    assert unsure["highest"] == pytest.approx(1.2 * sure["highest"])

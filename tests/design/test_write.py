@@ -1,0 +1,171 @@
+"""Files: what is read back, or run by Lua beside a stub of ArduPilot's calls, is what was planned."""
+
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.design import (
+    Limits,
+    Signal,
+    Wavetrain,
+    chirp,
+    doublet,
+    orthogonal_multisines,
+    three_two_one_one,
+    wavetrain,
+    write_ardupilot_lua,
+    write_csv,
+    write_px4,
+)
+
+LIMITS = {
+    "elevator": Limits(0.05, rate=0.6), "aileron": Limits(0.1, rate=1.0), "rudder": Limits(0.15),
+    "throttle": Limits(0.2, rate=0.5),
+}  # fmt: skip
+FULL = {"elevator": 0.4, "aileron": 0.35, "rudder": 0.5}
+
+
+@pytest.fixture(scope="module")
+def train():
+    """Return all kinds of inputs on all axes, some of them at times between rows."""
+    multisines = orthogonal_multisines({name: LIMITS[name] for name in FULL}, 10.0, (0.2, 2.0), n_starts=1)
+    return wavetrain(
+        [
+            {"elevator": doublet(0.333, 0.05, limits=LIMITS["elevator"])},
+            {"rudder": three_two_one_one(0.4, -0.15)},
+            multisines,
+            {"aileron": chirp(10.0, (0.2, 1.5), 0.08, limits=LIMITS["aileron"])},
+            {"rudder": chirp(10.0, (0.2, 1.5), 0.08, spacing="linear")},
+            {"throttle": doublet(2.0, 0.2, limits=LIMITS["throttle"])},
+        ],
+        pause=1.0,
+        limits=LIMITS,
+    )
+
+
+def test_a_csv_is_the_table(train, tmp_path):
+    table = write_csv(tmp_path / "plan.csv", train, 50.0)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "plan.csv"), table, check_exact=False, rtol=1e-15)
+    pd.testing.assert_frame_equal(table, train.table(50.0))
+
+
+def test_px4_has_normalised_setpoints_of_its_signs(tmp_path):
+    train = Wavetrain({"elevator": {0.0: doublet(1, 0.1)}, "aileron": {0.0: doublet(1, 0.1)}})
+    write_px4(tmp_path / "plan.csv", train, 100.0, FULL)
+    table = pd.read_csv(tmp_path / "plan.csv")
+    assert table["timestamp"].dtype == np.int64
+    assert np.diff(table["timestamp"]).tolist() == [10_000] * 200
+    np.testing.assert_allclose(table.iloc[50, 1:], [0.1 / 0.35, -0.1 / 0.4, 0.0])  # trailing edge up pitches up
+
+
+@pytest.fixture(scope="module")
+def flown(train, tmp_path_factory):
+    """Return what the script logs and sets: time, inputs by axis, widths of servos 1 to 7."""
+    lua = shutil.which("lua5.4")
+    if lua is None:
+        pytest.skip("runs the script with lua5.4, which is not installed: apt-get install lua5.4")
+    path = tmp_path_factory.mktemp("lua") / "plan.lua"
+    stub = Path(__file__).with_name("autopilot.lua")
+
+    def run(jitter=0, off=1e9, full=FULL):
+        write_ardupilot_lua(path, train, 50.0, full)
+        command = [lua, str(stub), str(path), str(jitter), str(off)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+        rows = [line.split(",") for line in done.stdout.splitlines()]
+        names = ["time", *train.axes, *(f"servo{k}" for k in range(1, 8))]
+        return pd.DataFrame(rows, columns=names).astype(float), done.stderr
+
+    return run
+
+
+def test_the_script_gives_the_planned_signal(train, flown):
+    logged, said = flown()
+    table = train.table(50.0)
+    assert "plan: complete" in said
+    np.testing.assert_allclose(logged["time"][: len(table)], table["time"], atol=1e-12)
+    for axis in train.axes:
+        np.testing.assert_allclose(logged[axis][: len(table)], table[axis], atol=1e-6)
+    assert (logged[train.axes].iloc[len(table) :] == 0).all(axis=None)
+
+
+@pytest.mark.parametrize("jitter", [0, 35])
+def test_limits_hold_at_every_step_of_the_script(flown, jitter, train):
+    logged, _ = flown(jitter)
+    step = np.diff(logged["time"], prepend=-0.02)
+    for axis, limit in LIMITS.items():
+        assert logged[axis].abs().max() <= limit.amplitude
+        assert (np.abs(np.diff(logged[axis], prepend=0.0)) <= limit.rate * step * (1 + 1e-9)).all()
+    late = logged["time"] <= train.duration
+    off = np.abs(logged["rudder"] - train("rudder", logged["time"]))[late]  # it has no limit of rate
+    assert off.max() < 1e-6
+
+
+def test_servos_move_by_the_inputs_around_the_autopilots_commands(flown):
+    """Commands of the stub are 5 % of the range, 40 % of the throttle."""
+    logged, _ = flown()
+    right = 0.05 + logged["aileron"] / 0.35
+    up, yaw = 0.05 - logged["elevator"] / 0.4, 0.05 - logged["rudder"] / 0.5
+    for name, expected in (
+        ("servo1", 1500 + 500 * right), ("servo5", 1500 - 500 * right), ("servo4", 1500 + 500 * yaw),
+        ("servo2", 1480 + np.where(up > 0, 520, 480) * up), ("servo3", 1000 + 1000 * (0.4 + logged["throttle"])),
+    ):  # fmt: skip
+        np.testing.assert_allclose(logged[name], expected, atol=0.5 + 1e-6)
+
+
+def test_elevons_move_with_elevator_and_aileron(flown):
+    """ArduPilot's positive elevons are up."""
+    logged, _ = flown(full={"elevon_left": 0.4, "elevon_right": 0.5, "rudder": 0.5})
+    assert (logged[["servo1", "servo2"]] == 0).all(axis=None)
+    left, right = logged["elevator"] + logged["aileron"], logged["elevator"] - logged["aileron"]
+    np.testing.assert_allclose(logged["servo6"], 1500 + 500 * (0.05 - left / 0.4), atol=0.5 + 1e-6)
+    np.testing.assert_allclose(logged["servo7"], 1500 + 500 * (0.05 - right / 0.5), atol=0.5 + 1e-6)
+
+
+def test_the_switch_ends_the_inputs(flown):
+    logged, said = flown(off=3.0)
+    assert logged["time"].iloc[-1] < 2.5
+    assert "ended by the switch" in said
+
+
+@dataclass(frozen=True)
+class Noise(Signal):
+    duration: float = 5.0
+    peak = speed = 0.1
+    period = 1.0
+
+    def __call__(self, time):
+        return np.zeros(np.shape(time))
+
+    def scaled(self, factor):
+        return self
+
+
+@pytest.mark.parametrize(
+    ("write", "inputs", "rate", "full", "words"),
+    [
+        (write_px4, {"throttle": {0.0: doublet(1, 0.1)}}, 50.0, {"throttle": 1.0}, "PX4's torque setpoint lack"),
+        (write_px4, {"elevator": {0.0: doublet(1, 0.5)}}, 50.0, FULL, "full deflection is 0.4"),
+        (write_px4, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {}, "full deflections are given lack 'elevator'"),
+        (write_px4, {"elevator": {0.0: doublet(0.1, 0.1)}}, 20.0, FULL, "at least 50 Hz"),
+        (write_ardupilot_lua, {"thrust": {0.0: doublet(1, 5.0)}}, 50.0, FULL, "are given lack 'thrust'"),
+        (write_ardupilot_lua, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {"flap": 1.0}, "of ArduPilot lack 'flap'"),
+        (
+            write_ardupilot_lua,
+            {name: {0.0: doublet(1, 0.1)} for name in ("elevator", "aileron")},
+            50.0,
+            dict.fromkeys(("elevon_left", "elevon_right"), 0.15),
+            "elevon_left up to 0.2",
+        ),
+        (write_ardupilot_lua, {"rudder": {0.0: Noise()}}, 50.0, FULL, "Got a Noise"),
+        (write_ardupilot_lua, {"throttle": {0.0: doublet(1, 1.5)}}, 50.0, FULL, "full deflection is 1"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_written_is_refused(write, inputs, rate, full, words, tmp_path):
+    with pytest.raises(ValueError, match=words):
+        write(tmp_path / "plan", Wavetrain(inputs), rate, full)
+    assert not (tmp_path / "plan").exists()

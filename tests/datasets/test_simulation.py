@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from skdgp.datasets._simulation import GustyAir, brumby_motion
+from skdgp.datasets._simulation import brumby_motion
 from skdgp.dynamics import euler_to_quaternion, ned_to_body, standard_density
-from skdgp.dynamics._simulation.gusts import Gusts
+from skdgp.dynamics._equations.motion import Air
+from skdgp.dynamics._simulation.gusts import Gusts, GustyAir
 
 STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15]
 CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
@@ -19,7 +20,8 @@ def at(state, wind=WIND, gust=GUST, slopes=(0.0, 0.0)):
     """One pass of the fixed point, from a guess of alpha_dot and beta_dot."""
     implicit = np.zeros((*state.shape[:-1], 8))
     implicit[..., :2] = slopes
-    return MOTION.at(state, CONTROLS, GustyAir(wind, Gusts(*(part[None] for part in gust)))(0, state), implicit)
+    air = GustyAir(lambda stage, state: Air(wind), Gusts(*(part[None] for part in gust)))
+    return MOTION.at(state, CONTROLS, air(0, state), implicit)
 
 
 def settled(state, wind=WIND, gust=GUST):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
@@ -13,9 +15,10 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.sparse import csr_array
 from sklearn.utils import check_random_state
 
+from skdgp._compute.files import write_atomically
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._effects import in_units, split_model
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.inference import ExactPosterior, training_inputs
 
@@ -122,6 +125,32 @@ class BuildUp:
             if return_std:
                 variance[:, i] = np.square(basis @ self._roots[name]).sum(axis=1)
         return (mean, np.sqrt(variance)) if return_std else mean
+
+    def effects(self, coefficient: str) -> Callable[[tuple[str, ...], Matrix], tuple[Vector, Vector]]:
+        """Return a function that evaluates parts of a coefficient.
+
+        It takes names of one or two regressors and their values (n, 1) or (n, 2), and returns mean and standard
+        deviation (n,) of the terms of exactly these: derivative and table of one regressor, the table of two. The
+        terms have mean zero over the samples.
+        """
+        basis, weights = _Basis(self._axes(coefficient), self.reference), self._weights(coefficient)
+        centre = np.asarray(basis(self.samples).mean(axis=0)).ravel()
+
+        def effect(regressors, X):
+            points, columns = np.tile(self.reference, (len(X), 1)), []
+            places = [self.regressors.index(regressor) for regressor in regressors]
+            points[:, places] = X
+            if len(places) == 1:
+                columns.append([1 + places[0]])
+            for table, rows in zip(basis.tables, basis.slices, strict=True):
+                if table.columns == tuple(places):
+                    columns.append(np.arange(rows.start, rows.stop))
+            chosen = np.concatenate(columns)
+            values = basis(points)[:, chosen].toarray() - centre[chosen]
+            root = self._roots[coefficient][chosen]
+            return values @ weights[chosen], np.sqrt(np.square(values @ root).sum(axis=1))
+
+        return effect
 
     def sample(self, n_draws: int, random_state: Seed = 0) -> list[BuildUp]:
         """Return build-ups of functions drawn from the posterior: aircraft that the data allow.
@@ -350,6 +379,54 @@ def build_up(
         for name in COEFFICIENTS
     }
     return replace(means, tables=tables, constants_std=stds.constants, derivatives_std=stds.derivatives)
+
+
+def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
+    """Write a build-up as JSON: constants, derivatives and tables with standard deviations, units, limits and losses.
+
+    Its keys are described on the page of the build-up. Values are SI units and radians.
+
+    Parameters
+    ----------
+    path : path-like
+        Such as ``build_up.json``.
+    build : BuildUp
+
+    Examples
+    --------
+    ``write_build_up("build_up.json", build_up(model, aircraft))`` writes the model of a pipeline.
+    """
+    regressors = {
+        name: {
+            "unit": CHANNELS[name].unit if name in CHANNELS else "-",
+            "reference": float(reference),
+            "limits": limits.tolist(),
+        }
+        for name, reference, limits in zip(build.regressors, build.reference, build.limits.T, strict=True)
+    }
+    coefficients = {
+        name: {
+            "constant": {"value": float(build.constants[name]), "std": float(build.constants_std[name])},
+            "derivatives": {
+                r: {"value": float(build.derivatives.loc[name, r]), "std": float(build.derivatives_std.loc[name, r])}
+                for r in build.regressors
+            },
+            "tables": [
+                {
+                    "regressors": list(table.regressors),
+                    "breakpoints": [points.tolist() for points in table.breakpoints],
+                    "value": table.values.tolist(),
+                    "std": table.std.tolist(),
+                }
+                for table in build.tables[name]
+            ],
+            **{key: float(value) for key, value in build.loss.loc[name].items()},
+        }
+        for name in COEFFICIENTS
+    }
+    aircraft = {"name": build.aircraft.name, "span": build.lengths[0], "chord": build.lengths[1]}
+    values = {"aircraft": aircraft, "regressors": regressors, "coefficients": coefficients}
+    write_atomically(path, lambda temporary: temporary.write_text(json.dumps(values) + "\n", encoding="utf-8"))
 
 
 def _cells(X: Matrix, breakpoints: Sequence[Vector]) -> tuple[Any, Matrix]:

@@ -25,7 +25,7 @@ def export(run: Run) -> None:
     jsbsim    aircraft/NAME/NAME.xml: an aircraft with the coefficients as functions, or as tables with --form tables
     ardupilot plane.json: constant derivatives for the plane of SITL
     gazebo    model.sdf: constant derivatives for AdvancedLiftDrag
-    dave-ml   aero.dml: tables with standard deviations and check cases
+    dave-ml   aero.dml: functions with standard deviations and check cases, or tables with --form tables
 
     MODEL is the model.joblib that identify wrote; for the first four also a model.npz. With --max-kb the form gets
     fewer basis functions; the loss is printed in standard deviations of the posterior. Derivatives and tables are
@@ -98,7 +98,7 @@ EXPORT = Command(
             ),
             opt.Option(
                 ("--form",),
-                {"choices": ["functions", "tables"], "help": "of the coefficients, of jsbsim (default: functions)"},
+                {"choices": ["functions", "tables"], "help": "of the coefficients, of jsbsim and dave-ml (default: functions)"},
             ),
             opt.option(
                 "--draws K",

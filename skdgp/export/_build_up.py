@@ -152,6 +152,13 @@ class BuildUp:
 
         return effect
 
+    def correlation(self, coefficient: str) -> Matrix:
+        """Return the posterior correlation of the constant and the derivatives of a coefficient, (1 + d, 1 + d)."""
+        root = self._roots[coefficient][: 1 + len(self.regressors)]
+        size = np.sqrt(np.square(root).sum(axis=1))
+        root = root / np.where(size > 0, size, 1.0)[:, None]
+        return root @ root.T
+
     def sample(self, n_draws: int, random_state: Seed = 0) -> list[BuildUp]:
         """Return build-ups of functions drawn from the posterior: aircraft that the data allow.
 

@@ -127,11 +127,10 @@ def _gazebo(folder: Path, model: Any) -> dict[str, Any]:
     return {"files": [path], "loss": _by_name(write_gazebo(path, _build_up(model, "gazebo", return_std=False)))}
 
 
-def _dave_ml(folder: Path, model: Any) -> dict[str, Any]:
+def _dave_ml(folder: Path, model: Any, *, form: str = "functions") -> dict[str, Any]:
     """Write aero.dml."""
-    path, build = folder / "aero.dml", _build_up(model, "dave-ml")
-    write_dave_ml(path, build)
-    return {"files": [path], "loss": _by_name(build.loss)}
+    path = folder / "aero.dml"
+    return {"files": [path], "loss": _by_name(write_dave_ml(path, *_whole(model, "dave-ml"), form=form))}
 
 
 def _build_up(model: Any, to: str, **options: Any) -> BuildUp:

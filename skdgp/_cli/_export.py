@@ -98,7 +98,10 @@ EXPORT = Command(
             ),
             opt.Option(
                 ("--form",),
-                {"choices": ["functions", "tables"], "help": "of the coefficients, of jsbsim and dave-ml (default: functions)"},
+                {
+                    "choices": ["functions", "tables"],
+                    "help": "of the coefficients, of jsbsim and dave-ml (default: functions)",
+                },
             ),
             opt.option(
                 "--draws K",

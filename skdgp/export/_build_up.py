@@ -137,15 +137,13 @@ class BuildUp:
         centre = np.asarray(basis(self.samples).mean(axis=0)).ravel()
 
         def effect(regressors, X):
-            points, columns = np.tile(self.reference, (len(X), 1)), []
             places = [self.regressors.index(regressor) for regressor in regressors]
+            points = np.tile(self.reference, (len(X), 1))
             points[:, places] = X
-            if len(places) == 1:
-                columns.append([1 + places[0]])
+            chosen = [1 + place for place in places] if len(places) == 1 else []
             for table, rows in zip(basis.tables, basis.slices, strict=True):
                 if table.columns == tuple(places):
-                    columns.append(np.arange(rows.start, rows.stop))
-            chosen = np.concatenate(columns)
+                    chosen += range(rows.start, rows.stop)
             values = basis(points)[:, chosen].toarray() - centre[chosen]
             root = self._roots[coefficient][chosen]
             return values @ weights[chosen], np.sqrt(np.square(values @ root).sum(axis=1))
@@ -411,23 +409,24 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
         }
         for name, reference, limits in zip(build.regressors, build.reference, build.limits.T, strict=True)
     }
+    slopes, slopes_std = build.derivatives.to_dict("index"), build.derivatives_std.to_dict("index")
+    losses = build.loss.to_dict("index")
     coefficients = {
         name: {
-            "constant": {"value": float(build.constants[name]), "std": float(build.constants_std[name])},
-            "derivatives": {
-                r: {"value": float(build.derivatives.loc[name, r]), "std": float(build.derivatives_std.loc[name, r])}
-                for r in build.regressors
-            },
+            "constant": build.constants.to_dict()[name],
+            "constant_std": build.constants_std.to_dict()[name],
+            "derivatives": slopes[name],
+            "derivatives_std": slopes_std[name],
             "tables": [
                 {
                     "regressors": list(table.regressors),
                     "breakpoints": [points.tolist() for points in table.breakpoints],
-                    "value": table.values.tolist(),
+                    "values": table.values.tolist(),
                     "std": table.std.tolist(),
                 }
                 for table in build.tables[name]
             ],
-            **{key: float(value) for key, value in build.loss.loc[name].items()},
+            **losses[name],
         }
         for name in COEFFICIENTS
     }
@@ -437,7 +436,7 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
 
 
 def _cells(X: Matrix, breakpoints: Sequence[Vector]) -> tuple[Any, Matrix]:
-    """Return the cells (n, 2) or (n, 4) of a table that its values at X (n, 1) or (n, 2) depend on, and their weights."""
+    """Return the cells (n, 2) or (n, 4) of which a table at X (n, 1) or (n, 2) is a mean, and their weights."""
     places, shares = zip(*(_neighbours(x, points) for x, points in zip(X.T, breakpoints, strict=True)), strict=True)
     if len(breakpoints) == 1:
         return places[0], shares[0]

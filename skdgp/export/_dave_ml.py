@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -35,7 +36,7 @@ STANDARD_NAMES = {
     "Cn": "aeroBodyMomentCoefficient_Yaw",
 }  # fmt: skip
 CHECK_TOLERANCE = 1e-9
-BASE = float(np.e)  # of powers: fewer readers know the element exp
+BASE = math.e  # of powers: fewer readers know the element exp
 MAX_FUNCTIONS = 6000  # Gaussian functions of all outputs: a model with more is reduced
 MAX_ENTRIES = 60000  # of the roots of the deviations of all outputs
 MAX_CORRELATED = 100  # samples over which the correlation of the coefficients is averaged
@@ -108,25 +109,29 @@ def write_dave_ml(
         raise ValueError(f"Got form={form!r}, but expected 'functions' or 'tables'.")
     if n_checks < 1:
         raise ValueError(f"Got n_checks={n_checks!r}, but expected at least one check case.")
-    if aircraft is None and not isinstance(model, BuildUp):
-        raise ValueError(f"Got {type(model).__name__} without an aircraft, but expected both: give the aircraft, too.")
     root = Element("DAVEfunc", xmlns=NAMESPACE)
-    if isinstance(model, BuildUp) or form == "tables":
-        build = model if isinstance(model, BuildUp) else build_up(model, aircraft, **options)
+    build = model if isinstance(model, BuildUp) else None
+    if build is None and aircraft is None:
+        raise ValueError(f"Got {type(model).__name__} without an aircraft, but expected both: give the aircraft, too.")
+    if build is None and form == "tables":
+        build = build_up(model, cast("Aircraft", aircraft), **options)
+    if build is not None:
         facts = _Facts(**{name: getattr(build, name) for name in _Facts._fields})
         _add_header(root, facts)
         _add_inputs(root, facts)
         _add_build_up(root, build)
         values = build.evaluate(build.samples)
     else:
-        portable = portable_model(model, aircraft)
+        portable = portable_model(model, cast("Aircraft", aircraft))
         shown = reduced(portable, _n_functions, MAX_FUNCTIONS)
         facts = _facts(portable, shown)
         _add_header(root, facts)
         _add_inputs(root, facts)
-        _add_functions(root, shown, reduced(portable, _n_entries, MAX_ENTRIES), _correlation(model, portable, facts.samples))
+        _add_functions(
+            root, shown, reduced(portable, _n_entries, MAX_ENTRIES), _correlation(model, portable, facts.samples)
+        )
         values = shown.predict(facts.samples)[:, _order(portable)]
-    _add_checks(root, facts, values, n_checks, internal=form == "functions" and not isinstance(model, BuildUp))
+    _add_checks(root, facts, values, n_checks, internal=build is None)
     _indent(root)
     text = f'<?xml version="1.0"?>\n{DOCTYPE}\n{ElementTree.tostring(root, encoding="unicode")}\n'
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
@@ -136,12 +141,12 @@ def write_dave_ml(
 def _indent(root: Element) -> None:
     """Break lines between elements, but not within formulas, which are long."""
     ElementTree.indent(root)
-    for math in root.iter("math"):
-        tail = math.tail
-        for element in math.iter():
+    for formula in root.iter("math"):
+        tail = formula.tail
+        for element in formula.iter():
             element.tail = None
-            element.text = element.text and element.text.strip() or None
-        math.tail = tail
+            element.text = (element.text or "").strip() or None
+        formula.tail = tail
 
 
 def _facts(model: PortableModel, shown: PortableModel) -> _Facts:
@@ -218,10 +223,10 @@ def _add_functions(root: Element, model: PortableModel, of_std: PortableModel, c
             for k, (block, weights, _) in enumerate(model.terms(i))
         ]
         constant, *slopes = model.trend_weights[i]
-        trend = [float(constant), *(_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v)]
+        trend = [_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v]
         _deviation(root, of_std, i, name, scaled)
         place = SubElement(root, "variableDef", name=_name(name), varID=name, units="nd")
-        total = _apply("times", float(model.output_scale[i]), _apply("plus", *trend, *parts))
+        total = _apply("times", float(model.output_scale[i]), _apply("plus", float(constant), *trend, *parts))
         _calculate(place, _apply("plus", float(model.center[i]), total))
         SubElement(place, "isOutput")
         normal = _normal(place)
@@ -362,7 +367,9 @@ def _add_function(root: Element, name: str, table: Table) -> None:
         place.set("min", _number(points[0]))
         place.set("max", _number(points[-1]))
     SubElement(function, "dependentVarRef", varID=name)
-    grid = SubElement(SubElement(function, "functionDefn"), "griddedTableDef", gtID=f"{name}_g", units="nd")
+    grid = SubElement(
+        SubElement(function, "functionDefn", name=f"{name}_f"), "griddedTableDef", gtID=f"{name}_g", units="nd"
+    )
     references = SubElement(grid, "breakpointRefs")
     for axis in range(len(table.breakpoints)):
         SubElement(references, "bpRef", bpID=f"{name}_b{axis}")

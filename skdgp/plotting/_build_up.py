@@ -108,8 +108,8 @@ class BuildUpDisplay(Display):
 
         size = (max(1.3, 12.0 / (len(regressors) + n_maps)), 1.25)
         n_columns = len(regressors) + n_maps
-        options = {"gridspec_kw": {"width_ratios": [1.0] * len(regressors) + [1.5] * n_maps}}
-        self.lines_, self.bands_, self.meshes_ = self._draw_panels(ax, draw, keys, n_columns, size, **options)
+        widths = {"width_ratios": [1.0] * len(regressors) + [1.5] * n_maps}
+        self.lines_, self.bands_, self.meshes_ = self._draw_panels(ax, draw, keys, n_columns, size, gridspec_kw=widths)
         if legend:
             legend_of_figure(self.axes_[0, 0])
         return self
@@ -178,9 +178,9 @@ class BuildUpDisplay(Display):
         if n_grid < 2 or n_pairs < 0:
             raise ValueError(f"Got n_grid={n_grid!r}, n_pairs={n_pairs!r}, but expected n_grid >= 2 and n_pairs >= 0.")
         samples = pd.DataFrame(build.samples, columns=list(build.regressors))
-        ends = pd.DataFrame(build.limits, columns=list(build.regressors))
-        at = {name: np.linspace(*ends[name], n_grid) for name in build.regressors}
-        curves, maps = {}, {}
+        at = dict(zip(build.regressors, np.linspace(build.limits[0], build.limits[1], n_grid).T, strict=True))
+        curves: dict[tuple[str, str], Curve] = {}
+        maps: dict[str, list] = {}
         for name, tables in build.tables.items():
             effect = build.effects(name)
             for regressor in build.regressors:

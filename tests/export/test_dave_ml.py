@@ -90,7 +90,8 @@ class Evaluator:
         """Yield inputs, and the expected signals inside and at the outputs, of each check case."""
         for shot in self.root.iter(f"{D}staticShot"):
             given = {key: value for key, (value, _) in self.signals(shot.find(f"{D}checkInputs")).items()}
-            yield given, self.signals(shot.find(f"{D}internalValues") or []), self.signals(shot.find(f"{D}checkOutputs"))
+            inside = shot.find(f"{D}internalValues")
+            yield given, self.signals(() if inside is None else inside), self.signals(shot.find(f"{D}checkOutputs"))
 
     def correlation(self, names):
         found = np.eye(len(names))

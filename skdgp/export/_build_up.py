@@ -342,11 +342,10 @@ def build_up(
     names = posterior.names
     kept = _important(few, mean_of_few, tolerance * deviation, _candidates(names, pairs))
     weights, roots, losses = {}, {}, {}
-    projections: dict[str, _Projection] = {}
+    bases: dict[str, _Basis] = {}
     for i, name in enumerate(COEFFICIENTS):
-        basis = _chosen(few, mean_of_few[:, i], tolerance * deviation[i], kept[i])
-        projections[name] = _Projection(basis, points)
-        weights[name] = projections[name](mean[:, [i]])[:, 0]
+        basis = bases[name] = _chosen(few, mean_of_few[:, i], tolerance * deviation[i], kept[i])
+        weights[name] = _Projection(basis, points)(mean[:, [i]])[:, 0]
         losses[name] = np.sqrt(np.mean((basis(tested) @ weights[name] - truth[:, i]) ** 2))
         if return_std:
             roots[name] = _Projection(basis, few)(posterior.root(i, few.X))
@@ -357,7 +356,7 @@ def build_up(
 
     def draw(n_draws, random_state):
         values = posterior.paths(n_draws, random_state, points.X)
-        return {name: projections[name](values[..., i].T).T for i, name in enumerate(COEFFICIENTS)}
+        return {name: _Projection(bases[name], points)(values[..., i].T).T for i, name in enumerate(COEFFICIENTS)}
 
     of_weights = {name: np.sqrt(np.square(root).sum(axis=1)) for name, root in roots.items()}
     empty = BuildUp(
@@ -369,7 +368,7 @@ def build_up(
         constants_std=pd.Series(dtype=float),
         derivatives=pd.DataFrame(),
         derivatives_std=pd.DataFrame(),
-        tables={name: _empty_tables(projection.basis, names) for name, projection in projections.items()},
+        tables={name: _empty_tables(basis, names) for name, basis in bases.items()},
         loss=loss,
         samples=tested,
         predicted=truth,
@@ -546,7 +545,8 @@ class Posterior:
 
 def _points(samples: Matrix, most: int) -> Points:
     rng = check_random_state(0)
-    flown = samples[np.sort(rng.permutation(len(samples))[:most])]
+    ends = np.concatenate([samples.argmin(axis=0), samples.argmax(axis=0)])  # tables reach over all samples
+    flown = samples[np.union1d(rng.permutation(len(samples))[:most], ends)]
     others = max(1000, int(OTHERS * len(flown)))
     mixed = np.column_stack([rng.choice(column, others) for column in samples.T])
     weight = np.concatenate([np.ones(len(flown)), np.full(others, OTHERS * OTHERS_WEIGHT * len(flown) / others)])

@@ -568,7 +568,7 @@ def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
 
 def _grid(x: Vector, n: int) -> Vector:
     """Return n breakpoints over the range of x, closer where samples are."""
-    return np.unique(0.7 * np.linspace(x.min(), x.max(), n) + 0.3 * np.quantile(x, np.linspace(0.0, 1.0, n)))
+    return np.unique(0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n)))
 
 
 def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: int) -> list[Axes]:

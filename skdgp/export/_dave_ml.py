@@ -21,7 +21,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import BuildUp, Table, build_up
 from skdgp.export._model import Block, PortableModel
 from skdgp.export._pipeline import portable_model
-from skdgp.export._reduce import reduced
+from skdgp.export._reduce import loss_of, reduced
 
 DOCTYPE = (
     '<!DOCTYPE DAVEfunc PUBLIC "-//AIAA//DTD for Flight Dynamic Models - Functions 2.0//EN"\n'
@@ -39,6 +39,7 @@ CHECK_TOLERANCE = 1e-9
 BASE = math.e  # of powers: fewer readers know the element exp
 MAX_FUNCTIONS = 6000  # Gaussian functions of all outputs: a model with more is reduced
 MAX_ENTRIES = 60000  # of the roots of the deviations of all outputs
+MAX_STD_LOSS = 0.1  # largest relative change of deviations by fewer functions, root mean square
 MAX_CORRELATED = 100  # samples over which the correlation of the coefficients is averaged
 
 
@@ -70,8 +71,8 @@ def write_dave_ml(
 
     With ``form="functions"`` outputs are the posterior mean in MathML. Each has an ``uncertainty``: additive, normal,
     one standard deviation, which is the variable ``CX_std`` of the same inputs, and the correlation with the other
-    outputs, the average over samples. Deviations have fewer functions than the model: they are within 1 % of those of
-    the model, root mean square over the samples, and ``internalValues`` of the check cases state those of the model.
+    outputs, the average over samples. Deviations have fewer functions than the model; a change by more than
+    10 %, root mean square, is refused. ``internalValues`` of the check cases state those of the model.
 
     With ``form="tables"`` outputs are those of :func:`build_up`. Constants, derivatives and cells have uncertainties,
     constants and derivatives of a coefficient their correlation.
@@ -99,7 +100,8 @@ def write_dave_ml(
     Raises
     ------
     ValueError
-        If a parameter is invalid, the pipeline has no portable form (functions), or the build-up is refused (tables).
+        If a parameter is invalid, the pipeline has no portable form or too many functions (functions), or the build-up
+        is refused (tables).
 
     Examples
     --------
@@ -124,12 +126,11 @@ def write_dave_ml(
     else:
         portable = portable_model(model, cast("Aircraft", aircraft))
         shown = reduced(portable, _n_functions, MAX_FUNCTIONS)
-        facts = _facts(portable, shown)
+        of_std, facts = reduced(portable, _n_entries, MAX_ENTRIES), _facts(portable, shown)
+        _check_loss(facts.loss, of_std)
         _add_header(root, facts)
         _add_inputs(root, facts)
-        _add_functions(
-            root, shown, reduced(portable, _n_entries, MAX_ENTRIES), _correlation(model, portable, facts.samples)
-        )
+        _add_functions(root, shown, of_std, _correlation(model, portable, facts.samples))
         values = shown.predict(facts.samples)[:, _order(portable)]
     _add_checks(root, facts, values, n_checks, internal=build is None)
     _indent(root)
@@ -160,6 +161,18 @@ def _facts(model: PortableModel, shown: PortableModel) -> _Facts:
     limits = np.stack([model.envelope.low, model.envelope.high])
     table = pd.DataFrame({"loss": loss, "deviation": deviation}, index=list(COEFFICIENTS))
     return _Facts(model.aircraft, model.regressor_names, limits, samples, mean, std, table)
+
+
+def _check_loss(loss: pd.DataFrame, of_std: PortableModel) -> None:
+    """Raise ValueError if fewer functions change mean or deviation too much."""
+    mean = float((loss["loss"] / loss["deviation"]).max())
+    std = max((found["std"] for found in loss_of(of_std).values()), default=0.0)
+    if mean > 1.0 or std > MAX_STD_LOSS:
+        raise ValueError(
+            f"Got a model that {MAX_FUNCTIONS} functions change by {mean:.2g} posterior deviations, and its deviations "
+            f"by {std:.2g} of themselves, but expected at most 1 and {MAX_STD_LOSS:g}: use form='tables', or a model "
+            "with inference='sparse'."
+        )
 
 
 def _order(model: PortableModel) -> list[int]:
@@ -252,7 +265,7 @@ def _deviation(root: Element, model: PortableModel, i: int, name: str, scaled: S
             rows.append(row)
             _calculate(_variable(root, functions[-1]), exponent)
     T = model.trend_roots[i]
-    lower = np.array(rows).reshape(len(rows), -1)
+    lower = np.reshape(rows, (len(rows), model.readouts[model.readout_of[i]].size))
     H = np.concatenate([T, np.column_stack([np.zeros((len(rows), T.shape[1] - lower.shape[1])), lower])])
     squares = []
     for j, column in enumerate(H.T):

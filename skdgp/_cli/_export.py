@@ -23,10 +23,11 @@ def export(run: Run) -> None:
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
     fmu       aircraft.fmu: the whole aircraft for co-simulation, or aero.fmu with --form coefficients; C inside
+    build-up  build_up.json: derivatives and tables with standard deviations; build_up.png: their picture
     jsbsim    aircraft/NAME/NAME.xml: an aircraft with the coefficients as functions, or as tables with --form tables
     ardupilot plane.json: constant derivatives for the plane of SITL
     gazebo    model.sdf: constant derivatives for AdvancedLiftDrag
-    dave-ml   aero.dml: tables with standard deviations and check cases
+    dave-ml   aero.dml: functions with standard deviations and check cases, or tables with --form tables
 
     MODEL is the model.joblib that identify wrote; for the first five also a model.npz. With --max-kb the form gets
     fewer basis functions; the loss is printed in standard deviations of the posterior. Derivatives and tables are
@@ -101,7 +102,8 @@ EXPORT = Command(
                 ("--form",),
                 {
                     "choices": ["functions", "tables", *FMU_FILES],
-                    "help": "of jsbsim: functions (default) or tables; of fmu: aircraft (default) or coefficients",
+                    "help": "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) or "
+                    "coefficients",
                 },
             ),
             opt.Option(

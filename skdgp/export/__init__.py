@@ -1,7 +1,7 @@
 """Models that leave Python: the portable model, its file, and the formats of other programs; an environment."""
 
 from skdgp.export._ardupilot import write_ardupilot, write_gazebo
-from skdgp.export._build_up import BuildUp, Table, build_up
+from skdgp.export._build_up import BuildUp, Table, build_up, write_build_up
 from skdgp.export._c import write_c
 from skdgp.export._casadi import casadi_function
 from skdgp.export._dave_ml import write_dave_ml
@@ -33,6 +33,7 @@ __all__ = [
     "portable_model",
     "save_portable",
     "write_ardupilot",
+    "write_build_up",
     "write_c",
     "write_dave_ml",
     "write_fmu",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
@@ -9,21 +11,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, lapack
+from scipy.sparse import csr_array
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import symmetric
+from skdgp._compute.files import write_atomically
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._effects import in_units, split_model
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.inference import ExactPosterior, training_inputs
 
-MAX_POINTS, MAX_TESTED = 4000, 10000  # samples of the projection; samples over which its loss is measured
-OTHERS, OTHERS_WEIGHT = 1000, 0.1  # points that mix the regressors of different samples, and their weight
+MAX_POINTS, MAX_TESTED = 10000, 10000  # samples of the projection; samples over which its loss is measured
+FEW_POINTS = 2500  # samples of the projection while terms are chosen, and for deviations
+OTHERS, OTHERS_WEIGHT = 0.4, 0.25  # points that mix the regressors of different samples: share, and weight of each
 FEW, SINGLE, PAIR = 5, 33, 9  # breakpoints: of pairs while terms are chosen; the most of a table of one and of two
-CURVATURE = 3e-5  # penalty of squared second differences, for each point
-RIDGE, PAIR_RIDGE = 1e-7, 1e-5  # of squared values; a table of two holds only what tables of one cannot
+CURVATURE = 3e-6  # penalty of squared second differences, for each point
+NEGLIGIBLE = 1e-5  # of the mean variance: what a root of the posterior covariance leaves out
+CHUNK = 512  # points whose covariance with the others is computed at once
+RIDGE, PAIR_RIDGE = 1e-7, 1e-6  # of squared values; a table of two holds only what tables of one cannot
 
 
 class Table(NamedTuple):
@@ -40,7 +46,8 @@ class Table(NamedTuple):
 
     def __call__(self, X: Matrix) -> Vector:
         """Return the values at X (n, 1) or (n, 2), the regressors of the table."""
-        return table_basis(X, self.breakpoints) @ np.ravel(self.values)
+        cells, weights = _cells(np.asarray(X, dtype=float), self.breakpoints)
+        return np.einsum("nk,nk->n", weights, np.ravel(self.values)[cells])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -81,9 +88,13 @@ class BuildUp:
     loss: pd.DataFrame
     samples: Matrix
     """Samples of the flown envelope, (n, d)."""
+    predicted: Matrix
+    """Coefficients of the model at the samples, (n, 6)."""
+    predicted_std: Matrix
+    """Their standard deviations."""
     lengths: tuple[float, float]
     """Span and chord of the non-dimensional rates [m]."""
-    _covariances: dict[str, Matrix]
+    _roots: dict[str, Matrix]
     _draw: Callable[[int, Seed], dict[str, Matrix]]
 
     def __repr__(self) -> str:
@@ -112,8 +123,39 @@ class BuildUp:
             basis = _Basis(self._axes(name), self.reference)(X)
             mean[:, i] = basis @ self._weights(name)
             if return_std:
-                variance[:, i] = np.einsum("na,ab,nb->n", basis, self._covariances[name], basis, optimize=True)
-        return (mean, np.sqrt(np.maximum(variance, 0.0))) if return_std else mean
+                variance[:, i] = np.square(basis @ self._roots[name]).sum(axis=1)
+        return (mean, np.sqrt(variance)) if return_std else mean
+
+    def effects(self, coefficient: str) -> Callable[[tuple[str, ...], Matrix], tuple[Vector, Vector]]:
+        """Return a function that evaluates parts of a coefficient.
+
+        It takes names of one or two regressors and their values (n, 1) or (n, 2), and returns mean and standard
+        deviation (n,) of the terms of exactly these: derivative and table of one regressor, the table of two. The
+        terms have mean zero over the samples.
+        """
+        basis, weights = _Basis(self._axes(coefficient), self.reference), self._weights(coefficient)
+        centre = np.asarray(basis(self.samples).mean(axis=0)).ravel()
+
+        def effect(regressors, X):
+            places = [self.regressors.index(regressor) for regressor in regressors]
+            points = np.tile(self.reference, (len(X), 1))
+            points[:, places] = X
+            chosen = [1 + place for place in places] if len(places) == 1 else []
+            for table, rows in zip(basis.tables, basis.slices, strict=True):
+                if table.columns == tuple(places):
+                    chosen += range(rows.start, rows.stop)
+            values = basis(points)[:, chosen].toarray() - centre[chosen]
+            root = self._roots[coefficient][chosen]
+            return values @ weights[chosen], np.sqrt(np.square(values @ root).sum(axis=1))
+
+        return effect
+
+    def correlation(self, coefficient: str) -> Matrix:
+        """Return the posterior correlation of the constant and the derivatives of a coefficient, (1 + d, 1 + d)."""
+        root = self._roots[coefficient][: 1 + len(self.regressors)]
+        size = np.sqrt(np.square(root).sum(axis=1))
+        root = root / np.where(size > 0, size, 1.0)[:, None]
+        return root @ root.T
 
     def sample(self, n_draws: int, random_state: Seed = 0) -> list[BuildUp]:
         """Return build-ups of functions drawn from the posterior: aircraft that the data allow.
@@ -175,20 +217,33 @@ class _Basis:
         self.slices = [slice(a, b) for a, b in pairwise(edges)]
         self.size = int(edges[-1])
 
-    def __call__(self, X: Matrix) -> Matrix:
-        hats = [table_basis(X[:, list(table.columns)], table.breakpoints) for table in self.tables]
-        return np.hstack([np.ones((len(X), 1)), X - self.reference, *hats])
+    def __call__(self, X: Matrix) -> csr_array:
+        """Return their values at X, (n, size): few of a row are not zero."""
+        cells = [_cells(X[:, list(table.columns)], table.breakpoints) for table in self.tables]
+        lines = np.broadcast_to(np.arange(1 + len(self.reference)), (len(X), 1 + len(self.reference)))
+        columns = [lines, *(k + rows.start for (k, _), rows in zip(cells, self.slices, strict=True))]
+        values = np.hstack([np.ones((len(X), 1)), X - self.reference, *(weights for _, weights in cells)])
+        places = np.arange(len(X) + 1) * values.shape[1]
+        return csr_array((values.ravel(), np.hstack(columns).ravel(), places), shape=(len(X), self.size))
 
-    def projected(self, points: Points, values: Matrix | None = None) -> Matrix:
-        """Return the weights (size, m) of functions with values (n, m) at the points; by default L, of any values."""
-        scale = np.concatenate([[1.0], 1.0 / points.scale, np.ones(self.size - 1 - len(self.reference))])
-        basis, total = self(points.X) * scale, points.weight.sum()
-        weighted = (points.weight[:, None] * basis).T
-        normal = weighted @ basis
-        normal += total * block_diag(np.zeros((1 + len(self.reference),) * 2), *map(_penalty, self.tables))
+
+class _Projection:
+    """The weights of a basis that represent functions by their values at points, by penalised least squares."""
+
+    def __init__(self, basis: _Basis, points: Points):
+        self.basis, self.points, n_lines = basis, points, 1 + len(basis.reference)
+        self.scale = np.concatenate([[1.0], 1.0 / points.scale, np.ones(basis.size - n_lines)])
+        values, total = basis(points.X) * self.scale[None, :], points.weight.sum()
+        self.weighted = csr_array((values * points.weight[:, None]).T)
+        normal = (self.weighted @ values).toarray()
+        for table, rows in zip(basis.tables, basis.slices, strict=True):
+            normal[rows, rows] += total * _penalty(table)
         np.einsum("aa->a", normal)[:] += 1e-12 * total
-        right = weighted if values is None else weighted @ values
-        return scale[:, None] * cho_solve(cho_factor(normal, overwrite_a=True), right)
+        self.factor = cho_factor(normal, overwrite_a=True, check_finite=False)
+
+    def __call__(self, values: Matrix) -> Matrix:
+        """Return the weights (size, m) of functions with values (n, m) at the points."""
+        return self.scale[:, None] * cho_solve(self.factor, self.weighted @ values, check_finite=False)
 
 
 class Points(NamedTuple):
@@ -198,8 +253,10 @@ class Points(NamedTuple):
     """Samples, then mixtures of samples, (n, d)."""
     weight: Vector
     n_samples: int
+    reference: Vector
+    """Means of the regressors over all samples."""
     scale: Vector
-    """Standard deviations of the regressors."""
+    """Standard deviations of the same."""
 
 
 def build_up(
@@ -210,6 +267,7 @@ def build_up(
     tolerance: float = 0.1,
     pairs: str = "all",
     max_loss: float = 1.0,
+    return_std: bool = True,
 ) -> BuildUp:
     r"""Return the coefficients of a model as constants, derivatives and tables of one and of two regressors.
 
@@ -240,6 +298,8 @@ def build_up(
     max_loss : float, default=1.0
         Largest loss, root mean square over the samples, as a fraction of the root mean square posterior deviation;
         ``np.inf`` accepts any.
+    return_std : bool, default=True
+        Also compute standard deviations, which takes most of the time; without, they are NaN.
 
     Returns
     -------
@@ -274,47 +334,50 @@ def build_up(
     if not 0 < tolerance < np.inf or not max_loss > 0:
         raise ValueError(f"Got tolerance={tolerance!r}, max_loss={max_loss!r}, but expected positive fractions.")
     posterior = Posterior(model, X)
-    points = _points(posterior.samples)
-    mean = posterior.mean(points.X)
+    few, points = (_points(posterior.samples, most) for most in (FEW_POINTS, MAX_POINTS))
+    mean, mean_of_few = posterior.mean(points.X), posterior.mean(few.X)
     tested = posterior.tested
-    truth, deviation = posterior.mean(tested), posterior.deviation(tested)
+    truth, std = posterior.mean(tested), posterior.deviation(tested)
+    deviation = np.sqrt(np.mean(std**2, axis=0))
     names = posterior.names
-    kept = _important(points, mean, tolerance * deviation, _candidates(names, pairs))
-    found: dict[str, Any] = {"bases": {}, "projections": {}, "weights": {}, "covariances": {}}
-    losses = np.empty(len(COEFFICIENTS))
+    kept = _important(few, mean_of_few, tolerance * deviation, _candidates(names, pairs))
+    weights, roots, losses = {}, {}, {}
+    bases: dict[str, _Basis] = {}
     for i, name in enumerate(COEFFICIENTS):
-        basis = _chosen(points, mean[:, i], tolerance * deviation[i], kept[i])
-        projection = basis.projected(points)
-        weights = projection @ mean[:, i]
-        losses[i] = np.sqrt(np.mean((basis(tested) @ weights - truth[:, i]) ** 2))
-        parts = basis, projection, weights, posterior.covariance(i, points.X, projection)
-        for key, part in zip(found, parts, strict=True):
-            found[key][name] = part
-    loss = pd.DataFrame({"loss": losses, "deviation": deviation}, index=list(COEFFICIENTS))
+        basis = bases[name] = _chosen(few, mean_of_few[:, i], tolerance * deviation[i], kept[i])
+        weights[name] = _Projection(basis, points)(mean[:, [i]])[:, 0]
+        losses[name] = np.sqrt(np.mean((basis(tested) @ weights[name] - truth[:, i]) ** 2))
+        if return_std:
+            roots[name] = _Projection(basis, few)(posterior.root(i, few.X))
+        else:
+            roots[name] = np.full((basis.size, 1), np.nan)
+    loss = pd.DataFrame({"loss": pd.Series(losses), "deviation": deviation})
     _check_loss(loss, max_loss, pairs)
 
     def draw(n_draws, random_state):
         values = posterior.paths(n_draws, random_state, points.X)
-        return {name: values[..., i] @ found["projections"][name].T for i, name in enumerate(COEFFICIENTS)}
+        return {name: _Projection(bases[name], points)(values[..., i].T).T for i, name in enumerate(COEFFICIENTS)}
 
-    std = {name: np.sqrt(np.diag(covariance)) for name, covariance in found["covariances"].items()}
+    of_weights = {name: np.sqrt(np.square(root).sum(axis=1)) for name, root in roots.items()}
     empty = BuildUp(
         aircraft=aircraft,
         regressors=tuple(names),
-        reference=points.X[: points.n_samples].mean(axis=0),
+        reference=points.reference,
         limits=posterior.limits,
         constants=pd.Series(dtype=float),
         constants_std=pd.Series(dtype=float),
         derivatives=pd.DataFrame(),
         derivatives_std=pd.DataFrame(),
-        tables={name: _empty_tables(basis, names) for name, basis in found["bases"].items()},
+        tables={name: _empty_tables(basis, names) for name, basis in bases.items()},
         loss=loss,
         samples=tested,
+        predicted=truth,
+        predicted_std=std,
         lengths=posterior.lengths(aircraft),
-        _covariances=found["covariances"],
+        _roots=roots,
         _draw=draw,
     )
-    means, stds = empty._with(found["weights"]), empty._with(std)
+    means, stds = empty._with(weights), empty._with(of_weights)
     tables = {
         name: [t._replace(std=s.values) for t, s in zip(means.tables[name], stds.tables[name], strict=True)]
         for name in COEFFICIENTS
@@ -322,18 +385,69 @@ def build_up(
     return replace(means, tables=tables, constants_std=stds.constants, derivatives_std=stds.derivatives)
 
 
-def table_basis(X: Matrix, breakpoints: Sequence[Vector]) -> Matrix:
-    """Return the weights (n, cells) of the cells of a table in its values at X (n, 1) or (n, 2): (bi)linear."""
-    hats = [_hats(x, points) for x, points in zip(np.asarray(X, float).T, breakpoints, strict=True)]
-    return hats[0] if len(hats) == 1 else (hats[0][:, :, None] * hats[1][:, None, :]).reshape(len(X), -1)
+def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
+    """Write a build-up as JSON: constants, derivatives and tables with standard deviations, units, limits and losses.
+
+    Its keys are described on the page of the build-up. Values are SI units and radians.
+
+    Parameters
+    ----------
+    path : path-like
+        Such as ``build_up.json``.
+    build : BuildUp
+
+    Examples
+    --------
+    ``write_build_up("build_up.json", build_up(model, aircraft))`` writes the model of a pipeline.
+    """
+    regressors = {
+        name: {
+            "unit": CHANNELS[name].unit if name in CHANNELS else "-",
+            "reference": float(reference),
+            "limits": limits.tolist(),
+        }
+        for name, reference, limits in zip(build.regressors, build.reference, build.limits.T, strict=True)
+    }
+    slopes, slopes_std = build.derivatives.to_dict("index"), build.derivatives_std.to_dict("index")
+    losses = build.loss.to_dict("index")
+    coefficients = {
+        name: {
+            "constant": build.constants.to_dict()[name],
+            "constant_std": build.constants_std.to_dict()[name],
+            "derivatives": slopes[name],
+            "derivatives_std": slopes_std[name],
+            "tables": [
+                {
+                    "regressors": list(table.regressors),
+                    "breakpoints": [points.tolist() for points in table.breakpoints],
+                    "values": table.values.tolist(),
+                    "std": table.std.tolist(),
+                }
+                for table in build.tables[name]
+            ],
+            **losses[name],
+        }
+        for name in COEFFICIENTS
+    }
+    aircraft = {"name": build.aircraft.name, "span": build.lengths[0], "chord": build.lengths[1]}
+    values = {"aircraft": aircraft, "regressors": regressors, "coefficients": coefficients}
+    write_atomically(path, lambda temporary: temporary.write_text(json.dumps(values) + "\n", encoding="utf-8"))
 
 
-def _hats(x, points):
+def _cells(X: Matrix, breakpoints: Sequence[Vector]) -> tuple[Any, Matrix]:
+    """Return the cells (n, 2) or (n, 4) of which a table at X (n, 1) or (n, 2) is a mean, and their weights."""
+    places, shares = zip(*(_neighbours(x, points) for x, points in zip(X.T, breakpoints, strict=True)), strict=True)
+    if len(breakpoints) == 1:
+        return places[0], shares[0]
+    cells = places[0][:, :, None] * len(breakpoints[1]) + places[1][:, None, :]
+    return cells.reshape(len(X), 4), (shares[0][:, :, None] * shares[1][:, None, :]).reshape(len(X), 4)
+
+
+def _neighbours(x, points):
+    """Return the breakpoints on both sides of each x, (n, 2), and their shares."""
     left = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
     share = np.clip((x - points[left]) / np.diff(points)[left], 0.0, 1.0)
-    hats, rows = np.zeros((len(x), len(points))), np.arange(len(x))
-    hats[rows, left], hats[rows, left + 1] = 1.0 - share, share
-    return hats
+    return np.column_stack([left, left + 1]), np.column_stack([1.0 - share, share])
 
 
 def _penalty(table: Axes) -> Matrix:
@@ -400,41 +514,45 @@ class Posterior:
         return self.aerodynamics(X)
 
     def deviation(self, X: Matrix) -> Vector:
-        """Return the root mean square standard deviation of each coefficient over X, (6,)."""
+        """Return the standard deviations of the coefficients at X, (n, 6)."""
         variance = self.regressor.posterior_.predict(self._scaled(X), return_variance=True)[1]
-        return (np.sqrt(variance.mean(axis=0)) * self.factors)[self.order]
+        return (np.sqrt(variance) * self.factors)[:, self.order]
 
-    def covariance(self, i: int, X: Matrix, L: Matrix) -> Matrix:
-        """Return the covariance of L f, f the values of coefficient i at X."""
+    def root(self, i: int, X: Matrix) -> Matrix:
+        """Return F (n, r) such that F F^T is the posterior covariance of coefficient i at X."""
         posterior, i, X = self.regressor.posterior_, self.order[i], self._scaled(X)
-        A = L @ posterior.loading(i, X)[0]
-        step = max(1, 2**22 // len(X))
-        prior = sum(
-            L[:, rows] @ (posterior.kernel.block(i, i, X[rows], X) @ L.T)
-            for rows in (slice(k, k + step) for k in range(0, len(X), step))
-        )
+        left = posterior.loading(i, X)[0]
         if isinstance(posterior, ExactPosterior):
-            explained = A @ posterior.solve(A.T)
+            right = posterior.solve(left.T)
         else:
-            half = A @ posterior.roots[i]
-            explained = half @ half.T
-        covariance = symmetric(prior - explained)
-        np.einsum("aa->a", covariance)[:] = np.maximum(np.diag(covariance), 0.0)
-        return covariance * self.factors[i] ** 2
+            left = left @ posterior.roots[i]
+            right = left.T
+        covariance = np.empty((len(X), len(X)), order="F")  # the lower triangle
+        for a in range(0, len(X), CHUNK):
+            chunk = slice(a, a + CHUNK)
+            covariance[a:, chunk] = posterior.kernel.block(i, i, X[a:], X[chunk]) - left[a:] @ right[:, chunk]
+        least = NEGLIGIBLE * max(float(np.mean(np.diag(covariance))), 0.0)
+        lower, pivots, rank, _ = lapack.dpstrf(covariance, tol=least, lower=1, overwrite_a=1)
+        root = np.empty((len(X), rank))
+        root[pivots - 1] = np.tril(lower[:, :rank])
+        root *= self.factors[i]
+        return root
 
     def paths(self, n_paths: int, random_state: Seed, X: Matrix) -> Array:
         """Return the coefficients (n_paths, n, 6) of functions of the posterior."""
         return self.last.sample_paths(n_paths, random_state)(self._scaled(X))[..., self.order]
 
 
-def _points(samples: Matrix) -> Points:
+def _points(samples: Matrix, most: int) -> Points:
     rng = check_random_state(0)
-    rows = np.sort(rng.permutation(len(samples))[:MAX_POINTS])
-    flown = samples[rows]
-    mixed = np.column_stack([rng.choice(column, OTHERS) for column in samples.T])
-    weight = np.concatenate([np.ones(len(flown)), np.full(OTHERS, OTHERS_WEIGHT * len(flown) / MAX_POINTS)])
+    ends = np.concatenate([samples.argmin(axis=0), samples.argmax(axis=0)])  # tables reach over all samples
+    flown = samples[np.union1d(rng.permutation(len(samples))[:most], ends)]
+    others = max(1000, int(OTHERS * len(flown)))
+    mixed = np.column_stack([rng.choice(column, others) for column in samples.T])
+    weight = np.concatenate([np.ones(len(flown)), np.full(others, OTHERS * OTHERS_WEIGHT * len(flown) / others)])
     scale = samples.std(axis=0)
-    return Points(np.concatenate([flown, mixed]), weight, len(flown), np.where(scale > 0, scale, 1.0))
+    X, scale = np.concatenate([flown, mixed]), np.where(scale > 0, scale, 1.0)
+    return Points(X, weight, len(flown), samples.mean(axis=0), scale)
 
 
 def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
@@ -450,7 +568,7 @@ def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
 
 def _grid(x: Vector, n: int) -> Vector:
     """Return n breakpoints over the range of x, closer where samples are."""
-    return np.unique(0.7 * np.linspace(x.min(), x.max(), n) + 0.3 * np.quantile(x, np.linspace(0.0, 1.0, n)))
+    return np.unique(0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n)))
 
 
 def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: int) -> list[Axes]:
@@ -461,8 +579,8 @@ def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: 
 
 def _important(points: Points, mean: Matrix, least: Vector, terms: Sequence[tuple[int, ...]]) -> list[list]:
     """Return the terms of each coefficient; those left out together change it by less than ``least`` (6,), RMS."""
-    basis = _Basis(_grids(points, terms, 2 * PAIR - 1, FEW), points.X[: points.n_samples].mean(axis=0))
-    weights, flown = basis.projected(points, mean), basis(points.X[: points.n_samples])
+    basis = _Basis(_grids(points, terms, 2 * PAIR - 1, FEW), points.reference)
+    weights, flown = _Projection(basis, points)(mean), basis(points.X[: points.n_samples])
     parts = np.stack([flown[:, rows] @ weights[rows] for rows in basis.slices]) if basis.slices else np.empty((0, 0, 6))
     kept = []
     for i in range(len(COEFFICIENTS)):
@@ -477,9 +595,8 @@ def _important(points: Points, mean: Matrix, least: Vector, terms: Sequence[tupl
 
 def _chosen(points: Points, mean: Vector, least: float, terms: Sequence[tuple[int, ...]]) -> _Basis:
     """Return the basis of the terms with as few breakpoints as change no table by more than ``least``."""
-    reference = points.X[: points.n_samples].mean(axis=0)
-    fine = _Basis(_grids(points, terms, SINGLE, PAIR), reference)
-    weights = fine.projected(points, mean[:, None])[:, 0]
+    fine = _Basis(_grids(points, terms, SINGLE, PAIR), points.reference)
+    weights = _Projection(fine, points)(mean[:, None])[:, 0]
     tables = []
     for table, rows in zip(fine.tables, fine.slices, strict=True):
         values = weights[rows].reshape([len(p) for p in table.breakpoints])
@@ -488,7 +605,7 @@ def _chosen(points: Points, mean: Vector, least: float, terms: Sequence[tuple[in
             for axis, points_ in enumerate(table.breakpoints)
         )
         tables.append(table._replace(breakpoints=kept))
-    return _Basis(tables, reference)
+    return _Basis(tables, points.reference)
 
 
 def _needed(points: Vector, values: Matrix, least: float) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
 import json
 import os
@@ -15,7 +16,7 @@ from sklearn.utils import Bunch
 
 from skdgp.dynamics import Aircraft
 from skdgp.export._ardupilot import write_ardupilot, write_gazebo
-from skdgp.export._build_up import BuildUp, build_up
+from skdgp.export._build_up import BuildUp, build_up, write_build_up
 from skdgp.export._c import sized_for_c, write_c
 from skdgp.export._casadi import write_casadi
 from skdgp.export._dave_ml import write_dave_ml
@@ -102,6 +103,22 @@ def _fmu(
     return {"binary": write_fmu(path, portable, form=form, fmi=fmi), "files": [path], "loss": loss_of(portable)}
 
 
+def _tables(folder: Path, model: Any) -> dict[str, Any]:
+    """Write build_up.json, and build_up.png if matplotlib is installed."""
+    build, files = _build_up(model, "build-up"), [folder / "build_up.json"]
+    write_build_up(files[0], build)
+    if importlib.util.find_spec("matplotlib"):
+        from matplotlib.figure import Figure
+
+        from skdgp.plotting import BuildUpDisplay
+
+        figure = Figure(figsize=(14.5, 9.0), layout="constrained")
+        BuildUpDisplay.from_build_up(build, ax=figure)
+        files.append(folder / "build_up.png")
+        figure.savefig(files[1], dpi=100)
+    return {"files": files, "loss": _by_name(build.loss)}
+
+
 def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0) -> dict[str, Any]:
     """Write aircraft/NAME/NAME.xml, and with ``draws`` as many aircraft drawn from the posterior."""
     pipeline, aircraft = _whole(model, "jsbsim")
@@ -111,24 +128,23 @@ def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0
 def _ardupilot(folder: Path, model: Any) -> dict[str, Any]:
     """Write plane.json."""
     path = folder / "plane.json"
-    return {"files": [path], "loss": _by_name(write_ardupilot(path, _build_up(model, "ardupilot")))}
+    return {"files": [path], "loss": _by_name(write_ardupilot(path, _build_up(model, "ardupilot", return_std=False)))}
 
 
 def _gazebo(folder: Path, model: Any) -> dict[str, Any]:
     """Write model.sdf."""
     path = folder / "model.sdf"
-    return {"files": [path], "loss": _by_name(write_gazebo(path, _build_up(model, "gazebo")))}
+    return {"files": [path], "loss": _by_name(write_gazebo(path, _build_up(model, "gazebo", return_std=False)))}
 
 
-def _dave_ml(folder: Path, model: Any) -> dict[str, Any]:
+def _dave_ml(folder: Path, model: Any, *, form: str = "functions") -> dict[str, Any]:
     """Write aero.dml."""
-    path, build = folder / "aero.dml", _build_up(model, "dave-ml")
-    write_dave_ml(path, build)
-    return {"files": [path], "loss": _by_name(build.loss)}
+    path = folder / "aero.dml"
+    return {"files": [path], "loss": _by_name(write_dave_ml(path, *_whole(model, "dave-ml"), form=form))}
 
 
-def _build_up(model: Any, to: str) -> BuildUp:
-    return build_up(*_whole(model, to))
+def _build_up(model: Any, to: str, **options: Any) -> BuildUp:
+    return build_up(*_whole(model, to), **options)
 
 
 def _by_name(loss: pd.DataFrame) -> dict[str, dict[str, float]]:
@@ -172,6 +188,7 @@ FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
     "casadi": _casadi,
     "onnx": _onnx,
     "fmu": _fmu,
+    "build-up": _tables,
     "jsbsim": _jsbsim,
     "ardupilot": _ardupilot,
     "gazebo": _gazebo,

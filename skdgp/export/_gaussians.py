@@ -58,7 +58,8 @@ class GaussianSum:
 def gaussian_sum(model: Any, aircraft: Aircraft, *, X: Any = None, tolerance: float = 0.1) -> GaussianSum:
     """Return the posterior mean of a model; one with exact inference is compacted with the tolerance first."""
     posterior = Posterior(model, X)
-    original, deviation = posterior.mean(posterior.tested), posterior.deviation(posterior.tested)
+    original = posterior.mean(posterior.tested)
+    deviation = np.sqrt(np.mean(posterior.deviation(posterior.tested) ** 2, axis=0))
     if posterior.regressor.inference_ == "exact":
         posterior.regressor = posterior.regressor.compact(tolerance=tolerance)
     d, center = len(posterior.names), posterior.regressor._center[posterior.order]

@@ -19,6 +19,7 @@ legend : bool, default=True
     Whether to draw a legend.
 """
 
+from skdgp.plotting._build_up import BuildUpDisplay
 from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._coupling import CouplingDisplay
 from skdgp.plotting._derivatives import DerivativeDisplay
@@ -30,6 +31,7 @@ from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay
 from skdgp.plotting._trajectory import TrajectoryDisplay
 
 __all__ = [
+    "BuildUpDisplay",
     "CalibrationDisplay",
     "CoefficientDisplay",
     "CouplingDisplay",

@@ -116,7 +116,7 @@ def measure(path, airspeed, n_points, seconds, size):
     names = posterior.names
     largest = {n: np.abs(posterior.limits[:, names.index(n)]).max() for n in SURFACES if n in names}
     X = posterior.samples[np.random.default_rng(0).permutation(len(posterior.samples))[:n_points]]
-    mean, deviation = aerodynamics(X), posterior.deviation(X)
+    mean, deviation = aerodynamics(X), np.sqrt(np.mean(posterior.deviation(X) ** 2, axis=0))
     rows, flights = [], []
     fixed = {"throttle": float(np.median(posterior.samples[:, names.index("throttle")]))}
     trimmed = trim(model, aircraft, airspeed, altitude=300.0, fixed=fixed)

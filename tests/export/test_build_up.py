@@ -1,13 +1,16 @@
 """The build-up: exact where the model is a trend or additive, linear in the posterior, honest about its loss."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 from sklearn.linear_model import LinearRegression
 
 from skdgp._effects import effects
 from skdgp.calibration import CalibratedRegressor
-from skdgp.export import Table, build_up
+from skdgp.export import Table, build_up, write_build_up
 
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -90,7 +93,7 @@ def test_tables_are_linear_between_breakpoints_and_constant_beyond():
 
 
 def test_smaller_tolerance_more_cells_smaller_loss(fitted, uav, built):
-    coarse = build_up(fitted("joint"), uav, tolerance=1.0, max_loss=np.inf)
+    coarse = build_up(fitted("joint"), uav, tolerance=1.0, max_loss=np.inf, return_std=False)
     cells = [sum(t.values.size for tables in b.tables.values() for t in tables) for b in (coarse, built("joint"))]
     assert cells[0] < cells[1]
     assert coarse.loss["loss"].sum() > built("joint").loss["loss"].sum()
@@ -98,7 +101,7 @@ def test_smaller_tolerance_more_cells_smaller_loss(fitted, uav, built):
 
 def test_pairs_are_those_asked_for(fitted, uav):
     for pairs, most in (("none", set()), ("alpha", {"alpha"})):
-        found = build_up(fitted("joint"), uav, pairs=pairs, max_loss=np.inf)
+        found = build_up(fitted("joint"), uav, pairs=pairs, max_loss=np.inf, return_std=False)
         for tables in found.tables.values():
             assert all(most & set(t.regressors) for t in tables if len(t.regressors) == 2)
             assert most or all(len(t.regressors) == 1 for t in tables)
@@ -109,7 +112,7 @@ def test_a_compact_model_needs_samples(fitted, uav, regressors):
     small = type(model)([("scale", model[0]), ("small", model[-1].compact(300))])
     with pytest.raises(ValueError, match=r"compact model, which holds no samples\. Give X"):
         build_up(small, uav)
-    found = build_up(small, uav, X=regressors, max_loss=np.inf)
+    found = build_up(small, uav, X=regressors, max_loss=np.inf, return_std=False)
     assert found.loss["loss"].max() < 0.1
 
 
@@ -124,10 +127,54 @@ def test_a_calibrated_model_has_calibrated_deviations(fitted, uav, regressors):
     np.testing.assert_allclose(std, inner * model[-1].std_scale_, rtol=1e-3)
 
 
+def test_file_holds_all_that_a_reader_needs(built, tmp_path):
+    """Coefficients by NumPy and the file alone."""
+    found = built("joint")
+    write_build_up(tmp_path / "build_up.json", found)
+    file = json.loads((tmp_path / "build_up.json").read_text())
+    X = dict(zip(file["regressors"], found.samples[:5].T, strict=True))
+    for k, (name, entry) in enumerate(file["coefficients"].items()):
+        value = entry["constant"] + sum(
+            entry["derivatives"][r] * (x - file["regressors"][r]["reference"]) for r, x in X.items()
+        )
+        for table in entry["tables"]:
+            points, cells = table["breakpoints"], np.array(table["values"])
+            assert cells.shape == np.shape(table["std"]) == tuple(map(len, points))
+            at = [np.clip(X[r], p[0], p[-1]) for r, p in zip(table["regressors"], points, strict=True)]
+            value = value + RegularGridInterpolator(points, cells)(np.stack(at, axis=-1))
+        np.testing.assert_allclose(value, found.evaluate(found.samples[:5])[:, k], atol=1e-12)
+        assert {key: entry[key] for key in ("loss", "deviation")} == found.loss.loc[name].to_dict()
+    assert file["aircraft"] == {"name": "uav", "span": 2.6, "chord": 0.5}
+
+
+def test_effects_are_parts_of_the_sum(built):
+    """Means zero over the samples; together with their mean they are the build-up; deviations as in a trend."""
+    found = built("joint")
+    for k, name in enumerate(COEFFICIENTS):
+        effect, terms = found.effects(name), [(r,) for r in found.regressors]
+        terms += [t.regressors for t in found.tables[name] if len(t.regressors) == 2]
+        columns = [[found.regressors.index(r) for r in term] for term in terms]
+        parts = [effect(term, found.samples[:, c])[0] for term, c in zip(terms, columns, strict=True)]
+        np.testing.assert_allclose(np.mean(parts, axis=1), 0.0, atol=1e-9)
+        whole = found.evaluate(found.samples)[:, k]
+        np.testing.assert_allclose(sum(parts), whole - whole.mean(), atol=1e-9)
+    trend = built("trend")
+    mean, std = trend.effects("Cm")(("alpha",), np.array([[0.1]]))
+    away = 0.1 - trend.samples[:, 0].mean()
+    np.testing.assert_allclose(mean, trend.derivatives.loc["Cm", "alpha"] * away)
+    np.testing.assert_allclose(std, trend.derivatives_std.loc["Cm", "alpha"] * abs(away))
+
+
+def test_deviations_can_be_left_out(fitted, uav, built):
+    found = build_up(fitted("trend"), uav, return_std=False)
+    np.testing.assert_array_equal(found.derivatives, built("trend").derivatives)
+    assert found.derivatives_std.isna().all(axis=None)
+
+
 class TestBadInput:
     def test_loss_is_refused_with_its_figure(self, fitted, uav):
         with pytest.raises(ValueError, match=r"change by \{.*'\w+': '\d.*expected at most 0\.001"):
-            build_up(fitted("joint"), uav, max_loss=1e-3)
+            build_up(fitted("joint"), uav, max_loss=1e-3, return_std=False)
 
     @pytest.mark.parametrize(
         ("options", "match"), [({"pairs": "beta"}, "expected 'all'"), ({"tolerance": 0.0}, "positive fractions")]

@@ -1,16 +1,38 @@
 """DAVE-ML files, read by an evaluator written from the standard (AIAA S-119)."""
 
+import math
+import os
+import shutil
+import subprocess
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
+from sklearn.pipeline import Pipeline
 
 from skdgp.export import build_up, write_dave_ml
+from skdgp.preprocessing import RegressorSelector
 
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 D, M = "{http://daveml.org/2010/DAVEML}", "{http://www.w3.org/1998/Math/MathML}"
+NORMAL = f"{D}uncertainty/{D}normalPDF"
+OPERATORS = {"plus": sum, "times": math.prod, "minus": lambda v: v[0] - v[1], "power": lambda v: v[0] ** v[1]}
+CHILDREN = {  # of the elements that occur, in the order of the standard; + for one or more
+    "DAVEfunc": "fileHeader variableDef+ breakpointDef+ function+ checkData",
+    "fileHeader": "author creationDate description",
+    "variableDef": "description calculation isInput isOutput uncertainty",
+    "breakpointDef": "description bpVals",
+    "function": "independentVarRef+ dependentVarRef functionDefn",
+    "griddedTableDef": "breakpointRefs uncertainty dataTable",
+    "normalPDF": "bounds correlatesWith+ correlation+",
+    "staticShot": "checkInputs internalValues checkOutputs",
+    "signal": "signalName signalUnits varID signalValue tol",
+}
+IDENTIFIERS = {"variableDef": "varID", "breakpointDef": "bpID", "griddedTableDef": "gtID"}
+REFERENCES = {"variableRef", "independentVarRef", "dependentVarRef", "bpRef", "correlatesWith", "correlation"}
 
 
 def numbers(text):
@@ -28,14 +50,16 @@ class Evaluator:
         self.functions = {f.find(f"{D}dependentVarRef").get("varID"): f for f in self.root.iter(f"{D}function")}
 
     def value(self, key, given):
-        if key in given:
-            return given[key]
-        if key in self.functions:
-            return self.looked_up(self.functions[key], given)
-        calculation = self.variables[key].find(f"{D}calculation")
-        if calculation is None:
-            return float(self.variables[key].get("initialValue"))
-        return self.computed(calculation.find(f"{M}math")[0], given)
+        """Return a variable; ``given`` holds the inputs, and then all that was computed."""
+        if key not in given:
+            calculation = self.variables[key].find(f"{D}calculation")
+            if key in self.functions:
+                given[key] = self.looked_up(self.functions[key], given)
+            elif calculation is None:
+                given[key] = float(self.variables[key].get("initialValue"))
+            else:
+                given[key] = self.computed(calculation.find(f"{M}math")[0], given)
+        return given[key]
 
     def computed(self, element, given):
         if element.tag == f"{M}ci":
@@ -43,8 +67,7 @@ class Evaluator:
         if element.tag == f"{M}cn":
             return float(element.text)
         operator, *rest = element
-        values = [self.computed(each, given) for each in rest]
-        return {"plus": sum, "times": np.prod, "minus": lambda v: v[0] - v[1]}[operator.tag.removeprefix(M)](values)
+        return OPERATORS[operator.tag.removeprefix(M)]([self.computed(each, given) for each in rest])
 
     def looked_up(self, function, given):
         refs = function.findall(f"{D}independentVarRef")
@@ -56,8 +79,29 @@ class Evaluator:
         return RegularGridInterpolator(axes, cells)(at)[0]
 
     def signals(self, parent):
+        """Return value and tolerance of each signal, by the ID of its variable."""
+        found = {}
         for signal in parent:
-            yield self.ids[signal.find(f"{D}signalName").text], float(signal.find(f"{D}signalValue").text)
+            key = signal.findtext(f"{D}varID") or self.ids[signal.find(f"{D}signalName").text]
+            found[key] = float(signal.findtext(f"{D}signalValue")), float(signal.findtext(f"{D}tol") or "nan")
+        return found
+
+    def shots(self):
+        """Yield inputs, and the expected signals inside and at the outputs, of each check case."""
+        for shot in self.root.iter(f"{D}staticShot"):
+            given = {key: value for key, (value, _) in self.signals(shot.find(f"{D}checkInputs")).items()}
+            inside = shot.find(f"{D}internalValues")
+            yield given, self.signals(() if inside is None else inside), self.signals(shot.find(f"{D}checkOutputs"))
+
+    def correlation(self, names):
+        found = np.eye(len(names))
+        for k, name in enumerate(names):
+            normal = self.variables[name].find(NORMAL)
+            assert [e.get("varID") for e in normal.iter(f"{D}correlatesWith")] == names[k + 1 :]
+            for e in normal.iter(f"{D}correlation"):
+                j = names.index(e.get("varID"))
+                found[k, j] = found[j, k] = float(e.get("corrCoef"))
+        return found
 
 
 @pytest.fixture(scope="module")
@@ -66,52 +110,120 @@ def build(fitted, uav):
 
 
 @pytest.fixture(scope="module")
-def model(build, tmp_path_factory):
-    path = tmp_path_factory.mktemp("dave") / "uav.dml"
-    write_dave_ml(path, build)
-    return Evaluator(path)
+def pipeline(fitted, regressors):
+    """Return a pipeline of a sparse model that has a portable form."""
+    names = list(regressors.columns)
+    return Pipeline([("selector", RegressorSelector(names).fit(regressors)), *fitted("sparse").steps])
 
 
-def test_check_cases_are_reproduced(model, build):
-    shots = list(model.root.iter(f"{D}staticShot"))
+@pytest.fixture(scope="module")
+def path(build, pipeline, uav, tmp_path_factory):
+    """Return the file of each form, written once."""
+    folder, model = tmp_path_factory.mktemp("dave"), {"tables": (build,), "functions": (pipeline, uav)}
+    found = {}
+
+    def get(form):
+        if form not in found:
+            found[form] = folder / f"{form}.dml"
+            write_dave_ml(found[form], *model[form], form=form)
+        return found[form]
+
+    return get
+
+
+def test_functions_reproduce_the_model(path, pipeline, regressors):
+    """Check cases are those of the pipeline to 1e-6, deviations within 1 %."""
+    model = Evaluator(path("functions"))
+    shots = list(model.shots())
     assert len(shots) == 16
-    for shot in shots:
-        given = dict(model.signals(shot.find(f"{D}checkInputs")))
-        assert list(given) == list(build.regressors)
-        for key, expected in model.signals(shot.find(f"{D}checkOutputs")):
-            assert model.value(key, given) == pytest.approx(expected, abs=1e-9)
+    X = regressors.iloc[:0].reindex(range(16))
+    for k, (given, _, _) in enumerate(shots):
+        X.loc[k] = [given[name] for name in X]
+    mean, std = pipeline[-1].predict(pipeline[:-1].transform(X), return_std=True, include_input_noise=False)
+    off = []
+    for (given, inside, outputs), expected, deviation in zip(shots, mean, std, strict=True):
+        assert [value for value, _ in outputs.values()] == pytest.approx(expected, abs=1e-9)
+        assert all(abs(model.value(key, given) - value) <= tol < 1e-6 for key, (value, tol) in outputs.items())
+        assert [value for value, _ in inside.values()] == pytest.approx(deviation, rel=1e-6)
+        off.append([model.value(f"{name}_std", given) / s - 1 for name, s in zip(COEFFICIENTS, deviation, strict=True)])
+    assert np.sqrt(np.mean(np.square(off))) < 0.01
+    for name in COEFFICIENTS:
+        normal = model.variables[name].find(NORMAL)
+        assert normal.get("numSigmas") == "1"
+        assert normal.find(f"{D}bounds/{D}variableRef").get("varID") == f"{name}_std"
 
 
-def test_outputs_are_the_build_up_beyond_the_flights_too(model, build):
+def test_correlation_of_the_coefficients_is_that_of_drawn_functions(path, pipeline, regressors):
+    model = Evaluator(path("functions"))
+    stated = model.correlation(COEFFICIENTS)
+    drawn = pipeline[-1].sample_y(pipeline[:-1].transform(regressors[::8]), 500, random_state=0)
+    off = drawn - drawn.mean(axis=-1, keepdims=True)
+    covariance = np.einsum("nis,njs->ij", off, off)
+    size = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(stated, covariance / np.multiply.outer(size, size), atol=0.1)
+    assert np.linalg.eigvalsh(stated).min() > 0
+
+
+def test_tables_are_the_build_up(path, build):
+    """Also beyond the flights; check cases are the model within their tolerance."""
+    model = Evaluator(path("tables"))
+    rows = np.linspace(0, len(build.samples) - 1, 16).astype(int)
+    for (given, _, outputs), row in zip(model.shots(), rows, strict=True):
+        assert [value for value, _ in outputs.values()] == pytest.approx(build.predicted[row], abs=1e-12)
+        assert all(abs(model.value(key, given) - value) <= tol for key, (value, tol) in outputs.items())
     X = build.samples[:4] * 1.5
     for x, expected in zip(X, build.evaluate(X), strict=True):
         given = dict(zip(build.regressors, x, strict=True))
         np.testing.assert_allclose([model.value(name, given) for name in COEFFICIENTS], expected, atol=1e-9)
 
 
-def test_stated_deviations_are_those_of_the_posterior(model, fitted, build):
-    """One standard deviation: of derivatives and constants of a trend exactly, of cells as in the build-up."""
-    normal = f"{D}uncertainty/{D}normalPDF"
+def test_stated_deviations_are_those_of_the_posterior(path, build):
+    """One standard deviation of constants, derivatives and cells, as in the build-up."""
+    model = Evaluator(path("tables"))
     for name in COEFFICIENTS:
         for k, table in enumerate(build.tables[name]):
             grid = model.functions[f"{name}_t{k}"].find(f"{D}functionDefn/{D}griddedTableDef")
-            assert grid.find(normal).get("numSigmas") == "1"
-            stated = numbers(grid.find(f"{normal}/{D}bounds/{D}dataTable").text)
+            assert grid.find(NORMAL).get("numSigmas") == "1"
+            stated = numbers(grid.find(f"{NORMAL}/{D}bounds/{D}dataTable").text)
             np.testing.assert_allclose(stated, table.std.ravel(), rtol=0.01)
-        stated = [float(model.variables[f"{name}_{r}"].find(f"{normal}/{D}bounds").text) for r in build.regressors]
-        np.testing.assert_allclose(stated, build.derivatives_std.loc[name], rtol=0.01)
+        names = [f"{name}_0", *(f"{name}_{r}" for r in build.regressors)]
+        stated = [float(model.variables[each].find(f"{NORMAL}/{D}bounds").text) for each in names]
+        np.testing.assert_allclose(stated[1:], build.derivatives_std.loc[name], rtol=0.01)
+        np.testing.assert_allclose(model.correlation(names), build.correlation(name), atol=1e-9)
 
 
-def test_elements_stand_in_the_order_of_the_standard(model):
-    tags = [element.tag.removeprefix(D) for element in model.root]
-    order = ["fileHeader", "variableDef", "breakpointDef", "function", "checkData"]
-    assert list(dict.fromkeys(tags)) == order
-    assert [order.index(tag) for tag in tags] == sorted(order.index(tag) for tag in tags)
-    own = {"variableDef": "varID", "breakpointDef": "bpID", "griddedTableDef": "gtID"}
-    identifiers = [e.get(key) for tag, key in own.items() for e in model.root.iter(f"{D}{tag}")]
-    assert len(identifiers) == len(set(identifiers))
+@pytest.mark.parametrize("form", ["functions", "tables"])
+def test_structure_is_that_of_the_standard(path, form):
+    root = ET.parse(path(form)).getroot()
+    for parent in root.iter():
+        if order := CHILDREN.get(parent.tag.removeprefix(D)):
+            tags, allowed = [e.tag.removeprefix(D) for e in parent], [tag.rstrip("+") for tag in order.split()]
+            assert [allowed.index(tag) for tag in tags] == sorted(allowed.index(tag) for tag in tags)
+            assert all(tags.count(tag) <= 1 for tag in tags if f"{tag}+" not in order.split())
+    own = [e.get(key) for tag, key in IDENTIFIERS.items() for e in root.iter(f"{D}{tag}")]
+    assert len(own) == len(set(own))
+    references = [e.get("varID") or e.get("bpID") for tag in REFERENCES for e in root.iter(f"{D}{tag}")]
+    assert set(references) | {e.text for e in root.iter(f"{M}ci")} <= set(own)
 
 
-def test_number_of_checks(build, tmp_path):
-    with pytest.raises(ValueError, match="at least one check case"):
-        write_dave_ml(tmp_path / "uav.dml", build, n_checks=0)
+@pytest.mark.parametrize("form", ["functions", "tables"])
+def test_dtd(path, form):
+    """The DTD of AIAA S-119, which is not part of this package."""
+    dtd = os.environ.get("DAVEML_DTD", "")
+    if not shutil.which("xmllint") or not Path(dtd).is_file():
+        pytest.skip("needs xmllint, and DAVEML_DTD, the path of DAVEfunc.dtd of github.com/bjax/DAVE-ML-Schema")
+    found = subprocess.run(["xmllint", "--nonet", "--noout", "--dtdvalid", dtd, str(path(form))], check=False)
+    assert found.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"n_checks": 0}, "at least one check case"),
+        ({"form": "graph"}, "expected 'functions' or 'tables'"),
+        ({"aircraft": None}, "without an aircraft"),
+    ],
+)
+def test_bad_input(pipeline, uav, options, match, tmp_path):
+    with pytest.raises(ValueError, match=match):
+        write_dave_ml(tmp_path / "uav.dml", pipeline, **({"aircraft": uav} | options))

@@ -67,6 +67,7 @@ def test_c_of_a_portable_model(run, path, tmp_path, capsys):
     ("words", "file"),
     [
         (["jsbsim", "--form", "tables", "--draws", 2], "{0}/{0}.xml {0}_001/{0}_001.xml {0}_002/{0}_002.xml"),
+        (["build-up"], "build_up.json build_up.png"),
         (["ardupilot"], "plane.json"),
         (["gazebo"], "model.sdf"),
         (["dave-ml"], "aero.dml"),

@@ -1,22 +1,25 @@
-"""JSBSim: an aircraft folder with the aerodynamics of a model, as functions or as tables."""
+"""JSBSim: aircraft folders with the aerodynamics of a model, as functions or as tables."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import pandas as pd
+from sklearn.utils import check_random_state
 
 from skdgp._compute.files import write_atomically
-from skdgp._compute.typing import Seed
+from skdgp._compute.typing import Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import BuildUp, build_up
-from skdgp.export._gaussians import GaussianSum, gaussian_sum
+from skdgp.export._gaussians import GaussianSum, gaussian_sums
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG = POUND_FORCE / FOOT
@@ -27,6 +30,7 @@ SURFACES = {
     "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
     "rudder": ("fcs/rudder-cmd-norm", "fcs/rudder-pos-rad"),
 }
+TRIMS = {"elevator": "fcs/pitch-trim-cmd-norm", "aileron": "fcs/roll-trim-cmd-norm", "rudder": "fcs/yaw-trim-cmd-norm"}
 THROTTLE = "fcs/throttle-cmd-norm"
 SOURCES = {  # property and factor to SI units
     "alpha": ("aero/alpha-rad", 1.0),
@@ -68,13 +72,17 @@ def write_jsbsim(
     n_draws: int = 0,
     random_state: Seed = 0,
     tolerance: float = 0.1,
+    max_loss: float = 0.25,
     **options: Any,
 ) -> list[Path]:
     """Write an aircraft that JSBSim loads: metrics, mass, inertia, thrust and aerodynamics.
 
-    With ``form="functions"`` the coefficients are the posterior mean, as sums of exponentials. A model with exact
-    inference is compacted first (``DependentGPRegressor.compact``). With ``form="tables"`` they are those of
-    :func:`build_up`, which is faster to evaluate and easier to read.
+    With ``form="functions"`` the coefficients are the posterior mean, as sums of exponentials, and further aircraft are
+    functions drawn from the posterior, as sums of exponentials and cosines: those that ``sample_paths`` and
+    ``simulate(n_paths=n_draws, drift=False)`` draw with the same ``random_state``. A model with exact inference is
+    compacted first (``DependentGPRegressor.compact``), and its draws are those of the compact model. With
+    ``form="tables"`` the coefficients are those of :func:`build_up`, faster to evaluate and easier to read, where they
+    lose at most ``max_loss``, and so are the draws.
 
     The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
     The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm`` or ``fcs/propeller_speed`` [rad/s];
@@ -90,11 +98,14 @@ def write_jsbsim(
         Its name names the files.
     form : {"functions", "tables"}, default="functions"
     n_draws : int, default=0
-        Number of further aircraft ``NAME_001``, ...: functions drawn from the posterior, as tables with either form.
+        Number of further aircraft ``NAME_001``, ...: functions drawn from the posterior.
     random_state : int, RandomState or None, default=0
         Of the draws.
     tolerance : float, default=0.1
         As of :func:`build_up`, or as of ``DependentGPRegressor.compact`` for functions.
+    max_loss : float, default=0.25
+        Largest loss of tables, as a fraction of the posterior deviation, both root mean squares over the samples. A
+        coefficient that loses more is written as functions; ``np.inf`` accepts any loss.
     **options
         Of :func:`build_up`, for tables.
 
@@ -107,39 +118,54 @@ def write_jsbsim(
     ------
     ValueError
         If a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of
-        Gaussian processes and a linear trend (functions), or the build-up is refused (tables).
+        Gaussian processes and a linear trend (functions, and tables that lose more than ``max_loss``).
     """
     if form not in ("functions", "tables"):
         raise ValueError(f"Got form={form!r}, but expected 'functions' or 'tables'.")
     if n_draws < 0:
         raise ValueError(f"Got n_draws={n_draws!r}, but expected a number of aircraft from 0 on.")
-    tables = model if isinstance(model, BuildUp) else None
-    if tables is None and (n_draws or form == "tables"):
-        tables = build_up(model, aircraft, tolerance=tolerance, **options)
-    first: BuildUp | GaussianSum
-    if tables is not None and (tables is model or form == "tables"):
-        first = tables
-    else:
-        first = gaussian_sum(model, aircraft, X=options.get("X"), tolerance=tolerance)
-    written = [first, *(tables.sample(n_draws, random_state) if tables is not None else [])]
+    if not isinstance(random_state, Integral):  # tables and functions are parts of the same draws
+        random_state = check_random_state(random_state).randint(2**31 - 1)
+    functions: list[GaussianSum] = []
+    names: Sequence[str] = COEFFICIENTS  # that are written as functions
+    build = model if isinstance(model, BuildUp) else None
+    if build is None and form == "tables":
+        build = build_up(model, aircraft, tolerance=tolerance, max_loss=np.inf, **options)
+        ratio = build.loss["loss"] / build.loss["deviation"]
+        names = list(ratio.index[ratio > max_loss])
+    if model is not build and names:
+        functions = gaussian_sums(
+            model,
+            aircraft,
+            X=options.get("X"),
+            tolerance=tolerance,
+            n_draws=n_draws,
+            random_state=random_state,
+        )
+    tables = [] if build is None else [build, *build.sample(n_draws, random_state)]
+    written = [
+        {c: functions[k] if functions and c in names else tables[k] for c in COEFFICIENTS} for k in range(1 + n_draws)
+    ]
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in aircraft.name)
     return [_write(Path(folder), name if k == 0 else f"{name}_{k:03d}", one, aircraft) for k, one in enumerate(written)]
 
 
-def _write(folder: Path, name: str, found: BuildUp | GaussianSum, aircraft: Aircraft) -> Path:
+def _write(folder: Path, name: str, found: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Path:
     path = folder / "aircraft" / name / f"{name}.xml"
     path.parent.mkdir(parents=True, exist_ok=True)
     root = jsbsim_config(name, found, aircraft)
-    ElementTree.indent(root)
+    ElementTree.indent(root, space=" ")
     text = ElementTree.tostring(root, encoding="unicode")
     write_atomically(path, lambda temporary: temporary.write_text(f'<?xml version="1.0"?>\n{text}\n', encoding="utf-8"))
     return path
 
 
-def jsbsim_config(name: str, found: BuildUp | GaussianSum, aircraft: Aircraft) -> Element:
-    """Return the file of an aircraft."""
+def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Element:
+    """Return the file of an aircraft, with each coefficient of ``parts`` as tables or as functions."""
     root = Element("fdm_config", name=name, version="2.0", release="BETA")
-    root.append(ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in found.loss.to_string().splitlines())))
+    found = next(iter(parts.values()))
+    loss = pd.concat([part.loss.loc[[coefficient]] for coefficient, part in parts.items()])
+    root.append(ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in loss.to_string().splitlines())))
     header = SubElement(root, "fileheader")
     _text(header, "description", f"{aircraft.name}, learned from flights by skdgp")
     _add_metrics(root, aircraft)
@@ -149,19 +175,18 @@ def jsbsim_config(name: str, found: BuildUp | GaussianSum, aircraft: Aircraft) -
     controls = [r for r in found.regressors if r not in SOURCES and _rate(r) is None and r not in IMPLICIT]
     _add_controls(root, found, controls)
     aerodynamics = SubElement(root, "aerodynamics")
-    for k, regressor in enumerate(found.regressors):
+    for regressor in found.regressors:
         function = SubElement(aerodynamics, "function", name=f"aero/regressor/{regressor}")
         factors = _source(regressor, found.lengths, aircraft, controls)
         _values(function if len(factors) == 1 else SubElement(function, "product"), *factors)
-        if isinstance(found, GaussianSum):
-            scaled = _product(SubElement(aerodynamics, "function", name=_scaled(regressor)), 1.0 / found.scale[k])
-            difference = SubElement(scaled, "difference")
-            _values(difference, f"aero/regressor/{regressor}", float(found.shift[k]))
-    for coefficient in COEFFICIENTS:
-        if isinstance(found, GaussianSum):
-            _add_gaussians(aerodynamics, found, coefficient)
+    functions = {name: part for name, part in parts.items() if isinstance(part, GaussianSum)}
+    if functions:
+        _add_waves(aerodynamics, next(iter(functions.values())), [COEFFICIENTS.index(name) for name in functions])
+    for coefficient, part in parts.items():
+        if isinstance(part, GaussianSum):
+            _add_gaussians(aerodynamics, part, coefficient)
         else:
-            _add_tables(aerodynamics, found, coefficient)
+            _add_tables(aerodynamics, part, coefficient)
     for coefficient, axis in AXES.items():
         place = SubElement(aerodynamics, "axis", name=axis)
         unit = "LBS" if coefficient not in LENGTHS else None
@@ -240,8 +265,11 @@ def _add_controls(root: Element, found: BuildUp | GaussianSum, controls: Iterabl
         if name not in found.regressors:
             continue
         largest = float(np.abs(found.limits[:, found.regressors.index(name)]).max())
+        total = SubElement(channel, "summer", name=f"fcs/{name}-sum")  # JSBSim trims by the second
+        for place in (command, TRIMS[name]):
+            _text(total, "input", place)
         scale = SubElement(channel, "aerosurface_scale", name=f"fcs/{name}-scale")
-        _text(scale, "input", command)
+        _text(scale, "input", f"fcs/{name}-sum")
         limits = SubElement(scale, "range")
         _text(limits, "min", -largest)
         _text(limits, "max", largest)
@@ -293,6 +321,17 @@ def _add_tables(aerodynamics: Element, found: BuildUp, coefficient: str) -> None
         _text(place, "tableData", "\n" + "\n".join(lines) + "\n")
 
 
+def _add_waves(aerodynamics: Element, found: GaussianSum, outputs: Sequence[int]) -> None:
+    """Write scaled regressors, and the waves of some coefficients."""
+    for regressor, shift, scale in zip(found.regressors, found.shift, found.scale, strict=True):
+        scaled = _product(SubElement(aerodynamics, "function", name=_scaled(regressor)), 1.0 / scale)
+        _values(SubElement(scaled, "difference"), f"aero/regressor/{regressor}", float(shift))
+    frequencies, phases, weights = found.waves
+    for k in np.flatnonzero(weights[outputs].any(axis=0)):
+        cosine = SubElement(SubElement(aerodynamics, "function", name=f"aero/wave-{k}"), "cos")
+        _add_plane(SubElement(cosine, "sum"), float(phases[k]), frequencies[k], found.regressors)
+
+
 def _add_gaussians(aerodynamics: Element, found: GaussianSum, coefficient: str) -> None:
     i = COEFFICIENTS.index(coefficient)
     names = [_scaled(regressor) for regressor in found.regressors]
@@ -308,15 +347,21 @@ def _add_gaussians(aerodynamics: Element, found: GaussianSum, coefficient: str) 
         for weight, constant, slope in zip(block.weights, block.constants, block.slopes, strict=True):
             term = _product(total, float(weight))
             exponent = SubElement(SubElement(term, "exp"), "sum")
-            _values(exponent, f"aero/square/{coefficient}-{k}", float(constant))
-            for column in np.flatnonzero(block.used):
-                _product(exponent, float(slope[column]), names[column])
+            _values(exponent, f"aero/square/{coefficient}-{k}")
+            _add_plane(exponent, float(constant), slope, found.regressors)
     function = SubElement(aerodynamics, "function", name=f"aero/coefficient/{coefficient}")
     total = SubElement(function, "sum")
-    _values(total, float(found.constants[i]), *parts)
-    for name, slope in zip(names, found.slopes[i], strict=True):
+    _values(total, *parts)
+    _add_plane(total, float(found.constants[i]), found.slopes[i], found.regressors)
+    for wave in np.flatnonzero(found.waves.weights[i]):
+        _product(total, float(found.waves.weights[i, wave]), f"aero/wave-{wave}")
+
+
+def _add_plane(total: Element, constant: float, slopes: Vector, regressors: Sequence[str]) -> None:
+    _values(total, constant)
+    for slope, regressor in zip(slopes, regressors, strict=True):
         if slope != 0.0:
-            _product(total, float(slope), name)
+            _product(total, float(slope), _scaled(regressor))
 
 
 def _scaled(regressor: str) -> str:

@@ -2,37 +2,41 @@
 
     python tests/benchmarks/travel.py results/model.joblib [--airspeed 40] [--out FOLDER]
 
-Needs JSBSim (``pip install jsbsim``). Coefficients at points of the flown envelope, in functions and in tables, and a
-flight of 60 s with doublets from a trim, over an Earth without rotation and curvature, as in ``simulate``.
+Needs JSBSim (``pip install jsbsim``). Coefficients at points of the flown envelope, in functions and in tables; trims
+of JSBSim beside ``trim``; a flight of 60 s with doublets from a trim, over an Earth without rotation and curvature and
+in the air of JSBSim; bands of such flights of posterior aircraft.
 """
 
 from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pandas as pd
 from _common import finish, parser_of
+from scipy.interpolate import CubicSpline
 
 from skdgp.dynamics import as_aerodynamics, simulate, trim
 from skdgp.export import write_jsbsim
 from skdgp.export._build_up import Posterior
+from skdgp.export._jsbsim import SOURCES
 from skdgp.identification import load_model
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SURFACES = ("elevator", "aileron", "rudder")
-RADIUS = 1e9  # of an Earth that is flat over the flight [m]
+RADIUS = 1e10  # of an Earth that is flat over the flight; a larger one rounds the altitude to 0.01 mm [m]
 PLANET = f"""<?xml version="1.0"?>
 <planet name="flat"><semimajor_axis unit="M">{RADIUS}</semimajor_axis><semiminor_axis unit="M">{RADIUS}</semiminor_axis>
 <rotation_rate unit="RAD/SEC">0.0</rotation_rate><GM unit="M3/SEC2">{9.80665 * RADIUS**2}</GM><J2>0.0</J2></planet>
 """
-RATE = 200  # Hz
+ALTITUDE = 300.0  # m
 COMPARED = ("airspeed", "alpha", "beta", "phi", "theta", "p", "q", "r", "altitude")
 
 
-def loaded(folder, name):
+def loaded(folder, name, rate):
     import jsbsim
 
     fdm = jsbsim.FGFDMExec(str(folder))
@@ -41,7 +45,7 @@ def loaded(folder, name):
     planet.write_text(PLANET)
     fdm.load_planet(str(planet), False)
     fdm.load_model(name)
-    fdm.set_dt(1.0 / RATE)
+    fdm.set_dt(1.0 / rate)
     return fdm
 
 
@@ -100,8 +104,8 @@ def flown(fdm, start, controls, largest):
     return pd.DataFrame(found, columns=list(COMPARED))
 
 
-def doublets(trimmed, seconds, size):
-    time = np.arange(round(seconds * RATE) + 1) / RATE
+def doublets(trimmed, seconds, size, rate):
+    time = np.arange(round(seconds * rate) + 1) / rate
     table = pd.DataFrame({"time": time} | {name: np.full(len(time), value) for name, value in trimmed.items()})
     for name, begin in zip(SURFACES, (2.0, 12.0, 22.0), strict=True):
         phase = np.pi * np.clip(time - begin, 0.0, 2.0)
@@ -109,40 +113,114 @@ def doublets(trimmed, seconds, size):
     return table
 
 
-def measure(path, airspeed, n_points, seconds, size):
-    saved = load_model(path)
-    model, aircraft = saved.pipeline, saved.aircraft
-    posterior, aerodynamics = Posterior(model, None), as_aerodynamics(model)
-    names = posterior.names
-    largest = {n: np.abs(posterior.limits[:, names.index(n)]).max() for n in SURFACES if n in names}
-    X = posterior.samples[np.random.default_rng(0).permutation(len(posterior.samples))[:n_points]]
-    mean, deviation = aerodynamics(X), np.sqrt(np.mean(posterior.deviation(X) ** 2, axis=0))
-    rows, flights = [], []
-    fixed = {"throttle": float(np.median(posterior.samples[:, names.index("throttle")]))}
-    trimmed = trim(model, aircraft, airspeed, altitude=300.0, fixed=fixed)
-    start = {name: getattr(trimmed, name) for name in ("airspeed", "altitude", "alpha", "beta", "phi", "theta")}
-    start |= dict(zip("pqr", trimmed.rates, strict=True))
-    controls = doublets(trimmed.controls, seconds, size)
-    simulated = simulate(model, aircraft, trimmed, controls, dt=1.0 / RATE)
-    with tempfile.TemporaryDirectory() as folder:
-        for form in ("functions", "tables"):
-            options = {"max_loss": np.inf} if form == "tables" else {}
-            place = Path(folder) / form
-            paths = write_jsbsim(place, model, aircraft, form=form, **options)
-            fdm = loaded(place, paths[0].stem)
-            off = coefficients(fdm, X, names, aircraft, largest, airspeed) - mean
-            for i, name in enumerate(COEFFICIENTS):
-                rms = np.sqrt(np.mean(off[:, i] ** 2))
-                rows.append({"form": form, "coefficient": name, "largest": np.abs(off[:, i]).max(),
-                             "rms / deviation": rms / deviation[i]})  # fmt: skip
-            other = flown(loaded(place, paths[0].stem), start, controls, largest)
-            for name in COMPARED:
-                change = np.abs(other[name] - simulated[name]).max()
-                size_of = np.ptp(simulated[name]) if name != "airspeed" else airspeed
-                flights.append(
-                    {"form": form, "channel": name, "largest difference": change, "percent": 100 * change / size_of}
-                )
-    return rows, flights
+def jsbsim_density(fdm):
+    """Return JSBSim's density [kg/m^3] as a function of altitude [m]: 8e-6 above the standard at sea level."""
+    altitudes, found = np.arange(-1000.0, 5001.0, 50.0), []
+    for altitude in altitudes:
+        set_state(fdm, {"airspeed": 40.0, "altitude": altitude})
+        fdm.run_ic()
+        found.append(fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4)
+    return CubicSpline(altitudes, found)
+
+
+class Travelled:
+    """A model, the folder of its exports, and a flight with doublets from a trim."""
+
+    def __init__(self, path, folder, airspeed, seconds, size, rate):
+        saved = load_model(path)
+        self.model, self.aircraft, self.airspeed, self.folder = saved.pipeline, saved.aircraft, airspeed, Path(folder)
+        self.rate, self.paths = rate, {}
+        self.posterior = Posterior(self.model, None)
+        self.names, flown = self.posterior.names, self.posterior.samples
+        self.largest = {n: np.abs(flown[:, self.names.index(n)]).max() for n in SURFACES if n in self.names}
+        self.fixed = {"throttle": float(np.median(flown[:, self.names.index("throttle")]))}
+        self.density = jsbsim_density(self.written("functions")[0])
+        self.trimmed = self.trim(airspeed)
+        self.controls = doublets(self.trimmed.controls, seconds, size, rate)
+
+    def written(self, form, n_draws=0):
+        """Return JSBSim with the aircraft of the mean and of each draw."""
+        if (form, n_draws) not in self.paths:
+            place = self.folder / f"{form}{n_draws}"
+            self.paths[form, n_draws] = write_jsbsim(place, self.model, self.aircraft, form=form, n_draws=n_draws)
+        return [loaded(path.parents[2], path.stem, self.rate) for path in self.paths[form, n_draws]]
+
+    def trim(self, airspeed):
+        air = {"altitude": ALTITUDE, "density": float(self.density(ALTITUDE))}
+        return trim(self.model, self.aircraft, airspeed, fixed=self.fixed, **air)
+
+    def simulated(self, **options):
+        options |= {"dt": 1.0 / self.rate, "density": self.density}
+        return simulate(self.model, self.aircraft, self.trimmed, self.controls, **options)
+
+    def flown(self, fdm):
+        return flown(fdm, state_of(self.trimmed), self.controls, self.largest)
+
+
+def state_of(trimmed):
+    state = {name: getattr(trimmed, name) for name in ("airspeed", "altitude", "alpha", "beta", "phi", "theta")}
+    return state | dict(zip("pqr", trimmed.rates, strict=True))
+
+
+def measure_coefficients(case, form, n_points):
+    X = case.posterior.samples[np.random.default_rng(0).permutation(len(case.posterior.samples))[:n_points]]
+    found = coefficients(case.written(form)[0], X, case.names, case.aircraft, case.largest, case.airspeed)
+    off, deviation = found - as_aerodynamics(case.model)(X), np.sqrt(np.mean(case.posterior.deviation(X) ** 2, axis=0))
+    return [
+        {"form": form, "coefficient": name, "largest": np.abs(off[:, i]).max(),
+         "rms / deviation": np.sqrt(np.mean(off[:, i] ** 2)) / deviation[i]}
+        for i, name in enumerate(COEFFICIENTS)
+    ]  # fmt: skip
+
+
+def measure_flight(case, form):
+    simulated, other = case.simulated(), case.flown(case.written(form)[0])
+    rows = []
+    for name in COMPARED:
+        change = np.abs(other[name] - simulated[name]).max()
+        size = np.ptp(simulated[name]) if name != "airspeed" else case.airspeed
+        rows.append({"form": form, "channel": name, "largest difference": change, "percent": 100 * change / size})
+    return rows
+
+
+def measure_trims(case):
+    """Compare ``trim`` with JSBSim's full trim at the same thrust, begun elsewhere (its tolerance: 0.001 ft/s^2)."""
+    rows = []
+    for airspeed in case.airspeed * np.array([0.9, 1.0, 1.1]):
+        expected, fdm = case.trim(airspeed), case.written("functions")[0]
+        wanted = state_of(expected) | {name: expected.controls[name] for name in case.largest}
+        set_state(fdm, state_of(expected) | {"alpha": 0.05, "phi": 0.0, "theta": 0.05})
+        set_controls(fdm, expected.controls | dict.fromkeys(case.largest, 0.0), case.largest)
+        fdm.run_ic()
+        fdm["simulation/do_simple_trim"] = 1
+        for name in ("alpha", "theta", "phi", *case.largest):
+            source = SOURCES[name][0]
+            off = fdm[source] - wanted[name]
+            rows.append({"airspeed": airspeed, "name": name, "trim": wanted[name], "JSBSim less trim": off})
+    return rows
+
+
+def measure_bands(case, n_draws):
+    """Compare the 95 % band of posterior aircraft in JSBSim with that of ``simulate``, by paths of another seed."""
+    started = process_time()
+    fdms = case.written("functions", n_draws)[1:]
+    made = process_time()
+    theirs = [case.flown(fdm) for fdm in fdms]
+    print(f"{n_draws} aircraft: {made - started:.0f} s to write and load, {process_time() - made:.0f} s to fly")
+    ours, fresh = (case.simulated(n_paths=n_draws, random_state=k, drift=False) for k in (0, 1))
+    rows = []
+    for name in COMPARED:
+        one, two, new = np.stack(theirs)[:, :, COMPARED.index(name)], _by_path(ours, name), _by_path(fresh, name)
+        row = {"channel": name, "largest difference": np.nanmax(np.abs(one - two))}
+        for of, paths in (("JSBSim", one), ("simulate", two)):
+            low, high = np.nanquantile(paths, [0.025, 0.975], axis=0)[:, 1:]
+            row |= {f"covered by {of}": np.mean((low <= new[:, 1:]) & (new[:, 1:] <= high)), of: np.mean(high - low)}
+        rows.append(row | {"width": row.pop("JSBSim") / row.pop("simulate")})
+    return rows
+
+
+def _by_path(flights, name):
+    return np.stack([flight[name].to_numpy() for _, flight in flights.groupby("path")])
 
 
 def main(words=None):
@@ -152,11 +230,22 @@ def main(words=None):
     parser.add_argument("--points", type=int, default=10000)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--doublet", type=float, default=0.01, help="size [rad]")
+    parser.add_argument("--draws", type=int, default=50, help="posterior aircraft")
+    parser.add_argument("--rate", type=int, default=200, help="of the flights [Hz]")
+    parser.add_argument("--forms", nargs="+", default=["functions", "tables"])
     options = parser.parse_args(words)
     if options.model is None:
         parser.error("the file of a model is needed")
-    rows, flights = measure(options.model, options.airspeed, options.points, options.seconds, options.doublet)
-    finish(options, "travel", coefficients=rows, flights=flights)
+    with tempfile.TemporaryDirectory() as folder:
+        case = Travelled(options.model, folder, options.airspeed, options.seconds, options.doublet, options.rate)
+        tables = {
+            "coefficients": [row for form in options.forms for row in measure_coefficients(case, form, options.points)],
+            "trims": measure_trims(case),
+            "flights": [row for form in options.forms for row in measure_flight(case, form)],
+        }
+        if options.draws:
+            tables["bands"] = measure_bands(case, options.draws)
+        finish(options, "travel", **tables)
 
 
 if __name__ == "__main__":

@@ -4,9 +4,13 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from sklearn.pipeline import make_pipeline
 
-from skdgp.dynamics import Aircraft, Propeller, ThrustLine
+from skdgp.calibration import CalibratedRegressor
+from skdgp.dynamics import Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import build_up, write_jsbsim
+from skdgp.export._gaussians import gaussian_sums
+from skdgp.export._jsbsim import SOURCES
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:The fit stopped at max_iter"),
@@ -15,6 +19,10 @@ pytestmark = [
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 AIRSPEED = 25.0
+PLANET = """<?xml version="1.0"?>
+<planet name="flat"><semimajor_axis unit="M">1e10</semimajor_axis><semiminor_axis unit="M">1e10</semiminor_axis>
+<rotation_rate unit="RAD/SEC">0</rotation_rate><GM unit="M3/SEC2">9.80665e20</GM><J2>0</J2></planet>
+"""
 
 
 @pytest.fixture
@@ -22,9 +30,10 @@ def load(tmp_path, capfd):
     """Return a function that loads an aircraft and sets regressors."""
     jsbsim = pytest.importorskip("jsbsim", reason="flies exports in JSBSim: pip install jsbsim")
 
-    def loaded(name):
+    def loaded(name, planet=None):
         fdm = jsbsim.FGFDMExec(str(tmp_path))
         fdm.set_debug_level(0)
+        assert planet is None or fdm.load_planet(planet, False)
         assert fdm.load_model(name)
         return fdm
 
@@ -45,18 +54,16 @@ def placed(fdm, row, aircraft, largest):
 
 
 @pytest.mark.parametrize(
-    ("name", "form"), [("trend", "functions"), ("trend", "tables"), ("sparse", "functions"), ("additive", "tables")]
+    ("name", "form"), [("trend", "functions"), ("trend", "tables"), ("sparse", "functions"), ("sparse", "tables")]
 )
 def test_coefficients_are_those_of_the_model(name, form, load, fitted, uav, regressors, tmp_path):
-    options = {"max_loss": np.inf} if form == "tables" else {}
-    write_jsbsim(tmp_path, fitted(name), uav, form=form, **options)
+    write_jsbsim(tmp_path, fitted(name), uav, form=form)
     fdm, rows = load("uav"), regressors[:40]
     largest = regressors.abs().max()
     found = np.stack([placed(fdm, row, uav, largest) for _, row in rows.iterrows()])
-    expected = fitted(name).predict(rows)
-    if name == "additive":
-        expected = build_up(fitted(name), uav, **options).evaluate(rows)
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    expected, deviation = fitted(name).predict(rows, return_std=True)
+    most = 0.25 * np.sqrt(np.mean(deviation**2, axis=0)) if (name, form) == ("sparse", "tables") else 1e-6
+    assert (np.sqrt(np.mean((found - expected) ** 2, axis=0)) <= most).all()
     np.testing.assert_allclose(fdm["aero/regressor/q_hat"], rows["q_hat"].iloc[-1], atol=1e-8)
 
 
@@ -93,13 +100,44 @@ def test_thrust_is_that_of_the_propeller(load, fitted, uav, regressors, tmp_path
     np.testing.assert_allclose(found, moment, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("form", ["functions", "tables"])
-def test_draws_are_those_of_the_build_up(form, load, fitted, uav, regressors, tmp_path):
-    paths = write_jsbsim(tmp_path, fitted("trend"), uav, form=form, n_draws=2, random_state=3)
+def test_functions_of_draws_are_sample_paths(load, fitted, uav, regressors, tmp_path):
+    paths = write_jsbsim(tmp_path, fitted("sparse"), uav, n_draws=2, random_state=3)
     assert [path.stem for path in paths] == ["uav", "uav_001", "uav_002"]
-    drawn = build_up(fitted("trend"), uav).sample(2, random_state=3)[1]
+    drawn = fitted("sparse")[-1].sample_paths(2, random_state=3)[1]
     found = placed(load("uav_002"), regressors.iloc[5], uav, regressors.abs().max())
+    np.testing.assert_allclose(found, drawn(fitted("sparse")[0].transform(regressors[5:6]))[0], atol=1e-6)
+
+
+def test_draws_of_a_calibrated_model_are_its_sample_paths(fitted, uav, regressors):
+    scaler, regressor = fitted("sparse")
+    calibrated = CalibratedRegressor(regressor)
+    calibrated.estimator_, calibrated.std_scale_, calibrated._single = regressor, np.linspace(1.0, 2.0, 6), False
+    (mean, drawn), X = gaussian_sums(make_pipeline(scaler, calibrated), uav, n_draws=1), regressors[:9]
+    expected = calibrated.sample_paths(1, 0)[0](scaler.transform(X))
+    np.testing.assert_allclose(drawn.evaluate(X), expected, atol=1e-9)
+    assert np.abs(drawn.evaluate(X) - mean.evaluate(X)).max() > 1e-4
+
+
+def test_tables_of_draws_are_those_of_the_build_up(load, fitted, uav, regressors, tmp_path):
+    paths = write_jsbsim(tmp_path, fitted("trend"), uav, form="tables", n_draws=1, random_state=3)
+    drawn = build_up(fitted("trend"), uav).sample(1, random_state=3)[0]
+    found = placed(load(paths[1].stem), regressors.iloc[5], uav, regressors.abs().max())
     np.testing.assert_allclose(found, drawn.evaluate(regressors[5:6])[0], atol=1e-7)
+
+
+def test_trim_is_that_of_jsbsim(load, fitted, uav, regressors, tmp_path):
+    """JSBSim's full trim, to 0.001 ft/s^2, at the same thrust and over a flat Earth; surfaces begin at zero."""
+    write_jsbsim(tmp_path, fitted("trend"), uav)
+    (tmp_path / "flat.xml").write_text(PLANET)
+    fdm, largest = load("uav", planet=str(tmp_path / "flat.xml")), regressors.abs().max()
+    placed(fdm, regressors.iloc[0] * 0.0, uav, largest)
+    density = fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
+    expected = trim(fitted("trend"), uav, AIRSPEED, density=density)
+    fdm["external_reactions/thrust/magnitude"] = expected.controls["thrust"] / POUND_FORCE
+    fdm["simulation/do_simple_trim"] = 1
+    wanted = {name: getattr(expected, name) for name in ("alpha", "phi", "theta")} | expected.controls
+    del wanted["thrust"]
+    assert {name: fdm[SOURCES[name][0]] for name in wanted} == pytest.approx(wanted, abs=1e-4)
 
 
 def test_the_file_states_its_loss_and_signs(fitted, uav, tmp_path):

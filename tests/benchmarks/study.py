@@ -1,0 +1,485 @@
+"""Why the learned function and its derivatives miss the truth: one cause of error switched at a time.
+
+    python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 4] [--jobs N] [--aircraft example c172p]
+
+Aircraft with known truth fly the same two plans again and again, each seed in other gusts and with other sensor noise,
+in calm, light and moderate air. Learned functions are scored at the exact regressors of a flight in calm air along
+another path, derivatives at a trim. A case says which causes of error the training data have:
+
+    inputs    through the default pipeline from noisy sensors, or exact
+    targets   coefficients measured by noisy sensors, or exact
+    rates     relative to the earth, as gyros measure them, or to the air, as the aerodynamics feel them
+    slopes    alpha_dot and beta_dot: not among the regressors, like the inputs, or exact
+
+From one case to the next of a chain one cause is added; the rise of the squared error, split into squared bias and
+variance over the seeds, is that cause's part. ``--processes`` seeds are learned by dependent processes, all ``--seeds``
+by linear methods. Each fit is kept under OUT/study and not done again. The c172p needs the jsbsim wheel.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import _study_flights as flights
+import joblib
+import numpy as np
+from _common import finish, parser_of
+from _study_flights import NAMES, ROTATION, SLOPES
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.identification._pipeline import default_regressor
+from skdgp.inference import autocorrelation_time
+
+RATE = 40  # Hz, of the logs
+EVERY = 10  # rows of the test flight per row that is scored
+BINS = 60  # of the noise spectrum, evenly spread over the logarithm of frequency
+
+
+class Case(NamedTuple):
+    """What the training data hold."""
+
+    inputs: str = "measured"
+    targets: str = "measured"
+    rates: str = "earth"
+    slopes: str = "none"
+
+    @property
+    def columns(self):
+        return [k for k in range(len(NAMES)) if self.slopes != "none" or k not in SLOPES]
+
+    def table(self, seen):
+        """Return regressors and targets of all rows."""
+        X = seen.inputs[self.inputs].copy()
+        if self.rates == "air":
+            X[:, ROTATION] -= seen.log.gust
+        if self.slopes == "exact":
+            X[:, SLOPES] = seen.log.exact[:, SLOPES]
+        return X[:, self.columns], seen.targets[self.targets]
+
+
+EXACT = Case("exact", "exact", "air", "exact")
+CHAINS = {  # each case adds the cause that names it
+    "quasi-steady": {
+        "curvature": EXACT,
+        "no alpha_dot": EXACT._replace(slopes="none"),
+        "gust rates": EXACT._replace(slopes="none", rates="earth"),
+        "noise of loads": Case(inputs="exact"),
+        "noise of regressors": Case(),
+    },
+    "classical": {
+        "curvature": EXACT,
+        "gust rates": EXACT._replace(rates="earth"),
+        "noise of loads": Case(inputs="exact", slopes="exact"),
+        "noise of regressors": Case(slopes="own"),
+    },
+}
+LOGGED, CLASSICAL = Case(), Case(slopes="own")
+GIVEN = {"alpha_dot given": Case(slopes="exact"), "rates of the air given": Case(rates="air", slopes="own")}
+PROCESSES = {  # by air: case and what replaces parameters of the default regressor
+    "calm": [(LOGGED, {}), (CLASSICAL, {})],
+    "light": [
+        *((case, {}) for case in dict.fromkeys([*CHAINS["quasi-steady"].values(), *CHAINS["classical"].values()])),
+        (CLASSICAL, {"structure": "additive"}),
+    ],
+    "moderate": [(LOGGED, {}), (CLASSICAL, {})],
+}
+LINEAR = ("least squares", "second order", "IV surfaces", "IV commands", "weighted")
+SHOWN = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cm_elevator", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r", "Cl_aileron",
+         "Cn_beta", "Cn_p", "Cn_r", "Cn_rudder")  # fmt: skip
+
+
+class Found(NamedTuple):
+    """What a method found from one log."""
+
+    function: np.ndarray
+    """At the rows that are scored, (n, 6)."""
+    function_std: np.ndarray | None
+    slopes: np.ndarray
+    """At the trim, (6, 11); NaN where the regressor is not in the case."""
+    slopes_std: np.ndarray
+
+
+def asked_of(subject, case):
+    """Return the regressors at which the function is scored."""
+    return subject.test.exact[::EVERY, case.columns]
+
+
+def widened(slopes, case):
+    """Return (6, 11) of (6, d)."""
+    wide = np.full((len(slopes), len(NAMES)), np.nan)
+    wide[:, case.columns] = slopes
+    return wide
+
+
+# -- linear methods ------------------------------------------------------------------------------------
+
+
+def line(X, Y, subject, case, instruments=None):
+    """Return least squares, or two-stage least squares with instruments."""
+    scaler = StandardScaler().fit(X)
+    A = _with_ones(scaler.transform(X))
+    fitted = A
+    if instruments is not None:
+        B = _with_ones(StandardScaler().fit_transform(instruments))
+        fitted = B @ np.linalg.lstsq(B, A, rcond=None)[0]
+    weights = np.linalg.lstsq(fitted, Y, rcond=None)[0]
+    variance = ((Y - A @ weights) ** 2).sum(axis=0) / (len(Y) - A.shape[1])
+    std = np.sqrt(np.outer(variance, np.diag(np.linalg.pinv(fitted.T @ fitted))[1:])) / scaler.scale_
+    function = _with_ones(scaler.transform(asked_of(subject, case))) @ weights
+    return Found(function, None, widened(weights[1:].T / scaler.scale_, case), widened(std, case))
+
+
+def _with_ones(X):
+    return np.column_stack([np.ones(len(X)), X])
+
+
+def parabola(X, Y, subject, case):
+    """Return least squares with all products of two regressors."""
+    scaler, terms = StandardScaler().fit(X), PolynomialFeatures(2)
+    weights = np.linalg.lstsq(terms.fit_transform(scaler.transform(X)), Y, rcond=None)[0]
+    function = terms.transform(scaler.transform(asked_of(subject, case))) @ weights
+    at, step = scaler.transform(subject.trim[None, case.columns]), 1e-4 * np.eye(X.shape[1])
+    slopes = (terms.transform(at + step) - terms.transform(at - step)) @ weights / 2e-4
+    return Found(function, None, widened(slopes.T / scaler.scale_, case), np.full((6, len(NAMES)), np.nan))
+
+
+def lagged(values, seconds):
+    """Return the columns delayed by 0, 0.1, ... ``seconds``, side by side."""
+    shifts = range(0, round(seconds * RATE) + 1, RATE // 10)
+    return np.hstack([np.roll(values, k, axis=0) for k in shifts])
+
+
+def weighted(X, Y, subject, case, spectra, n_flights):
+    """Return least squares in the frequency domain, each frequency weighted by the known noise there.
+
+    Its covariance is the Cramer-Rao bound of the linear function for regressors that are exact.
+    """
+    scaler = StandardScaler().fit(X)
+    A = scaler.transform(X)
+    normal, right = np.zeros((6, A.shape[1], A.shape[1])), np.zeros((6, A.shape[1]))
+    for one, y in zip(np.split(A, n_flights), np.split(Y, n_flights), strict=True):
+        F, G = (np.fft.rfft(part, axis=0)[1:] * np.sqrt(2 / len(part)) for part in (one, y))
+        for i, density in enumerate(spectra):
+            weight = F.conj() / density[:, None]
+            normal[i] += (weight.T @ F).real
+            right[i] += (weight.T @ G[:, i]).real
+    bound = np.linalg.inv(normal)
+    weights = np.einsum("ijk,ik->ij", bound, right)
+    asked = scaler.transform(asked_of(subject, case))
+    std = np.sqrt(np.einsum("nj,ijk,nk->ni", asked, bound, asked))
+    slopes_std = np.sqrt(np.einsum("ijj->ij", bound)) / scaler.scale_
+    return Found(
+        Y.mean(axis=0) + asked @ weights.T, std, widened(weights / scaler.scale_, case), widened(slopes_std, case)
+    )
+
+
+def noise_spectra(subject, logs):
+    """Return the spectra (6, n_frequencies) of what exact regressors leave of raw targets: sensors, and unseen rates.
+
+    Averaged over the logs, and over bins of frequency.
+    """
+    powers = []
+    for seen in logs:
+        error = seen.targets["raw"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
+        for part in np.split(error, flights_of(seen)):
+            powers.append(np.abs(np.fft.rfft(part, axis=0)[1:]) ** 2 / len(part))
+    power = np.mean(powers, axis=0).T
+    frequency = np.log(np.arange(1, power.shape[1] + 1))
+    bins = np.minimum((frequency / frequency[-1] * BINS).astype(int), BINS - 1)
+    count = np.bincount(bins, minlength=BINS)
+    centre = np.bincount(bins, frequency, BINS)[count > 0] / count[count > 0]
+    means = (np.bincount(bins, row, BINS)[count > 0] / count[count > 0] for row in power)
+    return np.array([np.exp(np.interp(frequency, centre, np.log(mean))) for mean in means])
+
+
+def flights_of(seen):
+    """Return the number of flights of a log."""
+    return int((np.diff(seen.log.table["time"]) < 0).sum()) + 1
+
+
+def linear_methods(subject, seen, spectra):
+    """Return what linear methods find, by case and method."""
+    found, n_flights = {}, flights_of(seen)
+    cases = dict.fromkeys([*CHAINS["quasi-steady"].values(), *CHAINS["classical"].values(), *GIVEN.values()])
+    for case in cases:
+        X, Y = case.table(seen)
+        found[case, "least squares"] = line(X, Y, subject, case)
+        found[case, "second order"] = parabola(X, Y, subject, case)
+    for case in (LOGGED, CLASSICAL):
+        X, Y = case.table(seen)
+        surfaces = lagged(seen.log.exact[:, -4:], 1.0)
+        found[case, "IV surfaces"] = line(X, Y, subject, case, surfaces)
+        found[case, "IV commands"] = line(X, Y, subject, case, lagged(seen.log.command, 2.0))
+    for case in (LOGGED, CLASSICAL, CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]):
+        X, _ = case.table(seen)
+        found[case, "weighted"] = weighted(X, seen.targets["raw"], subject, case, spectra, n_flights)
+    return found
+
+
+# -- dependent processes -------------------------------------------------------------------------------
+
+
+def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
+    """Return what the default regressor finds; with ``kernel`` at known hyperparameters and known noise.
+
+    On so many rows its structure "auto" is "joint", which takes half the time if it is not chosen first.
+    """
+    X, Y = case.table(seen)
+    scaler, table = StandardScaler().fit(X), seen.log.table
+    model = default_regressor(random_state=seed, max_iter=max_iter).set_params(**{"structure": "joint"} | changes)
+    if kernel is not None:
+        model.set_params(kernel=kernel, optimizer=None, input_noise=None, inference="sparse")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.fit(scaler.transform(X), Y, time=table["time"].to_numpy(), flight=table["flight"].to_numpy())
+    if kernel is not None:
+        error = seen.targets["measured"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
+        known = error.var(axis=0) * [autocorrelation_time(e) for e in error.T]
+        model.posterior_ = model.posterior_.with_noise(known / model._scale**2)
+    exact = {"include_input_noise": False}
+    function, std = model.predict(scaler.transform(asked_of(subject, case)), return_std=True, **exact)
+    slopes, slopes_std = (
+        part[0] / scaler.scale_
+        for part in model.predict_gradient(scaler.transform(subject.trim[None, case.columns]), return_std=True)
+    )
+    return Found(function, std, widened(slopes, case), widened(slopes_std, case)), model.kernel_
+
+
+def method_of(changes):
+    return ", ".join(["default", *(f"{name}={value}" for name, value in changes.items())])
+
+
+def kept(folder, name, function):
+    """Return a result from the folder, else make it and keep it there."""
+    path = None if folder is None else folder / f"{name}.joblib"
+    if path is not None and path.exists():
+        return joblib.load(path)
+    result = function()
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        joblib.dump(result, path)
+    return result
+
+
+def process_task(subject, seen, air, seed, case, changes, folder, max_iter):
+    name = "-".join([subject.name, air, str(seed), *case, *map(str, changes.values())])
+    start = time.process_time()
+    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, changes, max_iter=max_iter))
+    print(f"{name}: {time.process_time() - start:.0f} s", flush=True)
+    return (air, case, method_of(changes)), found
+
+
+def known_task(subject, seen, air, seed, case, folder, max_iter):
+    """Return the process at the hyperparameters that exact data of the same log teach."""
+    exact = EXACT if "exact" in case.slopes else CHAINS["quasi-steady"]["no alpha_dot"]
+    name = f"{subject.name}-{air}-{seed}-{'-'.join(exact)}"
+    _, kernel = kept(folder, name, partial(process, subject, seen, exact, seed, {}, max_iter=max_iter))
+    name = f"{subject.name}-{air}-{seed}-{'-'.join(case)}-known"
+    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, {}, kernel))
+    return (air, case, "known hyperparameters"), found
+
+
+# -- tables --------------------------------------------------------------------------------------------
+
+
+class Results:
+    """What was found, by air, case and method: stacked over seeds."""
+
+    def __init__(self, subject, found):
+        self.subject, self.truth = subject, subject.test.truth[::EVERY]
+        self.found = {}
+        for key, one in found:
+            self.found.setdefault(key, []).append(one)
+
+    def errors(self, key):
+        """Return squared bias and variance of each coefficient, (2, 6), over the variance of the truth."""
+        error = np.array([one.function for one in self.found[key]]) - self.truth
+        n, scale = len(error), self.truth.var(axis=0)
+        variance = error.var(axis=0, ddof=1).mean(axis=0) if n > 1 else np.zeros(6)
+        return np.array([(error.mean(axis=0) ** 2).mean(axis=0) - variance / n, variance]) / scale
+
+    def nrmse(self, key):
+        return np.sqrt(self.errors(key).sum(axis=0).clip(0))
+
+
+def function_table(results, default):
+    """Return the error of the function for each case and method."""
+    rows = []
+    for key in results.found:
+        air, case, method = key
+        error = results.nrmse(key)
+        reference = results.nrmse((air, LOGGED, default)) if (air, LOGGED, default) in results.found else None
+        rows.append(
+            {"aircraft": results.subject.name, "air": air, "method": method, **case._asdict()}
+            | {"NRMSE": float(error.mean())}
+            | {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, error, strict=True)}
+            | {"over default": None if reference is None else float(error.mean() / reference.mean())}
+            | {"seeds": len(results.found[key])}
+        )
+    return rows
+
+
+def parts_table(results, method, air="light"):
+    """Return what each cause adds to the squared error, in per cent of the variance of the truth."""
+    rows = []
+    for regressors, chain in CHAINS.items():
+        before = np.zeros((2, 6))
+        for cause, case in chain.items():
+            if (air, case, method) not in results.found:
+                continue
+            now = results.errors((air, case, method))
+            rows.append({"aircraft": results.subject.name, "method": method, "regressors": regressors, "cause": cause})
+            rows[-1] |= {name: _pair(100 * part) for name, part in zip(COEFFICIENTS, (now - before).T, strict=True)}
+            before = now
+        if before.any():
+            rows.append({"aircraft": results.subject.name, "method": method, "regressors": regressors, "cause": "all"})
+            rows[-1] |= {name: _pair(100 * part) for name, part in zip(COEFFICIENTS, before.T, strict=True)}
+    return rows
+
+
+def _pair(part):
+    return f"{part[0]:.2f} + {part[1]:.2f}"
+
+
+def derivative_table(results, methods):
+    """Return derivatives, mean and scatter over the seeds and the stated deviation, beside the known ones."""
+    rows, known = [], results.subject.known
+    for name in SHOWN:
+        i, k = COEFFICIENTS.index(name.partition("_")[0]), NAMES.index(name.partition("_")[2])
+        for air in flights.AIR:
+            row = {"aircraft": results.subject.name, "derivative": name, "air": air, "known": float(known[i, k])}
+            for label, case, method in methods:
+                found = results.found.get((air, case, method))
+                if found is None:
+                    row[label] = None
+                    continue
+                values, std = (np.array([getattr(one, what)[i, k] for one in found]) for what in ("slopes", "slopes_std"))
+                scatter = values.std(ddof=1) if len(values) > 1 else np.nan
+                row[label] = None if np.isnan(values).all() else f"{values.mean():.3g} ({scatter:.2g}, {std.mean():.2g})"
+            rows.append(row)
+    return rows
+
+
+def coverage_table(results, methods):
+    """Return how the errors of derivatives compare with stated deviations."""
+    rows, subject = [], results.subject
+    for air in flights.AIR:
+        for label, case, method in methods:
+            found = results.found.get((air, case, method))
+            if found is None or np.isnan(found[0].slopes_std).all():
+                continue
+            values, std = (np.array([getattr(one, what) for one in found]) for what in ("slopes", "slopes_std"))
+            matters = (np.abs(subject.known) > 0) & np.isfinite(values[0])
+            z = ((values - subject.known) / std)[:, matters]
+            scatter = values.std(axis=0, ddof=min(1, len(values) - 1))[matters]
+            bias = np.abs(values.mean(axis=0) - subject.known)[matters]
+            rows.append(
+                {"aircraft": subject.name, "air": air, "method": label}
+                | {"within 2 std, %": float(100 * np.mean(np.abs(z) < 2))}
+                | {"scatter over stated std": float(np.median(scatter / std.mean(axis=0)[matters]))}
+                | {"bias over stated std": float(np.median(bias / std.mean(axis=0)[matters]))}
+                | {"bias over scatter": float(np.median(bias / scatter)) if len(values) > 1 else None}
+                | {"seeds": len(values)}
+            )
+    return rows
+
+
+def bound_table(results):
+    """Return the bounds of the function beside what is reached, NRMSE."""
+    rows = []
+    for (air, case, method), found in results.found.items():
+        if method not in ("weighted", "known hyperparameters") or case.inputs != "exact":
+            continue
+        scale = results.truth.std(axis=0)
+        stated = np.sqrt(np.mean([one.function_std**2 for one in found], axis=(0, 1))) / scale
+        rows.append(
+            {"aircraft": results.subject.name, "air": air, "regressors": case.slopes}
+            | {"bound": "Cramer-Rao, linear" if method == "weighted" else "process, known hyperparameters"}
+            | {"NRMSE bound": float(stated.mean())}
+            | {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, stated, strict=True)}
+            | {"NRMSE reached by it": float(results.nrmse((air, case, method)).mean())}
+        )
+    return rows
+
+
+DERIVATIVES = [
+    ("default", LOGGED, "default"),
+    ("default, classical", CLASSICAL, "default"),
+    ("least squares", LOGGED, "least squares"),
+    ("least squares, classical", CLASSICAL, "least squares"),
+    ("IV surfaces, classical", CLASSICAL, "IV surfaces"),
+    ("IV commands, classical", CLASSICAL, "IV commands"),
+    ("weighted, classical", CLASSICAL, "weighted"),
+    ("rates of the air given, least squares", GIVEN["rates of the air given"], "least squares"),
+    ("exact, least squares", EXACT, "least squares"),
+]
+
+
+def study(subject, options, folder):
+    """Return all results of an aircraft."""
+    run = joblib.Parallel(n_jobs=options.jobs)
+    jobs = [(air, seed) for air in flights.AIR for seed in range(options.seeds)]
+    looked = kept(
+        folder,
+        f"{subject.name}-seen-{options.seeds}",
+        lambda: run(joblib.delayed(flights.seen)(subject.logs[air][seed], subject.aircraft, seed) for air, seed in jobs),
+    )
+    seen = dict(zip(jobs, looked, strict=True))
+    found = []
+    for air in flights.AIR:
+        logs = [seen[air, seed] for seed in range(options.seeds)]
+        spectra = noise_spectra(subject, logs)
+        for one in run(joblib.delayed(linear_methods)(subject, log, spectra) for log in logs):
+            found += [((air, *key), value) for key, value in one.items()]
+    print(f"{subject.name}: linear methods done", flush=True)
+    tasks = [
+        joblib.delayed(process_task)(subject, seen[air, seed], air, seed, case, changes, folder, options.max_iter)
+        for seed in range(options.processes)
+        for air, cases in PROCESSES.items()
+        for case, changes in cases
+    ]
+    found += run(tasks)
+    bounds = [CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]]
+    found += run(
+        joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder, options.max_iter)
+        for seed in range(options.processes)
+        for case in bounds
+    )
+    return Results(subject, found)
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("--aircraft", nargs="+", default=["example"], choices=["example", "c172p"])
+    parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
+    parser.add_argument("--processes", type=int, default=4, help="seeds of them that dependent processes learn")
+    parser.add_argument("--duration", type=float, default=180.0, help="of each of the two flights of a seed [s]")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1")
+    options = parser.parse_args(words)
+    options.max_iter = 60
+    if options.smoke:
+        options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 2, 1, 1, 2, 4.0
+        for air in PROCESSES:
+            PROCESSES[air] = PROCESSES[air][:1]
+    folder = options.out / "study" if options.out and not options.smoke else None
+    tables = {"function": [], "parts": [], "derivatives": [], "coverage": [], "bounds": []}
+    for name in options.aircraft:
+        make = getattr(flights, f"{name}_subject")
+        subject = kept(folder, f"{name}-{options.seeds}", lambda make=make: make(options.seeds, options.duration))
+        results = study(subject, options, folder)
+        tables["function"] += function_table(results, "default")
+        for method in ("default", "least squares"):
+            tables["parts"] += parts_table(results, method)
+        tables["derivatives"] += derivative_table(results, DERIVATIVES)
+        tables["coverage"] += coverage_table(results, DERIVATIVES)
+        tables["bounds"] += bound_table(results)
+    finish(options, "study", **tables)
+
+
+if __name__ == "__main__":
+    main()

@@ -30,6 +30,7 @@ SCRIPTS = (
     "times",
     "rows",
     "sportcub",
+    "study",
 )
 
 

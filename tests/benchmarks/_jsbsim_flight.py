@@ -47,7 +47,7 @@ def _columns():
 
 def fly(model, seconds, rate, integrator):
     """Return a flight of ``model`` with doublets of all surfaces, at ``rate`` [Hz], and the aircraft it was."""
-    fdm = start(model, rate)
+    fdm = started(model, rate)
     for name, method in (INTEGRATORS[integrator] or {}).items():
         fdm[f"simulation/integrator/{name}"] = method
     columns = list(_columns())
@@ -65,7 +65,7 @@ def fly(model, seconds, rate, integrator):
 
 def air(model, altitudes):
     """Return JSBSim's density, pressure, temperature and speed of sound, (n, 4), at geometric altitudes [m]."""
-    fdm, found = start(model, 120), []
+    fdm, found = started(model, 120), []
     for altitude in altitudes:
         fdm["ic/h-sl-ft"] = altitude / FOOT
         fdm.run_ic()
@@ -73,7 +73,7 @@ def air(model, altitudes):
     return np.array(found)
 
 
-def start(model, rate):
+def started(model, rate):
     """Return JSBSim with the aircraft in the air, its engine running, trimmed, its mass frozen."""
     import jsbsim
 

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from _jsbsim_flight import FOOT, POUND_FORCE, SLUG, aircraft_of, start
+from _jsbsim_flight import FOOT, POUND_FORCE, SLUG, aircraft_of, started
 
 from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, TRUTH_SUFFIX
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
-from skdgp.datasets._example_flights import MEASURED, SENSOR_NOISE, TRUTH, _columns, measure
+from skdgp.datasets._example_flights import MEASURED, TRUTH, _columns, measure
 from skdgp.datasets._flight_plans import FLIGHT_PLANS
 from skdgp.datasets._simulation import fly_plans
 from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, trim
@@ -66,23 +66,19 @@ class Seen(NamedTuple):
 
 
 def example_subject(seeds: int, duration: float) -> Subject:
-    """Return the example aircraft, flown along both training plans in each air: in calm air once, it has no seeds."""
-    plans, factors = [FLIGHT_PLANS[2]], [0.0]
-    for air, factor in AIR.items():
-        n = 2 * (seeds if factor else 1)
-        plans += [*FLIGHT_PLANS[:2]] * (n // 2)
-        factors += [factor] * n
-    record, truth = fly_plans(tuple(plans), duration, np.array(factors)[:, None], np.random.default_rng(0))
+    """Return the example aircraft; in calm air it flies once, since only the sensors' noise has seeds there."""
+    plans = (FLIGHT_PLANS[2], *[FLIGHT_PLANS[1]] * (1 + seeds * (len(AIR) - 1)))
+    factors = [0.0, *(factor for factor in AIR.values() for _ in range(seeds if factor else 1))]
+    record, truth = fly_plans(plans, duration, np.array(factors)[:, None], np.random.default_rng(0))
     known, true = _columns(record, truth)
-    logs = [_example_log(plan, k, known, true, truth.regressors[:, k]) for k, plan in enumerate(plans)]
-    pairs = [_joined(*logs[k : k + 2]) for k in range(1, len(logs), 2)]
-    by_air = {"calm": pairs[:1] * seeds, "light": pairs[1 : seeds + 1], "moderate": pairs[seeds + 1 :]}
+    test, calm, *gusty = (_example_log(plan, k, known, true, truth.regressors[:, k]) for k, plan in enumerate(plans))
+    logs = {"calm": [calm] * seeds, "light": gusty[:seeds], "moderate": gusty[seeds:]}
     names = [name + HAT if name in RATE_LENGTHS else name for name in REGRESSORS]
     model = Aerodynamics(brumby_coefficients, names, gradient=brumby_derivatives)
     point = trim(model, BRUMBY, TRIM_SPEED, altitude=TRIM_ALTITUDE)
     at = Motion(model, BRUMBY).at(point.state, point.controls).regressors
     slopes = np.column_stack([brumby_derivatives(at), np.zeros(6)])  # none by throttle
-    return Subject("example", BRUMBY, by_air, logs[0], np.append(at, point.controls["throttle"]), slopes)
+    return Subject("example", BRUMBY, logs, test, np.append(at, point.controls["throttle"]), slopes)
 
 
 def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -> Log:
@@ -95,11 +91,6 @@ def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -
         exact[:, j] = table[name + TRUTH_SUFFIX] * length / (2 * table["airspeed_true"])
     gust, command = (exact - felt)[:, ROTATION], np.column_stack(plan.excitation(table["time"].to_numpy()))
     return Log(table, exact, gust, command, table[[name + TRUTH_SUFFIX for name in COEFFICIENTS]].to_numpy())
-
-
-def _joined(*logs: Log) -> Log:
-    table, *arrays = zip(*logs, strict=True)
-    return Log(pd.concat(table, ignore_index=True), *map(np.concatenate, arrays))
 
 
 def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
@@ -146,22 +137,19 @@ SOURCES = {  # property and factor to SI; forces and moments in newtons
 def c172p_subject(seeds: int, duration: float) -> Subject:
     """Return JSBSim's Cessna 172; its derivatives are those of least squares on exact regressors of all flights."""
     test, aircraft = _c172p_log(2, "calm", 0, duration)
-    logs = {}
-    for air in WIND_AT_20FT:
-        n = seeds if WIND_AT_20FT[air] else 1
-        pairs = [_joined(*(_c172p_log(plan, air, 2 * k + plan + 1, duration)[0] for plan in (0, 1))) for k in range(n)]
-        logs[air] = pairs * (seeds if n == 1 else 1)
-    every = _joined(*(log for air in logs for log in logs[air][:2]))
-    felt = every.exact.copy()
-    felt[:, ROTATION] -= every.gust
-    at = logs["calm"][0].exact.mean(axis=0)
-    known = np.linalg.lstsq(np.column_stack([np.ones(len(felt)), felt - at]), every.truth, rcond=None)[0][1:].T
+    seeded = {air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()}
+    flown = {(air, seed): _c172p_log(1, air, seed, duration)[0] for air, all_of in seeded.items() for seed in {*all_of}}
+    logs = {air: [flown[air, seed] for seed in all_of] for air, all_of in seeded.items()}
+    felt = np.concatenate([log.exact for log in flown.values()])
+    felt[:, ROTATION] -= np.concatenate([log.gust for log in flown.values()])
+    truth, at = np.concatenate([log.truth for log in flown.values()]), test.exact.mean(axis=0)
+    known = np.linalg.lstsq(np.column_stack([np.ones(len(felt)), felt - at]), truth, rcond=None)[0][1:].T
     return Subject("c172p", aircraft, logs, test, at, known)
 
 
 def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, Aircraft]:
     """Return a flight with the manoeuvres of a plan of the example flights, held level or in slow turns."""
-    plan, fdm = FLIGHT_PLANS[number], start("c172p", 120)
+    plan, fdm = FLIGHT_PLANS[number], started("c172p", 120)
     fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, SPEED
     fdm.run_ic()
     fdm["propulsion/set-running"] = -1
@@ -191,9 +179,9 @@ def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, 
         for _ in range(STEPS_PER_ROW):
             fdm.run()
         rows[k] = [fdm[source] * factor for source, factor in SOURCES.values()]
-    aircraft = aircraft_of(fdm, "c172p")
-    log = time >= 0
-    return _c172p_table(pd.DataFrame(rows, columns=[*SOURCES])[log], time[log], plan.name, command[log], aircraft), aircraft
+    aircraft, log = aircraft_of(fdm, "c172p"), time >= 0
+    table = pd.DataFrame(rows, columns=[*SOURCES])[log]
+    return _c172p_table(table, time[log], plan.name, command[log], aircraft), aircraft
 
 
 def _c172p_table(table: pd.DataFrame, time: np.ndarray, name: str, command: np.ndarray, aircraft: Aircraft) -> Log:

@@ -111,7 +111,8 @@ def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
 
 WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
 """[kt], MIL-F-8785C as JSBSim flies it."""
-HEIGHT, SPEED, STEPS_PER_ROW = 274.0, 100.0, 3  # m above the ground, kt, steps of 1/120 s
+HEIGHT, SPEED = 274.0, 100.0  # above the ground [m], calibrated [kt]
+FRAMES = 6  # of JSBSim per row; controls change at each of them: held longer, they would lag behind the logged loads
 SETTLING = 10.0  # s before the log
 SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
 SOURCES = {  # property and factor to SI; forces and moments in newtons
@@ -149,7 +150,7 @@ def c172p_subject(seeds: int, duration: float) -> Subject:
 
 def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, Aircraft]:
     """Return a flight with the manoeuvres of a plan of the example flights, held level or in slow turns."""
-    plan, fdm = FLIGHT_PLANS[number], started("c172p", 120)
+    plan, fdm = FLIGHT_PLANS[number], started("c172p", 40 * FRAMES)
     fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, SPEED
     fdm.run_ic()
     fdm["propulsion/set-running"] = -1
@@ -161,9 +162,9 @@ def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, 
         fdm["atmosphere/turb-type"] = 3
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
     theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
-    time = np.arange(round((SETTLING + duration) * 40)) / 40 - SETTLING
+    time = np.arange(round((SETTLING + duration) * 40 * FRAMES)) / (40 * FRAMES) - SETTLING
     command = np.column_stack(plan.excitation(time)) * [1.0, 1.5, 1.0, 1.0]
-    rows = np.empty((len(time), len(SOURCES)))
+    rows = []
     for k, now in enumerate(time):
         phi = 0.3 * np.sin(2 * np.pi * now / (70 + 20 * number))
         climb = np.clip((HEIGHT + 30 * (number == 2 and now > 70) - fdm["position/h-sl-ft"] * FOOT) / 200, -0.07, 0.07)
@@ -176,9 +177,10 @@ def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, 
         for j, name in enumerate(SURFACES):
             fdm[f"fcs/{name}-cmd-norm"] = neutral[name] + (surfaces[name] + command[k, j]) / 0.35
         fdm["fcs/throttle-cmd-norm"] = np.clip(neutral["throttle"] + slower + command[k, 3], 0.1, 1.0)
-        for _ in range(STEPS_PER_ROW):
-            fdm.run()
-        rows[k] = [fdm[source] * factor for source, factor in SOURCES.values()]
+        fdm.run()
+        if k % FRAMES == FRAMES - 1:
+            rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
+    time, command = time[FRAMES - 1 :: FRAMES], command[FRAMES - 1 :: FRAMES]
     aircraft, log = aircraft_of(fdm, "c172p"), time >= 0
     table = pd.DataFrame(rows, columns=[*SOURCES])[log]
     return _c172p_table(table, time[log], plan.name, command[log], aircraft), aircraft

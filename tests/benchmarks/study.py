@@ -1,6 +1,6 @@
 """Why the learned function and its derivatives miss the truth: one cause of error switched at a time.
 
-    python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 4] [--jobs N] [--aircraft example c172p]
+    python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 4] [--jobs N] [--aircraft c172p]
 
 Aircraft with known truth fly the same plan again and again, each seed in other gusts and with other sensor noise,
 in calm, light and moderate air. Learned functions are scored at the exact regressors of a flight in calm air along
@@ -33,14 +33,14 @@ from skdgp._flight.channels import COEFFICIENTS
 EXACT = Case("exact", "exact", "air", "exact")
 CHAINS = {  # each case adds the cause that names it
     "quasi-steady": {
-        "curvature": EXACT,
+        "exact data": EXACT,
         "no alpha_dot": EXACT._replace(slopes="none"),
         "gust rates": EXACT._replace(slopes="none", rates="earth"),
         "noise of loads": Case(inputs="exact"),
         "noise of regressors": Case(),
     },
     "classical": {
-        "curvature": EXACT,
+        "exact data": EXACT,
         "gust rates": EXACT._replace(rates="earth"),
         "noise of loads": Case(inputs="exact", slopes="exact"),
         "noise of regressors": Case(slopes="own"),
@@ -56,9 +56,24 @@ PROCESSES = {  # by air: case and what replaces parameters of the default regres
         *((case, {}) for case in dict.fromkeys([*CHAINS["quasi-steady"].values(), *CHAINS["classical"].values()])),
         (CLASSICAL, {"structure": "additive"}),
         (CLASSICAL, {"drift": "likelihood"}),
+        (GIVEN["rates of the air given"], {}),
     ],
     "moderate": [(LOGGED, {}), (CLASSICAL, {})],
 }
+DERIVATIVES = [  # label, case, method
+    ("default", LOGGED, "default"),
+    ("default, classical", CLASSICAL, "default"),
+    ("least squares", LOGGED, "least squares"),
+    ("least squares, classical", CLASSICAL, "least squares"),
+    ("IV surfaces", LOGGED, "IV surfaces"),
+    ("IV commands", LOGGED, "IV commands"),
+    ("IV commands, classical", CLASSICAL, "IV commands"),
+    ("weighted, classical", CLASSICAL, "weighted"),
+    ("least squares, classical, rates of the air given", GIVEN["rates of the air given"], "least squares"),
+    ("least squares, exact data", EXACT, "least squares"),
+    ("default, exact data", EXACT, "default"),
+]
+PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p", "Cn_r")
 SHOWN = (
     *("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cm_elevator", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r"),
     *("Cl_aileron", "Cn_beta", "Cn_p", "Cn_r", "Cn_rudder"),
@@ -92,7 +107,8 @@ def kept(folder, name, function):
     result = function()
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        joblib.dump(result, path)
+        joblib.dump(result, path.with_suffix(".part"))
+        path.with_suffix(".part").rename(path)  # whole or not at all
     return result
 
 
@@ -150,7 +166,7 @@ def function_table(results):
         for key, found in results.found.items():
             if key[0] != air or key[1] not in ASKED:
                 continue
-            row = {"aircraft": results.subject.name, "air": air, "method": key[2], "regressors": ASKED[key[1]]}
+            row = {"air": air, "method": key[2], "regressors": ASKED[key[1]]}
             error = results.nrmse(key)
             row["NRMSE"] = float(error.mean())
             row |= {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, error, strict=True)}
@@ -170,11 +186,11 @@ def parts_table(results, method, air="light"):
             if (air, case, method) not in results.found:
                 continue
             now = results.errors((air, case, method))
-            rows.append({"aircraft": results.subject.name, "method": method, "regressors": regressors, "cause": cause})
+            rows.append({"method": method, "regressors": regressors, "cause": cause})
             rows[-1] |= {name: _pair(100 * part) for name, part in zip(COEFFICIENTS, (now - before).T, strict=True)}
             before = now
         if before.any():
-            rows.append({"aircraft": results.subject.name, "method": method, "regressors": regressors, "cause": "all"})
+            rows.append({"method": method, "regressors": regressors, "cause": "all"})
             rows[-1] |= {name: _pair(100 * part) for name, part in zip(COEFFICIENTS, before.T, strict=True)}
     return rows
 
@@ -189,32 +205,34 @@ def place_of(derivative):
     return COEFFICIENTS.index(coefficient), NAMES.index(regressor)
 
 
-def derivative_table(results, methods):
-    """Return derivatives, mean and scatter over the seeds and the stated deviation, beside the known ones."""
-    rows, known = [], results.subject.known
-    for name in SHOWN:
+def derivative_table(results):
+    """Return derivatives by method and air: mean over the seeds (scatter, stated deviation), beside the known ones."""
+    rows = []
+    for name in PRINTED:
         i, k = place_of(name)
-        for air in flights.AIR:
-            row = {"aircraft": results.subject.name, "derivative": name, "air": air, "known": float(known[i, k])}
-            for label, case, method in methods:
-                found = results.found.get((air, case, method))
-                if found is None:
-                    row[label] = None
-                    continue
-                values, std = np.array([[one.slopes[i, k], one.slopes_std[i, k]] for one in found]).T
-                scatter = values.std(ddof=1) if len(values) > 1 else np.nan
-                row[label] = (
-                    None if np.isnan(values).all() else f"{values.mean():.3g} ({scatter:.2g}, {std.mean():.2g})"
+        for label, case, method in DERIVATIVES:
+            row = {"derivative": name, "known": float(results.subject.known[i, k]), "method": label}
+            for air in flights.AIR:
+                found = results.found.get((air, case, method), [])
+                values = np.array(
+                    [(one.slopes[i, k], one.slopes_std[i, k]) for one in found if not np.isnan(one.slopes[i, k])]
                 )
-            rows.append(row)
+                row[air] = _estimate(*values.T) if len(values) else None
+            if any(row[air] for air in flights.AIR):
+                rows.append(row)
     return rows
 
 
-def coverage_table(results, methods):
+def _estimate(values, std):
+    scatter = f"{values.std(ddof=1):.2g}" if len(values) > 1 else "-"
+    return f"{values.mean():.3g} ({scatter}, {std.mean():.2g})"
+
+
+def coverage_table(results):
     """Return how the errors of derivatives compare with stated deviations."""
     rows, subject = [], results.subject
     for air in flights.AIR:
-        for label, case, method in methods:
+        for label, case, method in DERIVATIVES:
             found = results.found.get((air, case, method))
             if found is None or not (found[0].slopes_std > 0).any():
                 continue
@@ -226,7 +244,7 @@ def coverage_table(results, methods):
             scatter, bias = error.std(axis=0, ddof=min(1, len(error) - 1)), np.abs(error.mean(axis=0))
             stated = std.mean(axis=0)
             rows.append(
-                {"aircraft": subject.name, "air": air, "method": label}
+                {"air": air, "method": label}
                 | {"within 2 std, %": float(100 * inside[:, matters].mean())}
                 | {"of those shown, %": float(100 * np.mean(shown))}
                 | {"scatter over stated std": float(np.median(scatter / stated))}
@@ -245,26 +263,13 @@ def bound_table(results):
         scale = results.truth.std(axis=0)
         stated = np.sqrt(np.mean([one.function_std**2 for one in found], axis=(0, 1))) / scale
         rows.append(
-            {"aircraft": results.subject.name, "air": air, "regressors": case.slopes}
+            {"air": air, "regressors": "quasi-steady" if case.slopes == "none" else "classical"}
             | {"bound": "Cramer-Rao, linear" if method == "weighted" else "process, known hyperparameters"}
             | {"NRMSE bound": float(stated.mean())}
             | {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, stated, strict=True)}
             | {"NRMSE reached by it": float(results.nrmse((air, case, method)).mean())}
         )
     return rows
-
-
-DERIVATIVES = [
-    ("default", LOGGED, "default"),
-    ("default, classical", CLASSICAL, "default"),
-    ("least squares", LOGGED, "least squares"),
-    ("least squares, classical", CLASSICAL, "least squares"),
-    ("IV surfaces, classical", CLASSICAL, "IV surfaces"),
-    ("IV commands, classical", CLASSICAL, "IV commands"),
-    ("weighted, classical", CLASSICAL, "weighted"),
-    ("rates of the air given, least squares", GIVEN["rates of the air given"], "least squares"),
-    ("exact, least squares", EXACT, "least squares"),
-]
 
 
 def study(subject, options, folder):
@@ -304,7 +309,7 @@ def study(subject, options, folder):
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", nargs="+", default=["example"], choices=["example", "c172p"])
+    parser.add_argument("--aircraft", default="example", choices=["example", "c172p"])
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
     parser.add_argument("--processes", type=int, default=4, help="seeds of them that dependent processes learn")
     parser.add_argument("--duration", type=float, default=180.0, help="of each flight [s]")
@@ -315,18 +320,19 @@ def main(words=None):
         options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
         PROCESSES.update(calm=[], moderate=[], light=[(LOGGED, {})])
     folder = options.out / "study" if options.out and not options.smoke else None
-    tables = {"function": [], "parts": [], "derivatives": [], "coverage": [], "bounds": []}
-    for name in options.aircraft:
-        make = getattr(flights, f"{name}_subject")
-        subject = kept(folder, f"{name}-{options.seeds}", lambda make=make: make(options.seeds, options.duration))
-        results = study(subject, options, folder)
-        tables["function"] += function_table(results)
-        for method in ("default", "least squares"):
-            tables["parts"] += parts_table(results, method)
-        tables["derivatives"] += derivative_table(results, DERIVATIVES)
-        tables["coverage"] += coverage_table(results, DERIVATIVES)
-        tables["bounds"] += bound_table(results)
-    finish(options, "study", **tables)
+    name = options.aircraft
+    make = partial(getattr(flights, f"{name}_subject"), options.seeds, options.duration)
+    results = study(kept(folder, f"{name}-{options.seeds}", make), options, folder)
+    parts = [row for method in ("default", "least squares") for row in parts_table(results, method)]
+    finish(
+        options,
+        "study" if name == "example" else f"study_{name}",
+        parts=parts,
+        function=function_table(results),
+        bounds=bound_table(results),
+        derivatives=derivative_table(results),
+        coverage=coverage_table(results),
+    )
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ import numpy as np
 from _common import finish, parser_of
 from _study_flights import NAMES
 from _study_methods import EVERY, Case, lagged, line, noise_spectra, parabola, process, weighted
+from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp._flight.channels import COEFFICIENTS
 
@@ -50,16 +51,15 @@ LOGGED, CLASSICAL = Case(), Case(slopes="own")
 GIVEN = {"alpha_dot given": Case(slopes="exact"), "rates of the air given": Case(rates="air", slopes="own")}
 ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical"}
 ASKED |= {case: f"classical, {name}" for name, case in GIVEN.items()}
-PROCESSES = {  # by air: case and what replaces parameters of the default regressor
-    "calm": [(LOGGED, {}), (CLASSICAL, {})],
-    "light": [
-        *((case, {}) for case in dict.fromkeys([*CHAINS["quasi-steady"].values(), *CHAINS["classical"].values()])),
-        (CLASSICAL, {"structure": "additive"}),
-        (CLASSICAL, {"drift": "likelihood"}),
-        (GIVEN["rates of the air given"], {}),
-    ],
-    "moderate": [(LOGGED, {}), (CLASSICAL, {})],
-}
+QUADRATIC = {"trend": PolynomialFeatures(2)}
+COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
+    *((air, LOGGED, changes) for air in ("light", "moderate", "calm") for changes in ({}, QUADRATIC)),
+    *((air, CLASSICAL, {}) for air in ("light", "moderate", "calm")),
+    ("light", CLASSICAL, QUADRATIC),
+    ("light", CLASSICAL, {"structure": "additive"}),
+    ("light", GIVEN["rates of the air given"], {}),
+]
+CHAINED = [("light", case, {}) for chain in CHAINS.values() for case in chain.values()]
 DERIVATIVES = [  # label, case, method
     ("default", LOGGED, "default"),
     ("default, classical", CLASSICAL, "default"),
@@ -116,21 +116,25 @@ def method_of(changes):
     return ", ".join(["default", *(f"{name}={value}" for name, value in changes.items())])
 
 
-def process_task(subject, seen, air, seed, case, changes, folder, max_iter):
+def process_task(subject, seen, air, seed, case, changes, folder, max_iter, until):
+    """Return key and result of a fit; None if it is too late to begin one."""
     name = "-".join([subject.name, air, str(seed), *case, *map(str, changes.values())])
+    if time.monotonic() > until and not (folder and (folder / f"{name}.joblib").exists()):
+        return None
     start = time.process_time()
     found, _ = kept(folder, name, partial(process, subject, seen, case, seed, changes, max_iter=max_iter))
     print(f"{name}: {time.process_time() - start:.0f} s", flush=True)
     return (air, case, method_of(changes)), found
 
 
-def known_task(subject, seen, air, seed, case, folder, max_iter):
-    """Return the process at the hyperparameters that exact data of the same log teach."""
+def known_task(subject, seen, air, seed, case, folder):
+    """Return the process at the hyperparameters that exact data of the same log teach; None if they are not known."""
     exact = EXACT if "exact" in case.slopes else CHAINS["quasi-steady"]["no alpha_dot"]
-    name = f"{subject.name}-{air}-{seed}-{'-'.join(exact)}"
-    _, kernel = kept(folder, name, partial(process, subject, seen, exact, seed, {}, max_iter=max_iter))
+    path = folder and folder / f"{'-'.join([subject.name, air, str(seed), *exact])}.joblib"
+    if path is None or not path.exists():
+        return None
     name = f"{subject.name}-{air}-{seed}-{'-'.join(case)}-known"
-    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, {}, kernel))
+    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, {}, joblib.load(path)[1]))
     return (air, case, "known hyperparameters"), found
 
 
@@ -289,22 +293,24 @@ def study(subject, options, folder):
         for one in run(joblib.delayed(kept)(folder, *task) for task in zip(names, tasks, strict=True)):
             found += [((air, *key), value) for key, value in one.items()]
     print(f"{subject.name}: linear methods done", flush=True)
-    tasks = [
-        joblib.delayed(process_task)(subject, seen[air, seed], air, seed, case, changes, folder, options.max_iter)
-        for seed in range(options.processes)
-        for air, cases in PROCESSES.items()
-        for case, changes in cases
-    ]
-    found += run(tasks)
+    wanted = [(*task, seed) for part in (COMPARED, CHAINED) for seed in range(options.processes) for task in part]
+    unique = {(air, case, method_of(changes), seed): changes for air, case, changes, seed in wanted}
     if options.smoke:
-        return Results(subject, found)
-    bounds = [CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]]
-    found += run(
-        joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder, options.max_iter)
-        for seed in range(options.processes)
-        for case in bounds
+        unique = {("light", LOGGED, "default", 0): {}}
+    until = time.monotonic() + 60 * options.minutes
+    processes = run(
+        joblib.delayed(process_task)(
+            subject, seen[air, seed], air, seed, case, changes, folder, options.max_iter, until
+        )
+        for (air, case, _, seed), changes in unique.items()
     )
-    return Results(subject, found)
+    cases = [] if options.smoke else [CHAINS[name]["noise of loads"] for name in CHAINS]
+    known = run(
+        joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder)
+        for seed in range(options.processes)
+        for case in cases
+    )
+    return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)])
 
 
 def main(words=None):
@@ -313,12 +319,12 @@ def main(words=None):
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
     parser.add_argument("--processes", type=int, default=4, help="seeds of them that dependent processes learn")
     parser.add_argument("--duration", type=float, default=180.0, help="of each flight [s]")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further fit of a process begins")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1")
     options = parser.parse_args(words)
     options.max_iter = 60
     if options.smoke:
         options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
-        PROCESSES.update(calm=[], moderate=[], light=[(LOGGED, {})])
     folder = options.out / "study" if options.out and not options.smoke else None
     name = options.aircraft
     make = partial(getattr(flights, f"{name}_subject"), options.seeds, options.duration)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from _study_flights import NAMES, ROTATION, SLOPES
+from scipy.ndimage import uniform_filter1d
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from skdgp.identification._pipeline import default_regressor
@@ -24,6 +25,7 @@ class Case(NamedTuple):
     targets: str = "measured"
     rates: str = "earth"
     slopes: str = "none"
+    rows: str = "all"
 
     @property
     def columns(self):
@@ -36,7 +38,17 @@ class Case(NamedTuple):
             X[:, ROTATION] -= seen.log.gust
         if self.slopes == "exact":
             X[:, SLOPES] = seen.log.exact[:, SLOPES]
-        return X[:, self.columns], seen.targets[self.targets]
+        Y = seen.targets[self.targets]
+        if self.rows == "agitated":
+            size = agitation(seen)
+            Y = np.where((size > np.median(size))[:, None], Y, np.nan)
+        return X[:, self.columns], Y
+
+
+def agitation(seen):
+    """Return how large the roll rate is around each row, (n,): its root mean square over a second."""
+    p = seen.log.exact[:, 2]
+    return np.sqrt(uniform_filter1d((p - p.mean()) ** 2, RATE))
 
 
 class Found(NamedTuple):

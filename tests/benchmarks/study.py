@@ -10,6 +10,7 @@ another path, derivatives at a trim. A case says which causes of error the train
     targets   coefficients measured by noisy sensors, or exact
     rates     relative to the earth, as gyros measure them, or to the air, as the aerodynamics feel them
     slopes    alpha_dot and beta_dot: not among the regressors, like the inputs, or exact
+    rows      all, or the half in which the roll rate is largest
 
 From one case to the next of a chain one cause is added; the rise of the squared error, split into squared bias and
 variance over the seeds, is that cause's part. ``--processes`` seeds are learned by dependent processes, all ``--seeds``
@@ -18,6 +19,7 @@ by linear methods. Each fit is kept under OUT/study and not done again. The c172
 
 from __future__ import annotations
 
+import itertools
 import time
 from functools import partial
 
@@ -26,7 +28,7 @@ import joblib
 import numpy as np
 from _common import finish, parser_of
 from _study_flights import NAMES
-from _study_methods import EVERY, Case, lagged, line, noise_spectra, parabola, process, weighted
+from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process, weighted
 from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp._flight.channels import COEFFICIENTS
@@ -49,11 +51,13 @@ CHAINS = {  # each case adds the cause that names it
 }
 LOGGED, CLASSICAL = Case(), Case(slopes="own")
 GIVEN = {"alpha_dot given": Case(slopes="exact"), "rates of the air given": Case(rates="air", slopes="own")}
-ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical"}
+AGITATED = Case(rows="agitated")
+ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical", AGITATED: "quasi-steady, agitated half of the rows"}
 ASKED |= {case: f"classical, {name}" for name, case in GIVEN.items()}
 QUADRATIC = {"trend": PolynomialFeatures(2)}
 COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
     *((air, LOGGED, changes) for air in ("light", "moderate", "calm") for changes in ({}, QUADRATIC)),
+    *((air, AGITATED, {}) for air in ("light", "moderate")),
     *((air, CLASSICAL, {}) for air in ("light", "moderate", "calm")),
     ("light", CLASSICAL, QUADRATIC),
     ("light", CLASSICAL, {"structure": "additive"}),
@@ -73,6 +77,7 @@ DERIVATIVES = [  # label, case, method
     ("least squares, exact data", EXACT, "least squares"),
     ("default, exact data", EXACT, "default"),
 ]
+QUANTILES = (0.0, 0.5, 0.8, 1.0)
 PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p", "Cn_r")
 SHOWN = (
     *("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cm_elevator", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r"),
@@ -118,7 +123,7 @@ def method_of(changes):
 
 def process_task(subject, seen, air, seed, case, changes, folder, max_iter, until):
     """Return key and result of a fit; None if it is too late to begin one."""
-    name = "-".join([subject.name, air, str(seed), *case, *map(str, changes.values())])
+    name = "-".join([subject.name, air, str(seed), *case[:4], *({case.rows} - {"all"}), *map(str, changes.values())])
     if time.monotonic() > until and not (folder and (folder / f"{name}.joblib").exists()):
         return None
     start = time.process_time()
@@ -130,10 +135,10 @@ def process_task(subject, seen, air, seed, case, changes, folder, max_iter, unti
 def known_task(subject, seen, air, seed, case, folder):
     """Return the process at the hyperparameters that exact data of the same log teach; None if they are not known."""
     exact = EXACT if "exact" in case.slopes else CHAINS["quasi-steady"]["no alpha_dot"]
-    path = folder and folder / f"{'-'.join([subject.name, air, str(seed), *exact])}.joblib"
+    path = folder and folder / f"{'-'.join([subject.name, air, str(seed), *exact[:4]])}.joblib"
     if path is None or not path.exists():
         return None
-    name = f"{subject.name}-{air}-{seed}-{'-'.join(case)}-known"
+    name = f"{subject.name}-{air}-{seed}-{'-'.join(case[:4])}-known"
     found, _ = kept(folder, name, partial(process, subject, seen, case, seed, {}, joblib.load(path)[1]))
     return (air, case, "known hyperparameters"), found
 
@@ -167,9 +172,9 @@ def function_table(results):
     rows = []
     for air in flights.AIR:
         default = (air, LOGGED, "default")
-        for key, found in results.found.items():
-            if key[0] != air or key[1] not in ASKED:
-                continue
+        keys = [key for key in results.found if key[0] == air and key[1] in ASKED]
+        for key in sorted(keys, key=lambda key: not key[2].startswith("default")):
+            found = results.found[key]
             row = {"air": air, "method": key[2], "regressors": ASKED[key[1]]}
             error = results.nrmse(key)
             row["NRMSE"] = float(error.mean())
@@ -258,6 +263,31 @@ def coverage_table(results):
     return rows
 
 
+def amplitude_table(subject, seen):
+    """Return Cl_p and Cl_aileron of least squares on the quiet and on the agitated rows of the logs as recorded.
+
+    A second of flight is as agitated as the roll rate is large in it, in root mean square.
+    """
+    rows = []
+    for air in flights.AIR:
+        logs = [log for (where, _), log in seen.items() if where == air]
+        for low, high in itertools.pairwise(QUANTILES):
+            found, motion = [], []
+            for log in logs:
+                X, Y = LOGGED.table(log)
+                p, size = log.log.exact[:, 2], agitation(log)
+                inside = (size >= np.quantile(size, low)) & (size <= np.quantile(size, high))
+                slopes = line(X[inside], Y[inside], subject, LOGGED).slopes
+                found.append([slopes[place_of(name)] for name in ("Cl_p", "Cl_aileron")])
+                motion.append([p[inside].std(), log.log.gust[inside, 0].std()])
+            row = {"air": air, "rows, % by size of p": f"{100 * low:.0f} to {100 * high:.0f}"}
+            row |= dict(
+                zip(("std of p_hat", "std of p_hat of the air"), map(float, np.mean(motion, axis=0)), strict=True)
+            )
+            rows.append(row | dict(zip(("Cl_p", "Cl_aileron"), map(float, np.mean(found, axis=0)), strict=True)))
+    return rows
+
+
 def bound_table(results):
     """Return the bounds of the function beside what is reached, NRMSE."""
     rows = []
@@ -277,7 +307,7 @@ def bound_table(results):
 
 
 def study(subject, options, folder):
-    """Return all results of an aircraft."""
+    """Return all results of an aircraft, and what was learned from."""
     run = joblib.Parallel(n_jobs=options.jobs)
     jobs = [(air, seed) for air in flights.AIR for seed in range(options.seeds)]
     names = [f"{subject.name}-{air}-{seed}-seen" for air, seed in jobs]
@@ -310,7 +340,7 @@ def study(subject, options, folder):
         for seed in range(options.processes)
         for case in cases
     )
-    return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)])
+    return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)]), seen
 
 
 def main(words=None):
@@ -328,7 +358,8 @@ def main(words=None):
     folder = options.out / "study" if options.out and not options.smoke else None
     name = options.aircraft
     make = partial(getattr(flights, f"{name}_subject"), options.seeds, options.duration)
-    results = study(kept(folder, f"{name}-{options.seeds}", make), options, folder)
+    subject = kept(folder, f"{name}-{options.seeds}", make)
+    results, seen = study(subject, options, folder)
     parts = [row for method in ("default", "least squares") for row in parts_table(results, method)]
     finish(
         options,
@@ -337,6 +368,7 @@ def main(words=None):
         function=function_table(results),
         bounds=bound_table(results),
         derivatives=derivative_table(results),
+        amplitudes=amplitude_table(subject, seen),
         coverage=coverage_table(results),
     )
 

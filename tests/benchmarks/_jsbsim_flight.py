@@ -47,7 +47,7 @@ def _columns():
 
 def fly(model, seconds, rate, integrator):
     """Return a flight of ``model`` with doublets of all surfaces, at ``rate`` [Hz], and the aircraft it was."""
-    fdm = _start(model, rate)
+    fdm = started(model, rate)
     for name, method in (INTEGRATORS[integrator] or {}).items():
         fdm[f"simulation/integrator/{name}"] = method
     columns = list(_columns())
@@ -60,12 +60,12 @@ def fly(model, seconds, rate, integrator):
         fdm.run()
         rows[k] = [fdm[source] * factor for _, source, factor in columns]
     flight = pd.DataFrame(rows, columns=[name for name, *_ in columns])
-    return flight.assign(time=np.arange(len(rows)) / rate), _aircraft(fdm, model)
+    return flight.assign(time=np.arange(len(rows)) / rate), aircraft_of(fdm, model)
 
 
 def air(model, altitudes):
     """Return JSBSim's density, pressure, temperature and speed of sound, (n, 4), at geometric altitudes [m]."""
-    fdm, found = _start(model, 120), []
+    fdm, found = started(model, 120), []
     for altitude in altitudes:
         fdm["ic/h-sl-ft"] = altitude / FOOT
         fdm.run_ic()
@@ -73,7 +73,7 @@ def air(model, altitudes):
     return np.array(found)
 
 
-def _start(model, rate):
+def started(model, rate):
     """Return JSBSim with the aircraft in the air, its engine running, trimmed, its mass frozen."""
     import jsbsim
 
@@ -91,7 +91,7 @@ def _start(model, rate):
     return fdm
 
 
-def _aircraft(fdm, model):
+def aircraft_of(fdm, model):
     """Return the aircraft as JSBSim carries it; its ixz is the tensor's element, not the product of inertia."""
     ixx, iyy, izz, ixy, ixz, iyz = (
         fdm[f"inertia/{name}-slugs_ft2"] * SLUG * FOOT**2 for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")

@@ -1,0 +1,204 @@
+"""Flights with known truth for the study: what each regressor was, what turned with the air, what was commanded."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from _jsbsim_flight import FOOT, POUND_FORCE, SLUG, aircraft_of, started
+
+from skdgp import make_identification_pipeline
+from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, TRUTH_SUFFIX
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
+from skdgp.datasets._example_flights import MEASURED, TRUTH, _columns, measure
+from skdgp.datasets._flight_plans import FLIGHT_PLANS
+from skdgp.datasets._simulation import fly_plans
+from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, trim
+from skdgp.dynamics._equations.motion import Motion
+
+NAMES = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder", "throttle")
+"""Regressors of the set "classical", rates non-dimensional."""
+ROTATION, SLOPES = [2, 3, 4], [5, 6]
+AIR = {"calm": 0.0, "light": 2.2, "moderate": 4.3}
+"""Factors on the gusts of the example flights: a wind of 15 and 30 kt at 6 m, light and moderate of MIL-F-8785C."""
+TRIM_SPEED, TRIM_ALTITUDE = 36.0, 220.0
+
+
+class Log(NamedTuple):
+    """A flight, or several after each other, with its truth."""
+
+    table: pd.DataFrame
+    """Known columns, those of the truth ending in _true."""
+    exact: np.ndarray
+    """Regressors `NAMES`, (n, 11), rates relative to the earth."""
+    gust: np.ndarray
+    """Non-dimensional rates of the air, (n, 3): what the aerodynamics feel is ``exact`` less these."""
+    command: np.ndarray
+    """What was added to the controls of the autopilot, (n, k)."""
+    truth: np.ndarray
+    """Coefficients, (n, 6)."""
+
+
+class Subject(NamedTuple):
+    """An aircraft with known truth."""
+
+    name: str
+    aircraft: Aircraft
+    logs: dict[str, list[Log]]
+    """Training flights by air, one of each seed."""
+    test: Log
+    """A flight in calm air along another path."""
+    trim: np.ndarray
+    """Regressors `NAMES` of a trim, (11,)."""
+    known: np.ndarray
+    """Derivatives there, (6, 11)."""
+
+
+class Seen(NamedTuple):
+    """What the pipeline makes of a log with sensor noise, and the truth behind it."""
+
+    inputs: dict[str, np.ndarray]
+    """Regressors `NAMES`, (n, 11), "measured" and "exact"."""
+    targets: dict[str, np.ndarray]
+    """Coefficients, (n, 6): "measured", "exact", and "raw", from sensors without any smoothing."""
+    log: Log
+
+
+def example_subject(seeds: int, duration: float) -> Subject:
+    """Return the example aircraft; in calm air it flies once, since only the sensors' noise has seeds there."""
+    plans = (FLIGHT_PLANS[2], *[FLIGHT_PLANS[1]] * (1 + seeds * (len(AIR) - 1)))
+    factors = [0.0, *(factor for factor in AIR.values() for _ in range(seeds if factor else 1))]
+    record, truth = fly_plans(plans, duration, np.array(factors)[:, None], np.random.default_rng(0))
+    known, true = _columns(record, truth)
+    test, calm, *gusty = (_example_log(plan, k, known, true, truth.regressors[:, k]) for k, plan in enumerate(plans))
+    logs = {"calm": [calm] * seeds, "light": gusty[:seeds], "moderate": gusty[seeds:]}
+    names = [name + HAT if name in RATE_LENGTHS else name for name in REGRESSORS]
+    model = Aerodynamics(brumby_coefficients, names, gradient=brumby_derivatives)
+    point = trim(model, BRUMBY, TRIM_SPEED, altitude=TRIM_ALTITUDE)
+    at = Motion(model, BRUMBY).at(point.state, point.controls).regressors
+    slopes = np.column_stack([brumby_derivatives(at), np.zeros(6)])  # none by throttle
+    return Subject("example", BRUMBY, logs, test, np.append(at, point.controls["throttle"]), slopes)
+
+
+def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -> Log:
+    table = pd.DataFrame({name + TRUTH_SUFFIX: true[name][:, k] for name in TRUTH})
+    table = table.assign(flight=plan.name, **{name: values[:, k] for name, values in known.items()})
+    felt = np.column_stack([felt, table["throttle"]])
+    exact = felt.copy()
+    for j, name in zip(ROTATION, "pqr", strict=True):
+        length = getattr(BRUMBY, RATE_LENGTHS[name])
+        exact[:, j] = table[name + TRUTH_SUFFIX] * length / (2 * table["airspeed_true"])
+    gust, command = (exact - felt)[:, ROTATION], np.column_stack(plan.excitation(table["time"].to_numpy()))
+    return Log(table, exact, gust, command, table[[name + TRUTH_SUFFIX for name in COEFFICIENTS]].to_numpy())
+
+
+def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
+    """Return a log as sensors saw it, through the default pipeline."""
+    noisy = measure(log.table, 1.0, np.random.default_rng([1, seed]))
+    table = pd.concat([noisy, log.table], axis=1)
+    table = table[[name for name in MEASURED if name in table]].copy()
+    targets = {
+        "exact": log.truth,
+        "measured": aerodynamic_coefficients(table, aircraft).to_numpy(),
+        "raw": aerodynamic_coefficients(table, aircraft, cutoff=None).to_numpy(),
+    }
+    steps = make_identification_pipeline(aircraft, regressors="classical")[:-2]
+    return Seen({"exact": log.exact, "measured": np.asarray(steps.fit_transform(table), dtype=float)}, targets, log)
+
+
+# -- Cessna 172 of JSBSim -----------------------------------------------------------------------------
+
+WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
+"""[kt], MIL-F-8785C as JSBSim flies it."""
+HEIGHT, SPEED = 274.0, 100.0  # above the ground [m], calibrated [kt]
+FRAMES = 6  # of JSBSim per row; controls change at each of them: held longer, they would lag behind the logged loads
+SETTLING = 10.0  # s before the log
+SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
+SOURCES = {  # property and factor to SI; forces and moments in newtons
+    **{f"{name}_true": (f"aero/{name}-rad", 1.0) for name in ("alpha", "beta")},
+    **{f"{name}_dot_true": (f"aero/{name}dot-rad_sec", 1.0) for name in ("alpha", "beta")},
+    **{f"{name}_true": (f"attitude/{name}-rad", 1.0) for name in ("phi", "theta", "psi")},
+    **{f"{name}_true": (f"velocities/{name}-rad_sec", 1.0) for name in "pqr"},
+    **{f"{name}_felt": (f"velocities/{name}-aero-rad_sec", 1.0) for name in "pqr"},
+    **{f"v_{name}_true": (f"velocities/v-{name}-fps", FOOT) for name in ("north", "east", "down")},
+    **{f"a{axis}_true": (f"forces/fb{axis}-total-lbs", POUND_FORCE) for axis in "xyz"},
+    **{f"C{axis.upper()}_true": (f"forces/fb{axis}-aero-lbs", POUND_FORCE) for axis in "xyz"},
+    **{f"C{axis}_true": (f"moments/{axis}-aero-lbsft", POUND_FORCE * FOOT) for axis in "lmn"},
+    **{f"thrust_{axis}": (f"forces/fb{axis}-prop-lbs", POUND_FORCE) for axis in "xyz"},
+    **{f"thrust_{axis}": (f"moments/{axis}-prop-lbsft", POUND_FORCE * FOOT) for axis in "lmn"},
+    **{name: (f"fcs/{source}-pos-rad", 1.0) for name, source in SURFACES.items()},
+    "throttle": ("fcs/throttle-pos-norm", 1.0),
+    "airspeed_true": ("velocities/vt-fps", FOOT),
+    "altitude": ("position/h-sl-ft", FOOT),
+    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
+}
+
+
+def c172p_subject(seeds: int, duration: float) -> Subject:
+    """Return JSBSim's Cessna 172; its derivatives are those of least squares on exact regressors of all flights."""
+    test, aircraft = _c172p_log(2, "calm", 0, duration)
+    seeded = {air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()}
+    flown = {(air, seed): _c172p_log(1, air, seed, duration)[0] for air, all_of in seeded.items() for seed in {*all_of}}
+    logs = {air: [flown[air, seed] for seed in all_of] for air, all_of in seeded.items()}
+    felt = np.concatenate([log.exact for log in flown.values()])
+    felt[:, ROTATION] -= np.concatenate([log.gust for log in flown.values()])
+    truth, at = np.concatenate([log.truth for log in flown.values()]), test.exact.mean(axis=0)
+    known = np.linalg.lstsq(np.column_stack([np.ones(len(felt)), felt - at]), truth, rcond=None)[0][1:].T
+    return Subject("c172p", aircraft, logs, test, at, known)
+
+
+def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, Aircraft]:
+    """Return a flight with the manoeuvres of a plan of the example flights, held level or in slow turns."""
+    plan, fdm = FLIGHT_PLANS[number], started("c172p", 40 * FRAMES)
+    fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, SPEED
+    fdm.run_ic()
+    fdm["propulsion/set-running"] = -1
+    fdm["simulation/do_simple_trim"] = 1
+    if WIND_AT_20FT[air]:
+        fdm["simulation/randomseed"] = seed
+        fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = WIND_AT_20FT[air] * 1.68781
+        fdm["atmosphere/turbulence/milspec/severity"] = 3 if air == "light" else 4
+        fdm["atmosphere/turb-type"] = 3
+    neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
+    theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
+    time = np.arange(round((SETTLING + duration) * 40 * FRAMES)) / (40 * FRAMES) - SETTLING
+    command = np.column_stack(plan.excitation(time)) * [1.0, 1.5, 1.0, 1.0]
+    rows = []
+    for k, now in enumerate(time):
+        phi = 0.3 * np.sin(2 * np.pi * now / (70 + 20 * number))
+        climb = np.clip((HEIGHT + 30 * (number == 2 and now > 70) - fdm["position/h-sl-ft"] * FOOT) / 200, -0.07, 0.07)
+        surfaces = {
+            "elevator": 0.5 * (fdm["attitude/theta-rad"] - theta - climb) + 0.15 * fdm["velocities/q-rad_sec"],
+            "aileron": 0.25 * (phi - fdm["attitude/phi-rad"]) - 0.05 * fdm["velocities/p-rad_sec"],
+            "rudder": 0.1 * fdm["velocities/r-rad_sec"],
+        }
+        slower = 0.03 * (speed - fdm["velocities/vt-fps"])
+        for j, name in enumerate(SURFACES):
+            fdm[f"fcs/{name}-cmd-norm"] = neutral[name] + (surfaces[name] + command[k, j]) / 0.35
+        fdm["fcs/throttle-cmd-norm"] = np.clip(neutral["throttle"] + slower + command[k, 3], 0.1, 1.0)
+        fdm.run()
+        if k % FRAMES == FRAMES - 1:
+            rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
+    time, command = time[FRAMES - 1 :: FRAMES], command[FRAMES - 1 :: FRAMES]
+    aircraft, log = aircraft_of(fdm, "c172p"), time >= 0
+    table = pd.DataFrame(rows, columns=[*SOURCES])[log]
+    return _c172p_table(table, time[log], plan.name, command[log], aircraft), aircraft
+
+
+def _c172p_table(table: pd.DataFrame, time: np.ndarray, name: str, command: np.ndarray, aircraft: Aircraft) -> Log:
+    table = table.reset_index(drop=True)
+    table[[f"a{axis}_true" for axis in "xyz"]] /= aircraft.mass
+    scale = 0.5 * table["density"].to_numpy() * table["airspeed_true"].to_numpy() ** 2 * aircraft.wing_area
+    truth = table[[f"{name}_true" for name in COEFFICIENTS]].to_numpy() / scale[:, None]
+    truth[:, 3:] /= aircraft.moment_lengths
+    for axis in ("north", "east"):
+        table[f"{axis}_true"] = np.cumsum(table[f"v_{axis}_true"]) / 40
+    half = {
+        rate: getattr(aircraft, RATE_LENGTHS[rate]) / (2 * table["airspeed_true"]) for rate in (*"pqr", *NAMES[5:7])
+    }
+    values = [table[f"{name}_true"] if f"{name}_true" in table else table[name] for name in NAMES]
+    exact = np.column_stack([v * half.get(name, 1.0) for name, v in zip(NAMES, values, strict=True)])
+    gust = np.column_stack([(table[f"{rate}_true"] - table[f"{rate}_felt"]) * half[rate] for rate in "pqr"])
+    table = table.assign(time=time, flight=name, psi_true=table["psi_true"] % (2 * np.pi))
+    return Log(table, exact, gust, command, truth)

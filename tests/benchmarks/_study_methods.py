@@ -1,0 +1,177 @@
+"""Methods of the study: what each finds from one log with stated causes of error."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from _study_flights import NAMES, ROTATION, SLOPES
+from scipy.ndimage import uniform_filter1d
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from skdgp.identification._pipeline import default_regressor
+from skdgp.inference import autocorrelation_time
+
+RATE = 40  # Hz, of the logs
+EVERY = 10  # rows of the test flight per row that is scored
+BINS = 60  # of the noise spectrum, evenly spread over the logarithm of frequency
+
+
+class Case(NamedTuple):
+    """What the training data hold."""
+
+    inputs: str = "measured"
+    targets: str = "measured"
+    rates: str = "earth"
+    slopes: str = "none"
+    rows: str = "all"
+
+    @property
+    def columns(self):
+        return [k for k in range(len(NAMES)) if self.slopes != "none" or k not in SLOPES]
+
+    def table(self, seen):
+        """Return regressors and targets of all rows."""
+        X = seen.inputs[self.inputs].copy()
+        if self.rates == "air":
+            X[:, ROTATION] -= seen.log.gust
+        if self.slopes == "exact":
+            X[:, SLOPES] = seen.log.exact[:, SLOPES]
+        Y = seen.targets[self.targets]
+        if self.rows == "agitated":
+            size = agitation(seen)
+            Y = np.where((size > np.median(size))[:, None], Y, np.nan)
+        return X[:, self.columns], Y
+
+
+def agitation(seen):
+    """Return how large the roll rate is around each row, (n,): its root mean square over a second."""
+    p = seen.log.exact[:, 2]
+    return np.sqrt(uniform_filter1d((p - p.mean()) ** 2, RATE))
+
+
+class Found(NamedTuple):
+    """What a method found from one log."""
+
+    function: np.ndarray
+    """At the rows that are scored, (n, 6)."""
+    function_std: np.ndarray | None
+    slopes: np.ndarray
+    """At the trim, (6, 11); NaN where the regressor is not in the case."""
+    slopes_std: np.ndarray
+
+
+def asked_of(subject, case):
+    """Return the regressors at which the function is scored."""
+    return subject.test.exact[::EVERY, case.columns]
+
+
+def widened(slopes, case):
+    """Return (6, 11) of (6, d)."""
+    wide = np.full((len(slopes), len(NAMES)), np.nan)
+    wide[:, case.columns] = slopes
+    return wide
+
+
+# -- linear methods ------------------------------------------------------------------------------------
+
+
+def line(X, Y, subject, case, instruments=None):
+    """Return least squares, or two-stage least squares with instruments."""
+    scaler = StandardScaler().fit(X)
+    A = _with_ones(scaler.transform(X))
+    fitted = A
+    if instruments is not None:
+        B = _with_ones(StandardScaler().fit_transform(instruments))
+        fitted = B @ np.linalg.lstsq(B, A, rcond=None)[0]
+    weights = np.linalg.lstsq(fitted, Y, rcond=None)[0]
+    variance = ((Y - A @ weights) ** 2).sum(axis=0) / (len(Y) - A.shape[1])
+    std = np.sqrt(np.outer(variance, np.diag(np.linalg.pinv(fitted.T @ fitted))[1:])) / scaler.scale_
+    function = _with_ones(scaler.transform(asked_of(subject, case))) @ weights
+    return Found(function, None, widened(weights[1:].T / scaler.scale_, case), widened(std, case))
+
+
+def _with_ones(X):
+    return np.column_stack([np.ones(len(X)), X])
+
+
+def parabola(X, Y, subject, case):
+    """Return least squares with all products of two regressors."""
+    scaler, terms = StandardScaler().fit(X), PolynomialFeatures(2)
+    weights = np.linalg.lstsq(terms.fit_transform(scaler.transform(X)), Y, rcond=None)[0]
+    function = terms.transform(scaler.transform(asked_of(subject, case))) @ weights
+    at, step = scaler.transform(subject.trim[None, case.columns]), 1e-4 * np.eye(X.shape[1])
+    slopes = (terms.transform(at + step) - terms.transform(at - step)) @ weights / 2e-4
+    return Found(function, None, widened(slopes.T / scaler.scale_, case), np.full((6, len(NAMES)), np.nan))
+
+
+def lagged(values, seconds):
+    """Return the columns delayed by 0, 0.1, ... ``seconds``, side by side."""
+    shifts = range(0, round(seconds * RATE) + 1, RATE // 10)
+    return np.hstack([np.roll(values, k, axis=0) for k in shifts])
+
+
+def weighted(X, Y, subject, case, spectra):
+    """Return least squares in the frequency domain, each frequency weighted by the known noise there.
+
+    Its covariance is the Cramer-Rao bound of the linear function for regressors that are exact.
+    """
+    scaler = StandardScaler().fit(X)
+    A = scaler.transform(X)
+    F, G = (np.fft.rfft(part, axis=0)[1:] * np.sqrt(2 / len(part)) for part in (A, Y))
+    weights = [F.conj().T / density for density in spectra]
+    normal = np.array([(weight @ F).real for weight in weights])
+    right = np.array([(weight @ g).real for weight, g in zip(weights, G.T, strict=True)])
+    bound = np.linalg.pinv(normal, hermitian=True)
+    weights = np.einsum("ijk,ik->ij", bound, right)
+    asked = scaler.transform(asked_of(subject, case))
+    std = np.sqrt(np.einsum("nj,ijk,nk->ni", asked, bound, asked).clip(0))
+    slopes_std = np.sqrt(np.einsum("ijj->ij", bound).clip(0)) / scaler.scale_
+    return Found(
+        Y.mean(axis=0) + asked @ weights.T, std, widened(weights / scaler.scale_, case), widened(slopes_std, case)
+    )
+
+
+def noise_spectra(subject, logs):
+    """Return the spectra (6, n_frequencies) of what exact regressors leave of raw targets: sensors, and unseen rates.
+
+    Averaged over the logs, and over bins of frequency.
+    """
+    powers = []
+    for seen in logs:
+        error = seen.targets["raw"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
+        powers.append(np.abs(np.fft.rfft(error, axis=0)[1:]) ** 2 / len(error))
+    power = np.mean(powers, axis=0).T
+    frequency = np.log(np.arange(1, power.shape[1] + 1))
+    bins = np.minimum((frequency / frequency[-1] * BINS).astype(int), BINS - 1)
+    count = np.bincount(bins, minlength=BINS)
+    centre = np.bincount(bins, frequency, BINS)[count > 0] / count[count > 0]
+    means = (np.bincount(bins, row, BINS)[count > 0] / count[count > 0] for row in power)
+    return np.array([np.exp(np.interp(frequency, centre, np.log(mean))) for mean in means])
+
+
+def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
+    """Return what the default regressor finds; with ``kernel`` at known hyperparameters and known noise.
+
+    On so many rows its structure "auto" is "joint", which takes half the time if it is not chosen first.
+    """
+    X, Y = case.table(seen)
+    scaler, table = StandardScaler().fit(X), seen.log.table
+    model = default_regressor(random_state=seed, max_iter=max_iter).set_params(**{"structure": "joint"} | changes)
+    if kernel is not None:
+        model.set_params(kernel=kernel, trend="constant", optimizer=None, input_noise=None, inference="sparse")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.fit(scaler.transform(X), Y, time=table["time"].to_numpy(), flight=table["flight"].to_numpy())
+    if kernel is not None:
+        error = seen.targets["measured"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
+        known = error.var(axis=0) * [autocorrelation_time(e) for e in error.T]
+        model.posterior_ = model.posterior_.with_noise(known / model._scale**2)
+    exact = {"include_input_noise": False}
+    function, std = model.predict(scaler.transform(asked_of(subject, case)), return_std=True, **exact)
+    slopes, slopes_std = (
+        part[0] / scaler.scale_
+        for part in model.predict_gradient(scaler.transform(subject.trim[None, case.columns]), return_std=True)
+    )
+    return Found(function, std, widened(slopes, case), widened(slopes_std, case)), model.kernel_

@@ -1,0 +1,384 @@
+"""Why the learned function and its derivatives miss the truth: one cause of error switched at a time.
+
+    python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 4] [--jobs N] [--aircraft c172p]
+
+Aircraft with known truth fly the same plan again and again, each seed in other gusts and with other sensor noise,
+in calm, light and moderate air. Learned functions are scored at the exact regressors of a flight in calm air along
+another path, derivatives at a trim. A case says which causes of error the training data have:
+
+    inputs    through the default pipeline from noisy sensors, or exact
+    targets   coefficients measured by noisy sensors, or exact
+    rates     relative to the earth, as gyros measure them, or to the air, as the aerodynamics feel them
+    slopes    alpha_dot and beta_dot: not among the regressors, like the inputs, or exact
+    rows      all, or the half in which the roll rate is largest
+
+From one case to the next of a chain one cause is added; the rise of the squared error, split into squared bias and
+variance over the seeds, is that cause's part. ``--processes`` seeds are learned by dependent processes, all ``--seeds``
+by linear methods. Each fit is kept under OUT/study and not done again. The c172p needs the jsbsim wheel.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from functools import partial
+
+import _study_flights as flights
+import joblib
+import numpy as np
+from _common import finish, parser_of
+from _study_flights import NAMES
+from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process, weighted
+from sklearn.preprocessing import PolynomialFeatures
+
+from skdgp._flight.channels import COEFFICIENTS
+
+EXACT = Case("exact", "exact", "air", "exact")
+CHAINS = {  # each case adds the cause that names it
+    "quasi-steady": {
+        "exact data": EXACT,
+        "no alpha_dot": EXACT._replace(slopes="none"),
+        "gust rates": EXACT._replace(slopes="none", rates="earth"),
+        "noise of loads": Case(inputs="exact"),
+        "noise of regressors": Case(),
+    },
+    "classical": {
+        "exact data": EXACT,
+        "gust rates": EXACT._replace(rates="earth"),
+        "noise of loads": Case(inputs="exact", slopes="exact"),
+        "noise of regressors": Case(slopes="own"),
+    },
+}
+LOGGED, CLASSICAL = Case(), Case(slopes="own")
+GIVEN = {"alpha_dot given": Case(slopes="exact"), "rates of the air given": Case(rates="air", slopes="own")}
+AGITATED = Case(rows="agitated")
+ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical", AGITATED: "quasi-steady, agitated half of the rows"}
+ASKED |= {case: f"classical, {name}" for name, case in GIVEN.items()}
+QUADRATIC = {"trend": PolynomialFeatures(2)}
+COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
+    *((air, LOGGED, changes) for air in ("light", "moderate", "calm") for changes in ({}, QUADRATIC)),
+    *((air, AGITATED, {}) for air in ("light", "moderate")),
+    *((air, CLASSICAL, {}) for air in ("light", "moderate", "calm")),
+    ("light", CLASSICAL, QUADRATIC),
+    ("light", CLASSICAL, {"structure": "additive"}),
+    ("light", GIVEN["rates of the air given"], {}),
+]
+CHAINED = [("light", case, {}) for chain in CHAINS.values() for case in chain.values()]
+DERIVATIVES = [  # label, case, method
+    ("default", LOGGED, "default"),
+    ("default, classical", CLASSICAL, "default"),
+    ("least squares", LOGGED, "least squares"),
+    ("least squares, classical", CLASSICAL, "least squares"),
+    ("IV surfaces", LOGGED, "IV surfaces"),
+    ("IV commands", LOGGED, "IV commands"),
+    ("IV commands, classical", CLASSICAL, "IV commands"),
+    ("weighted, classical", CLASSICAL, "weighted"),
+    ("least squares, classical, rates of the air given", GIVEN["rates of the air given"], "least squares"),
+    ("least squares, exact data", EXACT, "least squares"),
+    ("default, exact data", EXACT, "default"),
+]
+QUANTILES = (0.0, 0.5, 0.8, 1.0)
+PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p", "Cn_r")
+SHOWN = (
+    *("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cm_elevator", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r"),
+    *("Cl_aileron", "Cn_beta", "Cn_p", "Cn_r", "Cn_rudder"),
+)
+
+
+def linear_methods(subject, seen, spectra):
+    """Return what linear methods find, by case and method."""
+    found = {}
+    cases = dict.fromkeys([*CHAINS["quasi-steady"].values(), *CHAINS["classical"].values(), *GIVEN.values()])
+    for case in cases:
+        X, Y = case.table(seen)
+        found[case, "least squares"] = line(X, Y, subject, case)
+    for case in (LOGGED, CLASSICAL):
+        X, Y = case.table(seen)
+        found[case, "second order"] = parabola(X, Y, subject, case)
+        surfaces = lagged(seen.log.exact[:, -4:], 1.0)
+        found[case, "IV surfaces"] = line(X, Y, subject, case, surfaces)
+        found[case, "IV commands"] = line(X, Y, subject, case, lagged(seen.log.command, 2.0))
+    for case in (LOGGED, CLASSICAL, CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]):
+        X, _ = case.table(seen)
+        found[case, "weighted"] = weighted(X, seen.targets["raw"], subject, case, spectra)
+    return found
+
+
+def kept(folder, name, function):
+    """Return a result from the folder, else make it and keep it there."""
+    path = None if folder is None else folder / f"{name}.joblib"
+    if path is not None and path.exists():
+        return joblib.load(path)
+    result = function()
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        joblib.dump(result, path.with_suffix(".part"))
+        path.with_suffix(".part").rename(path)  # whole or not at all
+    return result
+
+
+def method_of(changes):
+    return ", ".join(["default", *(f"{name}={value}" for name, value in changes.items())])
+
+
+def process_task(subject, seen, air, seed, case, changes, folder, max_iter, until):
+    """Return key and result of a fit; None if it is too late to begin one."""
+    name = "-".join([subject.name, air, str(seed), *case[:4], *({case.rows} - {"all"}), *map(str, changes.values())])
+    if time.monotonic() > until and not (folder and (folder / f"{name}.joblib").exists()):
+        return None
+    start = time.process_time()
+    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, changes, max_iter=max_iter))
+    print(f"{name}: {time.process_time() - start:.0f} s", flush=True)
+    return (air, case, method_of(changes)), found
+
+
+def known_task(subject, seen, air, seed, case, folder):
+    """Return the process at the hyperparameters that exact data of the same log teach; None if they are not known."""
+    exact = EXACT if "exact" in case.slopes else CHAINS["quasi-steady"]["no alpha_dot"]
+    path = folder and folder / f"{'-'.join([subject.name, air, str(seed), *exact[:4]])}.joblib"
+    if path is None or not path.exists():
+        return None
+    name = f"{subject.name}-{air}-{seed}-{'-'.join(case[:4])}-known"
+    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, {}, joblib.load(path)[1]))
+    return (air, case, "known hyperparameters"), found
+
+
+# -- tables --------------------------------------------------------------------------------------------
+
+
+class Results:
+    """What was found, by air, case and method: stacked over seeds."""
+
+    def __init__(self, subject, found):
+        self.subject, self.truth = subject, subject.test.truth[::EVERY]
+        self.found = {}
+        for key, one in found:
+            self.found.setdefault(key, []).append(one)
+
+    def errors(self, key, seeds=None):
+        """Return squared bias and variance of each coefficient, (2, 6), over the variance of the truth."""
+        error = np.array([one.function for one in self.found[key][:seeds]]) - self.truth
+        n, scale = len(error), self.truth.var(axis=0)
+        variance = error.var(axis=0, ddof=1).mean(axis=0) if n > 1 else np.zeros(6)
+        return np.array([(error.mean(axis=0) ** 2).mean(axis=0) - variance / n, variance]) / scale
+
+    def nrmse(self, key, seeds=None):
+        """Return the error of each coefficient, (6,), in root mean square over rows and seeds."""
+        return np.sqrt(self.errors(key, seeds).sum(axis=0))
+
+
+def function_table(results):
+    """Return the error of the function by air and method, where sensors' noise is in all data."""
+    rows = []
+    for air in flights.AIR:
+        default = (air, LOGGED, "default")
+        keys = [key for key in results.found if key[0] == air and key[1] in ASKED]
+        for key in sorted(keys, key=lambda key: not key[2].startswith("default")):
+            found = results.found[key]
+            row = {"air": air, "method": key[2], "regressors": ASKED[key[1]]}
+            error = results.nrmse(key)
+            row["NRMSE"] = float(error.mean())
+            row |= {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, error, strict=True)}
+            n = min(len(found), len(results.found.get(default, [])))  # the same seeds
+            ratio = results.nrmse(key, n).mean() / results.nrmse(default, n).mean() if n else np.nan
+            row |= {"over default": float(ratio) if n else None, "seeds": len(found)}
+            rows.append(row)
+    return rows
+
+
+def parts_table(results, method, air="light"):
+    """Return what each cause adds to the squared error, in per cent of the variance of the truth, over equal seeds."""
+    rows = []
+    for regressors, chain in CHAINS.items():
+        chain = {cause: (air, case, method) for cause, case in chain.items()}
+        seeds = min((len(results.found[key]) for key in chain.values() if key in results.found), default=0)
+        before, causes, first = np.zeros((2, 6)), [], {"method": method, "regressors": regressors}
+        for cause, key in chain.items():
+            causes.append(cause)
+            if key in results.found:  # else the next row is of both causes
+                now = results.errors(key, seeds)
+                rows.append(first | {"cause": ", ".join(causes), **_pairs(now - before), "seeds": seeds})
+                before, causes = now, []
+        if seeds:
+            rows.append(first | {"cause": "all", **_pairs(before), "seeds": seeds})
+    return rows
+
+
+def _pairs(errors):
+    bias, variance = 100 * errors + 0.0
+    return {name: f"{b:.2f} + {v:.2f}" for name, b, v in zip(COEFFICIENTS, bias, variance, strict=True)}
+
+
+def place_of(derivative):
+    """Return row and column of a derivative."""
+    coefficient, _, regressor = derivative.partition("_")
+    return COEFFICIENTS.index(coefficient), NAMES.index(regressor)
+
+
+def derivative_table(results):
+    """Return derivatives by method and air: mean over the seeds (scatter, stated deviation), beside the known ones."""
+    rows = []
+    for name in PRINTED:
+        i, k = place_of(name)
+        for label, case, method in DERIVATIVES:
+            row = {"derivative": name, "known": float(results.subject.known[i, k]), "method": label}
+            for air in flights.AIR:
+                found = results.found.get((air, case, method), [])
+                values = np.array(
+                    [(one.slopes[i, k], one.slopes_std[i, k]) for one in found if not np.isnan(one.slopes[i, k])]
+                )
+                row[air] = _estimate(*values.T) if len(values) else None
+            if any(row[air] for air in flights.AIR):
+                rows.append(row)
+    return rows
+
+
+def _estimate(values, std):
+    scatter = f"{values.std(ddof=1):.2g}" if len(values) > 1 else "-"
+    return f"{values.mean():.3g} ({scatter}, {std.mean():.2g})"
+
+
+def coverage_table(results):
+    """Return how the errors of derivatives compare with stated deviations."""
+    rows, subject = [], results.subject
+    for air in flights.AIR:
+        for label, case, method in DERIVATIVES:
+            found = results.found.get((air, case, method))
+            if found is None or not (found[0].slopes_std > 0).any():
+                continue
+            matters = (np.abs(subject.known) > 0) & (found[0].slopes_std > 0)
+            inside = np.array([np.abs(one.slopes - subject.known) < 2 * one.slopes_std for one in found])
+            shown = [one[place_of(name)] for one in inside for name in SHOWN if matters[place_of(name)]]
+            error = np.array([one.slopes - subject.known for one in found])[:, matters]
+            std = np.array([one.slopes_std for one in found])[:, matters]
+            scatter, bias = error.std(axis=0, ddof=min(1, len(error) - 1)), np.abs(error.mean(axis=0))
+            stated = std.mean(axis=0)
+            rows.append(
+                {"air": air, "method": label}
+                | {"within 2 std, %": float(100 * inside[:, matters].mean())}
+                | {"of those shown, %": float(100 * np.mean(shown))}
+                | {"scatter over stated std": float(np.median(scatter / stated)) if len(error) > 1 else None}
+                | {"bias over stated std": float(np.median(bias / stated))}
+                | {"derivatives": int(matters.sum()), "seeds": len(error)}
+            )
+    return rows
+
+
+def amplitude_table(subject, seen):
+    """Return Cl_p and Cl_aileron of least squares on the quiet and on the agitated rows of the logs as recorded.
+
+    A second of flight is as agitated as the roll rate is large in it, in root mean square.
+    """
+    rows = []
+    for air in flights.AIR:
+        logs = [log for (where, _), log in seen.items() if where == air]
+        for low, high in itertools.pairwise(QUANTILES):
+            found, motion = [], []
+            for log in logs:
+                X, Y = LOGGED.table(log)
+                p, size = log.log.exact[:, 2], agitation(log)
+                inside = (size >= np.quantile(size, low)) & (size <= np.quantile(size, high))
+                slopes = line(X[inside], Y[inside], subject, LOGGED).slopes
+                found.append([slopes[place_of(name)] for name in ("Cl_p", "Cl_aileron")])
+                motion.append([p[inside].std(), log.log.gust[inside, 0].std()])
+            row = {"air": air, "rows, % by size of p": f"{100 * low:.0f} to {100 * high:.0f}"}
+            row |= dict(
+                zip(
+                    ("std of p_hat", "std of p_hat of the air"),
+                    map(float, np.mean(motion, axis=0).round(6)),
+                    strict=True,
+                )
+            )
+            rows.append(row | dict(zip(("Cl_p", "Cl_aileron"), map(float, np.mean(found, axis=0)), strict=True)))
+    return rows
+
+
+def bound_table(results):
+    """Return the bounds of the function beside what is reached, NRMSE."""
+    rows = []
+    for (air, case, method), found in results.found.items():
+        if method not in ("weighted", "known hyperparameters") or case.inputs != "exact":
+            continue
+        scale = results.truth.std(axis=0)
+        same = (air, case, "default")
+        default = float(results.nrmse(same, len(found)).mean()) if same in results.found else None
+        stated = np.sqrt(np.mean([one.function_std**2 for one in found], axis=(0, 1))) / scale
+        rows.append(
+            {"air": air, "regressors": "quasi-steady" if case.slopes == "none" else "classical"}
+            | {"bound": "Cramer-Rao, linear" if method == "weighted" else "process, known hyperparameters"}
+            | {"NRMSE stated": float(stated.mean())}
+            | {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, stated, strict=True)}
+            | {"NRMSE reached by it": float(results.nrmse((air, case, method)).mean()), "NRMSE default": default}
+        )
+    return rows
+
+
+def study(subject, options, folder):
+    """Return all results of an aircraft, and what was learned from."""
+    run = joblib.Parallel(n_jobs=options.jobs)
+    jobs = [(air, seed) for air in flights.AIR for seed in range(options.seeds)]
+    names = [f"{subject.name}-{air}-{seed}-seen" for air, seed in jobs]
+    looks = [partial(flights.seen, subject.logs[air][seed], subject.aircraft, seed) for air, seed in jobs]
+    looked = run(joblib.delayed(kept)(folder, *task) for task in zip(names, looks, strict=True))
+    seen = dict(zip(jobs, looked, strict=True))
+    found = []
+    for air in flights.AIR:
+        logs = [seen[air, seed] for seed in range(options.seeds)]
+        spectra = noise_spectra(subject, logs)
+        names = [f"{subject.name}-{air}-{seed}-linear" for seed in range(options.seeds)]
+        tasks = [partial(linear_methods, subject, log, spectra) for log in logs]
+        for one in run(joblib.delayed(kept)(folder, *task) for task in zip(names, tasks, strict=True)):
+            found += [((air, *key), value) for key, value in one.items()]
+    print(f"{subject.name}: linear methods done", flush=True)
+    wanted = [(*task, seed) for part in (COMPARED, CHAINED) for seed in range(options.processes) for task in part]
+    unique = {(air, case, method_of(changes), seed): changes for air, case, changes, seed in wanted}
+    if options.smoke:
+        unique = {("light", LOGGED, "default", 0): {}}
+    until = time.monotonic() + 60 * options.minutes
+    processes = run(
+        joblib.delayed(process_task)(
+            subject, seen[air, seed], air, seed, case, changes, folder, options.max_iter, until
+        )
+        for (air, case, _, seed), changes in unique.items()
+    )
+    cases = [] if options.smoke else [CHAINS[name]["noise of loads"] for name in CHAINS]
+    known = run(
+        joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder)
+        for seed in range(options.processes)
+        for case in cases
+    )
+    return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)]), seen
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("--aircraft", default="example", choices=["example", "c172p"])
+    parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
+    parser.add_argument("--processes", type=int, default=4, help="seeds of them that dependent processes learn")
+    parser.add_argument("--duration", type=float, default=180.0, help="of each flight [s]")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further fit of a process begins")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1")
+    options = parser.parse_args(words)
+    options.max_iter = 60
+    if options.smoke:
+        options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
+    folder = options.out / "study" if options.out and not options.smoke else None
+    name = options.aircraft
+    make = partial(getattr(flights, f"{name}_subject"), options.seeds, options.duration)
+    subject = kept(folder, f"{name}-{options.seeds}", make)
+    results, seen = study(subject, options, folder)
+    parts = [row for method in ("default", "least squares") for row in parts_table(results, method)]
+    finish(
+        options,
+        "study" if name == "example" else f"study_{name}",
+        parts=parts,
+        function=function_table(results),
+        bounds=bound_table(results),
+        derivatives=derivative_table(results),
+        amplitudes=amplitude_table(subject, seen),
+        coverage=coverage_table(results),
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -368,7 +368,7 @@ class PortableModel:
         return basis
 
     def _predict(self, Z, return_std):
-        mean, std = np.empty((2, len(Z), len(self.outputs)))
+        mean, std = np.zeros((2, len(Z), len(self.outputs)))
         trend = self._trend(Z)
         for i, k in enumerate(self.readout_of):
             basis, readout = self._basis(Z, i), self.readouts[k]

@@ -10,6 +10,7 @@ from _jsbsim_flight import FOOT, POUND_FORCE, SLUG, aircraft_of, started
 
 from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, TRUTH_SUFFIX
+from skdgp.datasets._autopilot import COMMANDS
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 from skdgp.datasets._example_flights import MEASURED, TRUTH, _columns, measure
 from skdgp.datasets._flight_plans import FLIGHT_PLANS
@@ -89,8 +90,13 @@ def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -
     for j, name in zip(ROTATION, "pqr", strict=True):
         length = getattr(BRUMBY, RATE_LENGTHS[name])
         exact[:, j] = table[name + TRUTH_SUFFIX] * length / (2 * table["airspeed_true"])
-    gust, command = (exact - felt)[:, ROTATION], np.column_stack(plan.excitation(table["time"].to_numpy()))
+    gust, command = (exact - felt)[:, ROTATION], commands(plan, table["time"].to_numpy())
     return Log(table, exact, gust, command, table[[name + TRUTH_SUFFIX for name in COEFFICIENTS]].to_numpy())
+
+
+def commands(plan: Any, time: np.ndarray) -> np.ndarray:
+    """Return the manoeuvres of a plan, a column for each control."""
+    return np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS])
 
 
 def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
@@ -163,7 +169,7 @@ def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, 
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
     theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
     time = np.arange(round((SETTLING + duration) * 40 * FRAMES)) / (40 * FRAMES) - SETTLING
-    command = np.column_stack(plan.excitation(time)) * [1.0, 1.5, 1.0, 1.0]
+    command = commands(plan, time) * [1.0, 1.5, 1.0, 1.0]
     rows = []
     for k, now in enumerate(time):
         phi = 0.3 * np.sin(2 * np.pi * now / (70 + 20 * number))

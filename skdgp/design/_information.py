@@ -162,9 +162,7 @@ def expected_information(
     for part in parts:
         X = np.column_stack([np.ones(len(part)), _regressors(part, aircraft, regressors)])
         if not np.isfinite(X).all():
-            raise ValueError(
-                "Got NaN or infinite regressors, but expected finite ones: leave out those rows."
-            )
+            raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
         whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
         fisher += np.einsum("npa,npb->pab", whitened, whitened)
     return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))

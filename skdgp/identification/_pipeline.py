@@ -212,6 +212,11 @@ class FlightPipeline(Pipeline):
     regressors, which is larger in rougher air, see :func:`flight_regressors`. Searches, scorers and displays call
     ``predict`` and so use these standard deviations.
 
+    Attributes
+    ----------
+    turbulence_ : Turbulence or None
+        Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their table, which says why.
+
     Examples
     --------
     >>> import numpy as np, pandas as pd

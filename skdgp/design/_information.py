@@ -14,6 +14,7 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_columns, check_names, check_table
+from skdgp._flight.clock import check_clock
 from skdgp.dynamics import Aircraft
 
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
@@ -124,7 +125,7 @@ def expected_information(
     Raises
     ------
     ValueError
-        If the flight lacks a column, or a noise is not > 0.
+        If the flight lacks a column or a value, its time does not increase, a noise is not > 0, or nothing is asked.
 
     Examples
     --------
@@ -146,6 +147,11 @@ def expected_information(
     table = check_table(flight)
     check_columns(table, ["time"])
     white, drift, memory = (noise[name].to_numpy(float) for name in ("white", "drift", "memory"))
+    if not (len(noise) and len(regressors)):
+        raise ValueError(
+            f"Got noise of {list(noise.index)} and regressors {list(regressors)}, but expected at least one of each."
+        )
+    check_clock(table["time"], table.get("flight"))
     if not (np.isfinite(white + drift + memory).all() and (white > 0).all() and (drift >= 0).all() and min(memory) > 0):
         raise ValueError(
             f"Got the noise\n{noise}\nbut expected white > 0, drift >= 0 and memory > 0: a coefficient without white "
@@ -155,6 +161,8 @@ def expected_information(
     fisher = np.zeros((len(noise), 1 + len(regressors), 1 + len(regressors)))
     for part in parts:
         X = np.column_stack([np.ones(len(part)), _regressors(part, aircraft, regressors)])
+        if not np.isfinite(X).all():
+            raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
         whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
         fisher += np.einsum("npa,npb->pab", whitened, whitened)
     return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))

@@ -42,7 +42,8 @@ class Multisine(Signal):
     Raises
     ------
     ValueError
-        If harmonics are not distinct integers > 0, or the numbers of harmonics, amplitudes and phases differ.
+        If harmonics are not distinct integers > 0, the numbers of harmonics, amplitudes and phases differ, or one is
+        not finite.
 
     Examples
     --------
@@ -69,6 +70,8 @@ class Multisine(Signal):
                 f"Got {len(self.amplitudes)} amplitudes and {len(self.phases)} phases of {len(given)} harmonics, but "
                 "expected one for each."
             )
+        if not np.isfinite([*self.amplitudes, *self.phases]).all():
+            raise ValueError("Got amplitudes or phases that are NaN or infinite, but expected finite numbers.")
         freeze(self, int, "harmonics")
         freeze(self, float, "amplitudes", "phases")
 
@@ -184,7 +187,7 @@ def multisine(
     0.02
     """
     shares = np.ones(len(harmonics)) if power is None else np.array(power, dtype=float)
-    if len(shares) != len(harmonics) or not (shares > 0).all():
+    if len(shares) != len(harmonics) or not ((shares > 0) & np.isfinite(shares)).all():
         raise ValueError(f"Got power {power!r} of {len(harmonics)} harmonics, but expected a number > 0 for each.")
     if not 0 < rms < np.inf:
         raise ValueError(f"Got rms={rms!r}, but expected a number > 0.")
@@ -243,10 +246,12 @@ def orthogonal_multisines(
     >>> inputs["aileron"].harmonics, inputs["rudder"].harmonics
     ((4, 8, 12, 16, 20, 24), (6, 10, 14, 18, 22, 26))
     """
-    low, high = checked_band(band)
+    low, high = checked_band(band, duration)
+    if not limits:
+        raise ValueError("Got no axis, but expected limits of at least one, such as {'elevator': 0.05}.")
     found = np.arange(int(np.ceil(low * duration - ROUNDING)), int(np.floor(high * duration + ROUNDING)) + 1)
-    each = len(found) // max(1, len(limits)) if n_tones is None else n_tones
-    if not limits or each < 1 or each * len(limits) > len(found):
+    each = len(found) // len(limits) if n_tones is None else n_tones
+    if each < 1 or each * len(limits) > len(found):
         raise ValueError(
             f"Got {len(limits)} axes with {n_tones or 'at least 1'} tones each, but there are {len(found)} harmonics "
             f"of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: fly longer, widen the band or use fewer "

@@ -363,7 +363,7 @@ def chirp(
     >>> signal([0.0, 5.0, 8.0]).round(4)
     array([ 0.    ,  0.0401, -0.0357])
     """
-    low, high = checked_band(band)
+    low, high = checked_band(band, duration)
     if not duration * low >= 1.0 - ROUNDING:
         raise ValueError(
             f"Got a sweep of {duration:g} s, but a period of {low:g} Hz lasts {1.0 / low:.3g} s: fly longer."
@@ -394,7 +394,10 @@ def freeze(signal: Signal, kind: Callable, *names: str) -> None:
         object.__setattr__(signal, name, tuple(map(kind, getattr(signal, name))))
 
 
-def checked_band(band: tuple[float, float]) -> tuple[float, float]:
+def checked_band(band: tuple[float, float], duration: float) -> tuple[float, float]:
+    """Return lowest and highest frequency [Hz]; raise ValueError if they or the duration [s] are not finite and > 0."""
+    if not 0 < duration < np.inf:
+        raise ValueError(f"Got a duration of {duration} s, but expected one > 0.")
     low, high = map(float, band)
     if not 0 < low < high < np.inf:
         raise ValueError(f"Got a band of {low:g} to {high:g} Hz, but expected 0 < lowest < highest.")

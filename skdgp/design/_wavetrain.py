@@ -32,7 +32,7 @@ class Wavetrain:
     Raises
     ------
     ValueError
-        If an axis is unknown, an input begins before time 0, or a limit is exceeded.
+        If an axis is unknown, an input has no time or begins before time 0, or a limit is no `Limits` or exceeded.
 
     Examples
     --------
@@ -52,6 +52,12 @@ class Wavetrain:
 
     def __post_init__(self) -> None:
         check_names([*self.inputs, *self.limits], AXES, "axes")
+        for axis, signals in self.inputs.items():
+            if not isinstance(signals, Mapping):
+                raise ValueError(f"Got {signals!r} as inputs of the {axis}, but expected {{start: signal}}.")
+        for axis, limit in self.limits.items():
+            if not isinstance(limit, Limits):
+                raise ValueError(f"Got {limit!r} as limits of the {axis}, but expected Limits(amplitude, rate, rms).")
         for axis, start, signal in self.events():
             if not 0 <= start < np.inf:
                 raise ValueError(f"Got an input of the {axis} at {start:g} s, but expected a time >= 0.")
@@ -103,8 +109,8 @@ class Wavetrain:
         Raises
         ------
         ValueError
-            If the rate is too low for an input, inputs that overlap exceed a limit of their axis, or ``trim`` lacks an
-            axis.
+            If the rate is too low for an input, the pause is negative, inputs that overlap exceed a limit of their
+            axis, or ``trim`` lacks an axis.
 
         Examples
         --------
@@ -115,6 +121,8 @@ class Wavetrain:
         ValueError: Got a rate of 10 Hz, but an input of the elevator has periods of 0.2 s: expected at least 50 Hz, or
         a lower band or longer pulses.
         """
+        if not (0 < rate < np.inf and 0 <= pause < np.inf):
+            raise ValueError(f"Got rate={rate} Hz and pause={pause} s, but expected a rate > 0 and a pause from 0 on.")
         for axis, _, signal in self.events():
             if not rate * signal.period >= SAMPLES_PER_PERIOD * (1.0 - ROUNDING):
                 raise ValueError(
@@ -231,7 +239,7 @@ def wavetrain(
     Raises
     ------
     ValueError
-        As of `Wavetrain`.
+        If a manoeuvre has no input, or as of `Wavetrain`.
 
     Examples
     --------
@@ -243,6 +251,8 @@ def wavetrain(
     inputs: dict[str, dict[float, Signal]] = {}
     start = float(pause)
     for manoeuvre in manoeuvres:
+        if not (isinstance(manoeuvre, Mapping) and manoeuvre):
+            raise ValueError(f"Got {manoeuvre!r} as a manoeuvre, but expected a list of mappings {{axis: signal}}.")
         for axis, signal in manoeuvre.items():
             inputs.setdefault(axis, {})[start] = signal
         start += max(signal.duration for signal in manoeuvre.values()) + pause

@@ -30,6 +30,10 @@ SCALES = {"throttle": 100.0}
 """Of ArduPilot's scaled commands [%]; of surfaces: centidegrees of a range of 45."""
 SURFACE_SCALE = 4500.0
 NO_LIMIT = 1e30
+FASTEST = 1000.0
+"""Rate of a script [Hz]: ArduPilot counts milliseconds."""
+SWITCHES = range(300, 308)
+"""RCn_OPTION of Scripting1 to Scripting8: others act on the aircraft."""
 
 
 def write_csv(
@@ -144,8 +148,9 @@ def write_ardupilot_lua(
     Raises
     ------
     ValueError
-        If an axis moves none of the surfaces, ArduPilot has no servo function for one, the inputs of a surface are
-        larger than its full deflection, a signal is none of this package, or as of `Wavetrain.table`.
+        If the rate is above 1000 Hz, the switch none of these, an axis moves none of the surfaces, ArduPilot has no
+        servo function for one, the inputs of a surface are larger than its full deflection, a signal is none of this
+        package, or as of `Wavetrain.table`.
 
     Examples
     --------
@@ -157,6 +162,11 @@ def write_ardupilot_lua(
     >>> "SRV_Channels" in path.read_text()
     True
     """
+    if not (rate <= FASTEST and switch in SWITCHES):
+        raise ValueError(
+            f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most {FASTEST:g} Hz and an RCn_OPTION of "
+            f"{SWITCHES[0]} to {SWITCHES[-1]}."
+        )
     full = dict(full) | ({"throttle": 1.0} if "throttle" in train.axes else {})
     check_names(full, ARDUPILOT, "servo functions of ArduPilot")
     mixes = {name: {axis: gain for axis, gain in MIXES.get(name, {}).items() if axis in train.axes} for name in full}

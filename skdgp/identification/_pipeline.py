@@ -96,7 +96,7 @@ def make_identification_pipeline(
     Examples
     --------
     >>> import numpy as np, pandas as pd
-    >>> from skdgp.dynamics import Aircraft, Turbulence
+    >>> from skdgp.dynamics import Aircraft
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
     >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat", "elevator"], cutoff=None)
     >>> [name for name, step in model.steps][-1]
@@ -212,11 +212,16 @@ class FlightPipeline(Pipeline):
     regressors, which is larger in rougher air, see :func:`flight_regressors`. Searches, scorers and displays call
     ``predict`` and so use these standard deviations.
 
+    Attributes
+    ----------
+    turbulence_ : Turbulence or None
+        Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their table, which says why.
+
     Examples
     --------
     >>> import numpy as np, pandas as pd
     >>> from skdgp.identification import make_identification_pipeline
-    >>> from skdgp.dynamics import Aircraft, Turbulence
+    >>> from skdgp.dynamics import Aircraft
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
     >>> t = np.arange(0, 4, 0.1)
     >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})

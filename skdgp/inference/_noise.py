@@ -249,7 +249,6 @@ def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tup
     Parameters
     ----------
     residual : ndarray (n,)
-        In the order of the log.
     clock : ndarray (n, 2)
         Time and flight.
     least : float
@@ -260,9 +259,11 @@ def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tup
     tuple of float
         sigma^2, tau^2 and T.
     """
-    time, flight = clock.T
-    same, steps = flight[1:] == flight[:-1], np.abs(np.diff(time))
-    step = float(np.median(steps[same])) if same.any() else 1.0
+    order = np.lexsort(clock.T)
+    residual, (time, flight) = residual[order], clock[order].T
+    same, steps = flight[1:] == flight[:-1], np.diff(time)
+    moving = steps[same & (steps > 0)]
+    step = float(np.median(moving)) if len(moving) else 1.0
     records = np.split(np.arange(len(time)), 1 + np.flatnonzero(~same | (steps > LONGEST_GAP * step)))
     longest = max(np.ptp(time[rows]) for rows in records)
     horizons = np.geomspace(2 * step, max(min(longest, LONGEST_HORIZON), 2 * step), N_HORIZONS)
@@ -270,6 +271,8 @@ def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tup
     power = max(float(np.mean(residual**2)), 10 * least)
     found = _mean_squared_integrals(residual, time, records, horizons)
     known = (found > 0) & (horizons < flown)
+    if not known.any():  # nothing shows a drift
+        return power, least, step
     horizons = horizons[known]
     found = np.log(found[known] / (1 - horizons / flown))
     weight = 1 / (MODEL_ERROR**2 + 2 * horizons / flown)
@@ -291,7 +294,7 @@ def _mean_squared_integrals(residual, time, records, horizons):
     """Return the mean square of the integrals of the residuals over each horizon, within records; NaN without one."""
     total, count = np.zeros((2, len(horizons)))
     for rows in records:
-        elapsed = np.abs(time[rows] - time[rows[0]])
+        elapsed = time[rows] - time[rows[0]]
         integral = np.concatenate([[0.0], np.cumsum(residual[rows[:-1]] * np.diff(elapsed))])
         for k, horizon in enumerate(horizons):
             inside = elapsed + horizon <= elapsed[-1] * (1 + 1e-9)

@@ -109,9 +109,20 @@ def test_the_noise_of_a_model_is_split_into_white_noise_and_drift():
         (["elevater"], {"Cm": 0.1}, "nearest: 'elevator'"),
         (["beta_dot_hat"], {"Cm": 0.1}, "'beta'"),
         (["alpha"], {"Cm": 0.0}, "white > 0"),
+        (["alpha"], {}, "at least one of each"),
+        ([], {"Cm": 0.1}, "at least one of each"),
         (["alpha"], pd.DataFrame({"white": [0.1]}, index=["Cm"]), "drift"),
     ],
 )
 def test_what_is_missing_is_said(flight, uav, regressors, noise, words):
     with pytest.raises(ValueError, match=words):
         expected_information(flight, uav, regressors, noise)
+
+
+def test_rows_that_cannot_be_used_are_said(flight, uav):
+    for table, words in (
+        (flight[::-1], "increase strictly"),
+        (flight.assign(alpha=flight["alpha"].where(flight["time"] < 5.0)), "NaN or infinite"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            expected_information(table, uav, ["alpha"], NOISE)

@@ -154,7 +154,12 @@ def test_power_of_the_spectrum_is_as_given():
         (lambda: Multisine(-1.0, [1, 2], [1, 1], [0, 0]), "duration"),
         (lambda: multisine(10.0, [1, 2], rms=1.0, power=[1.0, 0.0]), "a number > 0"),
         (lambda: orthogonal_multisines({"elevator": 0.1, "rudder": 0.1}, 4.0, (0.3, 0.5)), "fly longer"),
-        (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "0 axes"),
+        (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "Got no axis"),
+        (lambda: orthogonal_multisines({"elevator": 0.0}, 4.0, (0.2, 0.5)), "forbids every input"),
+        (lambda: orthogonal_multisines({"elevator": 0.1}, 0.0, (0.2, 0.5)), "duration of 0"),
+        (lambda: chirp(np.inf, (0.1, 1.0), 0.1), "duration of inf"),
+        (lambda: Multisine(10.0, [1], [np.nan], [0.0]), "NaN or infinite"),
+        (lambda: multisine(10.0, [1, 2], rms=1.0, power=[1.0, np.inf]), "a number > 0"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_flown_is_refused(make, words):

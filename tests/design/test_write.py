@@ -169,3 +169,9 @@ def test_what_cannot_be_written_is_refused(write, inputs, rate, full, words, tmp
     with pytest.raises(ValueError, match=words):
         write(tmp_path / "plan", Wavetrain(inputs), rate, full)
     assert not (tmp_path / "plan").exists()
+
+
+@pytest.mark.parametrize(("rate", "switch"), [(2000.0, 300), (50.0, 5)])
+def test_scripts_have_their_switches_and_steps_of_a_millisecond(rate, switch, tmp_path):
+    with pytest.raises(ValueError, match="at most 1000 Hz and an RCn_OPTION of 300 to 307"):
+        write_ardupilot_lua(tmp_path / "x.lua", Wavetrain({}), rate, FULL, switch=switch)

@@ -1,12 +1,21 @@
 """Turbulence of a flight, and simulation in it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV, GroupKFold
 
-from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, simulate
-from skdgp.dynamics._equations.aerodynamics import Drift
-from skdgp.dynamics._simulation.gusts import dryden_gusts
+from skdgp.calibration import CalibratedRegressor
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, simulate
+from skdgp.dynamics._equations.aerodynamics import Drift, turbulence_of
+from skdgp.dynamics._simulation.gusts import dryden_gusts, dryden_system
+from skdgp.dynamics._simulation.simulate import _drift_besides_gusts
+from skdgp.dynamics._simulation.turbulence import _spectrum
+from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
@@ -48,6 +57,27 @@ class TestFromFlight:
             stated = [(getattr(each, f"{name}_std") / getattr(each, name))[[0, 2]] for each in found]
             np.testing.assert_allclose(values.std(axis=0), np.median(stated, axis=0), rtol=0.45)
 
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    def test_the_spectrum_is_that_of_drawn_gusts(self, axis):
+        A, B, C = dryden_system(SPEED, TRUE.length, TRUE.intensity, SPAN)
+        frequency = np.geomspace(0.01, 60.0, 9)
+        response = np.array([C[axis] @ np.linalg.solve(1j * w * np.eye(9) - A, B) for w in frequency])
+        found = _spectrum(frequency, TRUE.length[axis] / SPEED, (4, 3, 4)[axis] * SPAN / (np.pi * SPEED), axis)
+        expected = (np.abs(response) ** 2).sum(axis=1)
+        np.testing.assert_allclose(TRUE.intensity[axis] ** 2 * found, expected, rtol=1e-12)
+
+    def test_exact_data_of_calm_air(self):
+        table = flights(TRUE, 1, 40.0, 0.2, seed=2).assign(airspeed=SPEED, alpha=0.0, beta=0.0)
+        assert (Turbulence.from_flight(table, SPAN).intensity < 1e-6).all()
+
+    def test_flights_of_other_rates_and_rows_that_lack_values_are_used(self):
+        table = flights(TRUE, 2, 200.0, 0.2, seed=4)
+        table.loc[50:90, "alpha"] = np.nan
+        rows = (table["flight"] == "flight 0") | (table.index % 4 == 0)
+        found = Turbulence.from_flight(table[rows], SPAN)
+        np.testing.assert_allclose(found.intensity, TRUE.intensity, rtol=0.2)
+        assert found.airspeed == pytest.approx(SPEED, rel=0.01)
+
     def test_calm_air_is_calm(self):
         found = Turbulence.from_flight(flights(TRUE.scaled(1e-6), 1, 300.0, 0.2, seed=2), SPAN)
         assert (found.intensity < 0.25 * 0.2).all()
@@ -56,9 +86,58 @@ class TestFromFlight:
         with pytest.raises(ValueError, match=r"no flight of 30 s"):
             Turbulence.from_flight(flights(TRUE, 3, 10.0, 0.2, seed=3), SPAN)
 
+    def test_parked_and_rarely_sampled_flights_are_refused(self):
+        table = flights(TRUE, 1, 200.0, 0.2, seed=3)
+        for each in (table.assign(airspeed=0.0), table[::300]):
+            with pytest.raises(ValueError, match="in the air"):
+                Turbulence.from_flight(each, SPAN)
+
+    @pytest.mark.parametrize("span", [0.0, -1.0, np.nan])
+    def test_a_wing_has_a_span(self, span):
+        with pytest.raises(ValueError, match="expected a number > 0"):
+            Turbulence.from_flight(flights(TRUE, 1, 40.0, 0.2, seed=3), span)
+
+    @pytest.mark.parametrize(("height", "wind"), [(1000.0, 5.0), (-1.0, 5.0), (np.nan, 5.0), (50.0, np.nan)])
+    def test_low_altitude_is_low(self, height, wind):
+        with pytest.raises(ValueError, match="but expected a number"):
+            Turbulence.low_altitude(height, wind)
+
     def test_columns_that_are_missing_are_named(self):
         with pytest.raises(ValueError, match="v_down"):
             Turbulence.from_flight(flights(TRUE, 1, 40.0, 0.2, seed=3).drop(columns="v_down"), SPAN)
+
+
+class TestPipeline:
+    names = ("alpha", "beta", "p_hat", "q_hat", "r_hat")
+
+    @pytest.fixture
+    def table(self):
+        return flights(TRUE, 2, 35.0, 0.2, seed=1).assign(p=0.1, q=0.1, r=0.1)
+
+    @pytest.fixture
+    def pipeline(self):
+        return make_identification_pipeline(
+            AIRCRAFT, regressors=self.names, reconstruction="passthrough", cutoff=None, mixer="passthrough",
+            regressor=LinearRegression(),
+        )  # fmt: skip
+
+    def test_knows_its_turbulence(self, pipeline, table):
+        Y = np.zeros((len(table), 6))
+        expected = Turbulence.from_flight(table, SPAN)
+        fitted = clone(pipeline).fit(table, Y)
+        search = GridSearchCV(pipeline, {"flightsmoother__cutoff": [None]}, cv=GroupKFold(2))
+        calibrated = CalibratedRegressor(fitted, cv="prefit")
+        calibrated.estimator_ = search.fit(table, Y, groups=table["flight"])
+        for model in (fitted, search):
+            np.testing.assert_array_equal(as_aerodynamics(model).turbulence.length, expected.length)
+        np.testing.assert_array_equal(turbulence_of(calibrated).length, expected.length)
+        assert not hasattr(clone(fitted), "turbulence_")
+        del fitted.turbulence_  # a model file of an earlier version
+        assert as_aerodynamics(fitted).turbulence is None
+
+    def test_a_table_without_wind_fits(self, pipeline, table):
+        fitted = clone(pipeline).fit(table.drop(columns="v_down"), np.zeros((len(table), 6)))
+        assert fitted.turbulence_ is None
 
 
 class TestDrift:
@@ -78,6 +157,15 @@ class TestDrift:
         left = TRUE.without_rotation(drift, self.slopes, SPEED, SPAN)
         np.testing.assert_allclose(left.variance[:3], 1.0)
         np.testing.assert_allclose(left.variance[3:] / drift.variance[3:], 0.5, atol=0.06)
+
+    def test_the_airspeed_is_that_of_the_flights(self, model):
+        """The drift is a property of the flights that the model was learned from, wherever it flies later."""
+        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
+        known = Aerodynamics(coefficients, model.regressors, turbulence=TRUE._replace(airspeed=SPEED))
+        motion = SimpleNamespace(aerodynamics=known, aircraft=AIRCRAFT)
+        fast, slow = (_drift_besides_gusts(drift, motion, speed).variance for speed in (50.0, 12.0))
+        np.testing.assert_array_equal(fast, slow)
+        assert (fast[3:] < drift.variance[3:]).all()
 
     def test_no_variance_is_negative(self):
         drift = Drift(np.full(6, 1e-12), np.full(6, 0.4))
@@ -144,6 +232,20 @@ class TestSimulate:
         ends = paths.query("time == 1.0").pivot(index="path", columns="start", values="q").to_numpy()
         assert abs(np.corrcoef(ends.T)[0, 1]) < 0.5
 
+    def test_each_start_has_its_airspeed(self):
+        def drawn(airspeed):
+            arguments = (50, STEP, airspeed, [TRUE.length] * 2, [TRUE.intensity] * 2, SPAN, np.random.default_rng(0))
+            return dryden_gusts(*arguments, n_draws=3)
+
+        for both, slow, fast in zip(drawn([12.0, 30.0]), drawn(12.0), drawn(30.0), strict=True):
+            np.testing.assert_array_equal(both[:, ::2], slow[:, ::2])
+            np.testing.assert_array_equal(both[:, 1::2], fast[:, 1::2])
+
+    def test_a_model_of_an_earlier_version_flies(self, model):
+        del model.turbulence
+        model.drift = Drift(np.full(6, 1e-9), np.ones(6))
+        assert flown(model, gusts=TRUE)["q"].notna().all()
+
     def test_rotation_leaves_the_drift(self, model):
         """Flown as learned in turbulence whose rates explain the drift, nothing is counted twice."""
         drift = Drift(np.array([0, 0, 0, 1e-14, 1e-14, 1e-14]), np.ones(6))
@@ -157,6 +259,11 @@ class TestSimulate:
             ({"gusts": TRUE, "n_paths": None}, "gusts without n_paths"),
             ({"gusts": "as flown"}, "does not know the turbulence"),
             ({"gusts": 3.0}, "expected a Turbulence"),
+            ({"gusts": np.ones(3)}, "expected a Turbulence"),
+            ({"gusts": TRUE.scaled(np.nan)}, "three intensities >= 0"),
+            ({"gusts": TRUE.scaled(-1.0)}, "three intensities >= 0"),
+            ({"gusts": TRUE._replace(length=np.zeros(3))}, "lengths > 0"),
+            ({"gusts": Turbulence(1.0, 100.0)}, "three intensities"),
         ],
     )
     def test_what_cannot_be_flown_is_said(self, model, options, message):

@@ -189,6 +189,23 @@ class TestResiduals:
         apart = residual_drift(Nothing(), Y, Y, np.column_stack([time, np.repeat(np.arange(40), 20)]))
         assert apart[2, 0] == pytest.approx(1.9, rel=0.01)
 
+    def test_rows_in_any_order_and_of_one_time(self):
+        rng = np.random.default_rng(3)
+        Y = ornstein_uhlenbeck(rng, 400, 0.05, 0.5, 0.09)[:, None]
+        clock, mixed = np.column_stack([0.05 * np.arange(400), np.zeros(400)]), rng.permutation(400)
+        expected = residual_drift(Nothing(), Y, Y, clock)
+        np.testing.assert_array_equal(residual_drift(Nothing(), Y[mixed], Y[mixed], clock[mixed]), expected)
+        twice = np.repeat(np.arange(400), 2)
+        found = residual_drift(Nothing(), Y[twice], Y[twice], clock[twice])
+        np.testing.assert_allclose(found[1:], expected[1:], rtol=0.1)
+
+    @pytest.mark.parametrize("flight", [np.arange(60), np.arange(60) // 2], ids=["alone", "in pairs"])
+    def test_rows_that_show_no_drift_have_none(self, flight):
+        Y = np.random.default_rng(0).normal(size=(60, 1))
+        white, variance, _ = residual_drift(Nothing(), Y, Y, np.column_stack([0.1 * np.arange(60), flight]))
+        assert white == pytest.approx(np.mean(Y**2))
+        assert variance < 1e-6 * white
+
 
 class Nothing:
     """A posterior whose mean is zero."""

@@ -126,6 +126,8 @@ class Aerodynamics:
     array([-0.5,  0. , -8. , -0.6])
     """
 
+    turbulence: Any = None  # of models of earlier versions
+
     def __init__(
         self,
         function: Callable,
@@ -384,8 +386,9 @@ class _Chain:
 
 
 def turbulence_of(model: Any) -> Any:
-    """Return the turbulence that a pipeline was learned in, also of one in a search; None if it is not known."""
-    return getattr(getattr(model, "best_estimator_", model), "turbulence_", None)
+    """Return the turbulence that a pipeline was learned in, in a search or calibrated too; None if it is not known."""
+    inner = getattr(model, "best_estimator_", getattr(model, "estimator_", None))
+    return getattr(model, "turbulence_", None) if inner is None else turbulence_of(inner)
 
 
 def _steps_of(model: Any) -> list:

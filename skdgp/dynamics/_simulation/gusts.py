@@ -61,6 +61,13 @@ def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarra
     With h in feet: L_w = h, L_u = L_v = h / (.177 + .000823 h)^1.2, sigma_w = .1 W, sigma_u = sigma_v =
     sigma_w / (.177 + .000823 h)^.4, W the wind speed 20 ft above the ground.
     """
+    if not 0 < height <= CEILING:
+        raise ValueError(
+            f"Got height={height:g} m, but expected a number > 0 and at most {CEILING:g} m, where the low-altitude "
+            "model ends."
+        )
+    if not 0 <= wind_at_6m < np.inf:
+        raise ValueError(f"Got wind_at_6m={wind_at_6m!r}, but expected a number from 0 on [m/s].")
     shear = 0.177 + 0.000823 * height / FEET
     length = height * np.array([shear**-1.2, shear**-1.2, 1.0])
     return length, 0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0])
@@ -98,7 +105,7 @@ def dryden_system(airspeed: float, length: Array, intensity: Array, span: float)
 def dryden_gusts(
     n_times: int,
     step: float,
-    airspeed: float,
+    airspeed: ArrayLike,
     length: Any,
     intensity: Any,
     span: float,
@@ -111,9 +118,11 @@ def dryden_gusts(
     Each flight is drawn ``n_draws`` times, (n_times, n_draws * n_flights, 3), all flights of the first draw first.
 
     ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that is crossed at
-    ``airspeed`` [m/s]. The linear systems are discretised exactly (matrix exponentials), for any step.
+    ``airspeed`` [m/s], a number or (n_flights,). The linear systems are discretised exactly (matrix exponentials), for
+    any step.
     """
-    systems = [dryden_system(airspeed, L, s, span) for L, s in zip(length, intensity, strict=True)]
+    speeds = np.broadcast_to(airspeed, len(length))
+    systems = [dryden_system(V, L, s, span) for V, L, s in zip(speeds, length, intensity, strict=True)]
     A, B, C = (np.array(matrices) for matrices in zip(*systems, strict=True))
     covariance = np.array([solve_continuous_lyapunov(a, -b @ b.T) for a, b in zip(A, B, strict=True)])
     transition = expm(A * step)
@@ -124,13 +133,11 @@ def dryden_gusts(
         for matrices in (A, C, transition, covariance_root(covariance), covariance_root(noise))
     )
     x = np.einsum("fij,fj->fi", first, rng.standard_normal((len(A), 9)))
-    shocks = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, len(A), 9)))
-    states = np.empty_like(shocks)
-    for k, shock in enumerate(shocks):
-        states[k] = x
-        x = (transition @ x[..., None])[..., 0] + shock
-    outputs = np.einsum("fij,kfj->kfi", C, states)
-    return Gusts(*(np.ascontiguousarray(part) for part in np.split(outputs, 3, axis=-1)))
+    states = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, len(A), 9)))
+    for k, shock in enumerate(states):
+        following = (transition @ x[..., None])[..., 0] + shock
+        states[k], x = x, following  # in place: of a thousand paths they fill hundreds of megabytes
+    return Gusts(*(np.einsum("fij,kfj->kfi", C[:, k : k + 3], states) for k in (0, 3, 6)))
 
 
 def dryden_wind(
@@ -184,12 +191,6 @@ def dryden_wind(
     for name, value in (("duration", duration), ("airspeed", airspeed), ("height", height), ("span", span), ("dt", dt)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"Got {name}={value!r}, but expected a number > 0.")
-    if height > CEILING:
-        raise ValueError(
-            f"Got height={height:g} m, but expected at most {CEILING:g} m, where the low-altitude model ends."
-        )
-    if not (np.isfinite(wind_at_6m) and wind_at_6m >= 0):
-        raise ValueError(f"Got wind_at_6m={wind_at_6m!r}, but expected a number from 0 on [m/s].")
     if np.shape(mean_wind) != (3,) or not np.isfinite(mean_wind).all():
         raise ValueError(f"Got mean_wind={mean_wind!r}, but expected three finite numbers, north, east, down [m/s].")
     n_times = int(np.floor(duration / dt + 1e-9)) + 1

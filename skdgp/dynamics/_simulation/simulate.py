@@ -10,7 +10,7 @@ import pandas as pd
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import semidefinite_root
-from skdgp._compute.typing import Array, Seed
+from skdgp._compute.typing import Array, Seed, Vector
 from skdgp._flight.channels import AIR_DATA, CHANNELS, HAT, RATE_LENGTHS, TRUTH_SUFFIX, rate_factor
 from skdgp._flight.channels import RATES as BODY_RATES
 from skdgp._flight.frames import ned_to_body
@@ -103,7 +103,8 @@ def simulate(
     gusts : Turbulence or "as flown", optional
         Turbulence in which each path meets gusts of its own, with their rates p, q, r, besides the ``wind``. A table or
         function as ``wind`` contains the velocity of the gusts: then only rates are drawn. "as flown": that of the
-        training flights. The drift loses what the rates explain of it.
+        training flights. The drift loses what the rates explain of it; where the model does not know the turbulence of
+        its flights, it keeps it, and the paths spread too far.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
         is the uncertainty of the trajectory.
@@ -180,7 +181,7 @@ def simulate(
     drifting = motion.aerodynamics.drift if drift and n_paths is not None else None
     if turbulence is not None:
         if drifting is not None:
-            drifting = _drift_besides_gusts(drifting, motion, _airspeed(states, air))
+            drifting = _drift_besides_gusts(drifting, motion, float(_airspeed(states, air).mean()))
         air = _gusty(air, turbulence, wind, motion, clock, states, n_paths, random_state)
     if n_paths is not None:
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
@@ -205,8 +206,12 @@ def _turbulence(gusts: Any, motion: Motion, n_paths: int | None) -> Turbulence |
     if n_paths is None:
         raise ValueError("Got gusts without n_paths, but expected both: gusts are drawn, for each path its own.")
     if isinstance(gusts, Turbulence):
+        intensity, length = (np.asarray(part, dtype=float) for part in gusts[:2])
+        size = np.stack([intensity, length]) if intensity.shape == length.shape == (3,) else np.full((2, 3), np.nan)
+        if not (np.isfinite(size).all() and (intensity >= 0).all() and (length > 0).all()):
+            raise ValueError(f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w.")
         return gusts
-    if gusts != "as flown":
+    if not (isinstance(gusts, str) and gusts == "as flown"):
         raise ValueError(f"Got gusts={gusts!r}, but expected a Turbulence, 'as flown' or None.")
     if motion.aerodynamics.turbulence is None:
         raise ValueError(
@@ -229,10 +234,10 @@ def _gusty(
 ) -> GustyAir:
     """Return the air (n_paths, n_starts) with gusts of the turbulence, only their rates if the wind contains gusts."""
     seed = check_random_state(random_state).randint(2**31 - 1, size=5)  # other numbers than those of the paths
-    n, airspeed = len(states), _airspeed(states, air)
+    n = len(states)
     length, intensity = (np.tile(part, (n, 1)) for part in (turbulence.length, turbulence.intensity))
     drawn = dryden_gusts(
-        len(clock.stages), 0.5 * clock.dt, airspeed, length, intensity, motion.aircraft.span,
+        len(clock.stages), 0.5 * clock.dt, _airspeed(states, air), length, intensity, motion.aircraft.span,
         np.random.default_rng(seed), n_draws=n_paths or 1,
     )  # fmt: skip
     parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
@@ -241,11 +246,12 @@ def _gusty(
     return GustyAir(air, Gusts(*parts))
 
 
-def _drift_besides_gusts(drift: Drift, motion: Motion, speed: float) -> Drift:
-    """Return the drift without what the rates of the gusts of the training flights explain."""
+def _drift_besides_gusts(drift: Drift, motion: Motion, start_speed: float) -> Drift:
+    """Return the drift without what the rates of the gusts of the training flights explain, at their airspeed."""
     model = motion.aerodynamics
     if model.turbulence is None:
         return drift
+    speed = start_speed if model.turbulence.airspeed is None else model.turbulence.airspeed
     middle = np.zeros(len(model.regressors)) if model.limits is None else model.limits.mean(axis=0)
     gradient = model.gradient(middle[None])[0]
     slopes = np.zeros((6, 3))
@@ -262,11 +268,11 @@ def _drift_besides_gusts(drift: Drift, motion: Motion, speed: float) -> Drift:
     return model.turbulence.without_rotation(drift, slopes, speed, motion.aircraft.span)
 
 
-def _airspeed(states: Array, air: AirAt) -> float:
-    """Return the mean airspeed of starts (n, 13)."""
+def _airspeed(states: Array, air: AirAt) -> Vector:
+    """Return the airspeed of starts (n, 13)."""
     here = air(0, states)
     wind = 0.0 if here is None else ned_to_body(states[:, ATTITUDE], np.broadcast_to(here.wind, (len(states), 3)))
-    return float(np.linalg.norm(states[:, VELOCITY] - wind, axis=-1).mean())
+    return np.linalg.norm(states[:, VELOCITY] - wind, axis=-1)
 
 
 class Record(NamedTuple):

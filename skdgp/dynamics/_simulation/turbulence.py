@@ -25,6 +25,8 @@ LONGEST = 3000.0
 """Scale length [m] beyond which there is none."""
 SAMPLES = 10
 """Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the sensors."""
+CALM = 1e-12
+"""Power [m^2/s^2] of the wind below which it is round-off."""
 HORIZON, POINTS = 1.0, 101
 """Time [s] over which the effects of rotation and drift are compared, and points of the integral."""
 
@@ -49,6 +51,8 @@ class Turbulence(NamedTuple):
     intensity_std: Array | None = None
     """Standard errors of the intensities, (3,); None where they are given."""
     length_std: Array | None = None
+    airspeed: float | None = None
+    """Mean of the flights [m/s]; None where it is given."""
 
     @classmethod
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
@@ -84,8 +88,11 @@ class Turbulence(NamedTuple):
         Raises
         ------
         ValueError
-            If columns are missing, angles are in degrees, or no flight lasts 30 s.
+            If columns are missing, angles are in degrees, the span is not > 0, or no flight lasts 30 s and is sampled
+            every 300 m.
         """
+        if not 0 < span < np.inf:
+            raise ValueError(f"Got span={span!r}, but expected a number > 0 [m].")
         columns = ["time", *AIR_DATA, *EULER, *EARTH_VELOCITY]
         check_columns(check_table(flight, what="flight"), columns, what="flight")
         check_radians(flight, (*EULER, "alpha", "beta"))
@@ -93,16 +100,18 @@ class Turbulence(NamedTuple):
         spectra = [found for part in rows if (found := _periodogram(flight.iloc[part][columns], span)) is not None]
         if not spectra:
             raise ValueError(
-                f"Got no flight of {SHORTEST:g} s with these columns, but gusts last for seconds: fly longer."
+                f"Got no flight of {SHORTEST:g} s in the air, without gaps, sampled every {LONGEST / SAMPLES:g} m, "
+                f"with values in {columns}, but gusts last for seconds: fly longer."
             )
         horizontal, vertical = (_fitted(spectra, axes) for axes in ((0, 1), (2,)))
         intensity, length, intensity_std, length_std = np.transpose([horizontal, horizontal, vertical])
-        return cls(intensity, length, intensity_std, length_std)
+        airspeed = np.average([p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra])
+        return cls(intensity, length, intensity_std, length_std, float(airspeed))
 
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
         std = None if self.intensity_std is None else factor * self.intensity_std
-        return self._replace(intensity=factor * self.intensity, intensity_std=std)
+        return self._replace(intensity=factor * np.asarray(self.intensity), intensity_std=std)
 
     def without_rotation(self, drift: Drift, slopes: Array, airspeed: float, span: float) -> Drift:
         """Return the part of a drift that the rotation of these gusts does not explain.
@@ -117,7 +126,7 @@ class Turbulence(NamedTuple):
         slopes : ndarray (6, 3)
             Of the coefficients by p, q, r [s].
         airspeed, span : float
-            [m/s], [m].
+            Of that flight [m/s], [m].
 
         Returns
         -------
@@ -149,12 +158,14 @@ class _Spectra(NamedTuple):
 
 
 def _periodogram(rows: pd.DataFrame, span: float) -> _Spectra | None:
-    """Return the periodogram of the wind of a flight, None if it is too short."""
+    """Return the periodogram of the wind of a flight, None if it is too short, on the ground, or sampled too rarely."""
     rows = rows.dropna()
     time = rows["time"].to_numpy(float)
     if len(time) < 2 or np.ptp(time) < SHORTEST:
         return None
-    step = float(np.median(np.diff(time)))
+    step, airspeed = float(np.median(np.diff(time))), float(rows["airspeed"].mean())
+    if not 0 < SAMPLES * step * airspeed < LONGEST:
+        return None
     attitude = euler_to_quaternion(*rows[[*EULER]].to_numpy(float).T)
     air = body_to_ned(attitude, air_velocity(*rows[[*AIR_DATA]].to_numpy(float).T))
     wind = rows[[*EARTH_VELOCITY]].to_numpy(float) - air
@@ -164,14 +175,21 @@ def _periodogram(rows: pd.DataFrame, span: float) -> _Spectra | None:
     values = np.abs(np.fft.rfft(gusts - gusts.mean(axis=0), axis=0)) ** 2 * step / len(even)
     frequency = 2 * np.pi * np.fft.rfftfreq(len(even), step)
     used = (frequency > SLOWEST) & (frequency < 0.9 * np.pi / step)
-    airspeed = float(rows["airspeed"].mean())
     lag = np.array([4.0, 3.0, 4.0]) * span / (np.pi * airspeed)  # of u, v, w, as in dryden_system
     return _Spectra(frequency[used], values[used], step, airspeed, lag)
 
 
+def _spectrum(frequency: Array, time: float, lag: float, axis: int) -> Array:
+    """Return the spectrum of u, v, w (axis 0, 1, 2) of unit variance without the lag: `dryden_system`, T = ``time``."""
+    x = (time * frequency) ** 2
+    shape = 2 * time / (1 + x) if axis == 0 else time * (1 + 3 * x) / (1 + x) ** 2
+    return shape / (1 + (lag * frequency) ** 2)
+
+
 def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> tuple[float, float, float, float]:
     """Return intensity and length common to the axes, and their standard errors."""
-    power = float(np.mean([part.values[:, axes].sum(axis=0) / part.step / len(part.values) for part in spectra]))
+    powers = [part.values[:, axes].sum(axis=0) / part.step / len(part.values) for part in spectra]
+    power = max(float(np.mean(powers)), CALM)
     observed = np.concatenate([part.values[:, axis] for part in spectra for axis in axes])
 
     def logarithm(theta):
@@ -179,10 +197,8 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> tuple[float, floa
         parts = []
         for part in spectra:
             for axis in axes:
-                T, lag = length / part.airspeed, part.lag[axis]
-                x = (T * part.frequency) ** 2
-                shape = 2 * T / (1 + x) if axis == 0 else T * (1 + 3 * x) / (1 + x) ** 2
-                parts.append(np.log(variance * shape / (1 + (lag * part.frequency) ** 2) + noise * part.step))
+                unit = _spectrum(part.frequency, length / part.airspeed, part.lag[axis], axis)
+                parts.append(np.log(variance * unit + noise * part.step))
         return np.concatenate(parts)
 
     def loss(theta):

@@ -85,8 +85,9 @@ def main(words=None):
         parser.error("the folder of the shared data is needed")
     parameters = {"dependentgpregressor__max_iter": 2} if options.smoke else {}
     kept = Kept(options.out, "ablation")
+    asked = ["defaults", "reconstruction", "processes_trend_alone"] if options.smoke else options.parts
     for flight in ["toy"] if options.smoke else options.flights:
-        parts = [part for part in options.parts if options.redo or f"{flight}-{part}" not in kept]
+        parts = [part for part in asked if options.redo or f"{flight}-{part}" not in kept]
         task = parts and (toy() if options.smoke else task_of(flight, options.data))
         for part in parts:
             result = {"flight": flight, "part": part, **run(task, part, **parameters)}

@@ -8,6 +8,7 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft
+from skdgp.export import build_up
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -85,6 +86,20 @@ def fitted(regressors):
             model = make_pipeline(StandardScaler(), regressor)
             model[0].set_output(transform="pandas")
             found[name] = model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
+        return found[name]
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def built(fitted, uav):
+    """Return the build-ups of the fitted pipelines by name, each made once; of main effects without pairs."""
+    found = {}
+
+    def get(name):
+        if name not in found:
+            pairs = "none" if name == "additive" else "all"
+            found[name] = build_up(fitted(name), uav, pairs=pairs, max_loss=np.inf)
         return found[name]
 
     return get

@@ -8,7 +8,7 @@ from sklearn.pipeline import make_pipeline
 
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Propeller, ThrustLine, trim
-from skdgp.export import build_up, write_jsbsim
+from skdgp.export import write_jsbsim
 from skdgp.export._gaussians import gaussian_sums
 from skdgp.export._jsbsim import SOURCES
 
@@ -118,9 +118,9 @@ def test_draws_of_a_calibrated_model_are_its_sample_paths(fitted, uav, regressor
     assert np.abs(drawn.evaluate(X) - mean.evaluate(X)).max() > 1e-4
 
 
-def test_tables_of_draws_are_those_of_the_build_up(load, fitted, uav, regressors, tmp_path):
-    paths = write_jsbsim(tmp_path, fitted("trend"), uav, form="tables", n_draws=1, random_state=3)
-    drawn = build_up(fitted("trend"), uav).sample(1, random_state=3)[0]
+def test_tables_of_draws_are_those_of_the_build_up(load, built, uav, regressors, tmp_path):
+    paths = write_jsbsim(tmp_path, built("trend"), uav, n_draws=1, random_state=3)
+    drawn = built("trend").sample(1, random_state=3)[0]
     found = placed(load(paths[1].stem), regressors.iloc[5], uav, regressors.abs().max())
     np.testing.assert_allclose(found, drawn.evaluate(regressors[5:6])[0], atol=1e-7)
 
@@ -140,8 +140,8 @@ def test_trim_is_that_of_jsbsim(load, fitted, uav, regressors, tmp_path):
     assert {name: fdm[SOURCES[name][0]] for name in wanted} == pytest.approx(wanted, abs=1e-4)
 
 
-def test_the_file_states_its_loss_and_signs(fitted, uav, tmp_path):
-    (path,) = write_jsbsim(tmp_path, fitted("trend"), uav, form="tables")
+def test_the_file_states_its_loss_and_signs(built, uav, tmp_path):
+    (path,) = write_jsbsim(tmp_path, built("trend"), uav)
     text = path.read_text()
     assert "elevator > 0 pitches down" in text
     assert "deviation" in text

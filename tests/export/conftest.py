@@ -82,7 +82,7 @@ def fitted(regressors):
         if name not in found:
             function, parameters = options[name]
             Y = function(regressors) + noise * np.random.default_rng(1).standard_normal((len(regressors), 6))
-            regressor = DependentGPRegressor(max_iter=8, random_state=0, **parameters)
+            regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
             model = make_pipeline(StandardScaler(), regressor)
             model[0].set_output(transform="pandas")
             found[name] = model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))

@@ -53,17 +53,13 @@ def placed(fdm, row, aircraft, largest):
     return np.array([fdm[f"aero/coefficient/{name}"] for name in COEFFICIENTS])
 
 
-@pytest.mark.parametrize(
-    ("name", "form"), [("trend", "functions"), ("trend", "tables"), ("sparse", "functions"), ("sparse", "tables")]
-)
+@pytest.mark.parametrize(("name", "form"), [("trend", "functions"), ("trend", "tables"), ("sparse", "functions")])
 def test_coefficients_are_those_of_the_model(name, form, load, fitted, uav, regressors, tmp_path):
     write_jsbsim(tmp_path, fitted(name), uav, form=form)
     fdm, rows = load("uav"), regressors[:40]
     largest = regressors.abs().max()
     found = np.stack([placed(fdm, row, uav, largest) for _, row in rows.iterrows()])
-    expected, deviation = fitted(name).predict(rows, return_std=True)
-    most = 0.25 * np.sqrt(np.mean(deviation**2, axis=0)) if (name, form) == ("sparse", "tables") else 1e-6
-    assert (np.sqrt(np.mean((found - expected) ** 2, axis=0)) <= most).all()
+    np.testing.assert_allclose(found, fitted(name).predict(rows), atol=1e-6)
     np.testing.assert_allclose(fdm["aero/regressor/q_hat"], rows["q_hat"].iloc[-1], atol=1e-8)
 
 
@@ -116,6 +112,21 @@ def test_draws_of_a_calibrated_model_are_its_sample_paths(fitted, uav, regressor
     expected = calibrated.sample_paths(1, 0)[0](scaler.transform(X))
     np.testing.assert_allclose(drawn.evaluate(X), expected, atol=1e-9)
     assert np.abs(drawn.evaluate(X) - mean.evaluate(X)).max() > 1e-4
+
+
+def test_what_tables_lose_too_much_of_becomes_functions(load, fitted, built, uav, regressors, tmp_path):
+    """The draw has the same path in both: the coefficients above ``max_loss`` exactly, the others by tables."""
+    ratio = built("sparse").loss["loss"] / built("sparse").loss["deviation"]
+    options = {"form": "tables", "max_loss": ratio.median(), "n_draws": 1, "random_state": 3}
+    write_jsbsim(tmp_path, fitted("sparse"), uav, **options)
+    large, row = (ratio > ratio.median()).to_numpy(), regressors[5:6]
+    path = fitted("sparse")[-1].sample_paths(1, random_state=3)(fitted("sparse")[0].transform(row))[0, 0]
+    draw = built("sparse").sample(1, random_state=3)[0].evaluate(row)[0]
+    mean, table = fitted("sparse").predict(row)[0], built("sparse").evaluate(row)[0]
+    for name, exact, tables in (("uav", mean, table), ("uav_001", path, draw)):
+        found = placed(load(name), row.iloc[0], uav, regressors.abs().max())
+        np.testing.assert_allclose(found, np.where(large, exact, tables), atol=1e-7)
+        assert (np.abs(exact - tables)[large] > 1e-6).any()
 
 
 def test_tables_of_draws_are_those_of_the_build_up(load, built, uav, regressors, tmp_path):

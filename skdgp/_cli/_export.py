@@ -31,8 +31,8 @@ def export(run: Run) -> None:
 
     MODEL is the model.joblib that identify wrote; for the first five also a model.npz. With --max-kb the form gets
     fewer basis functions; the loss is printed in standard deviations of the posterior. Derivatives and tables are
-    fitted to the model at the samples; the loss is printed beside the posterior deviation. All files are written into
-    DIR, or none, with config.toml, all options of this run.
+    fitted to the model at the samples; the loss is printed beside the posterior deviation, that of jsbsim stands in its
+    file. All files are written into DIR, or none, with config.toml, all options of this run.
 
     For example:
       python -m skdgp export results/model.joblib --to portable -o portable

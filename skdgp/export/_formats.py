@@ -157,8 +157,8 @@ def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:
     if isinstance(model, Bunch):
         return model.pipeline, model.aircraft
     raise ValueError(
-        f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: tables are made "
-        "from the samples, which a portable model does not hold."
+        f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: the format "
+        "needs the pipeline and its samples, which a portable model does not hold."
     )
 
 

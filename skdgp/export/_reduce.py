@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import qr, rq, solve_triangular
 from scipy.linalg.blas import dtrmm
 
+from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.export._model import Block, PortableModel, Readout
 
@@ -51,6 +52,7 @@ class _Fit(NamedTuple):
     loss: Loss
 
 
+@one_blas_thread()
 def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
     r"""Return the model with so few basis functions that ``size(model) <= most``, at the least loss.
 

@@ -8,6 +8,7 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft
+from skdgp.export import build_up
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -60,9 +61,9 @@ def uav():
 
 @pytest.fixture(scope="session")
 def regressors():
-    """Return 160 samples of eight regressors."""
+    """Return 120 samples of eight regressors."""
     low, high = np.array(list(RANGES.values())).T
-    return pd.DataFrame(np.random.default_rng(0).uniform(low, high, (160, 8)), columns=list(RANGES))
+    return pd.DataFrame(np.random.default_rng(0).uniform(low, high, (120, 8)), columns=list(RANGES))
 
 
 @pytest.fixture(scope="session")
@@ -81,10 +82,24 @@ def fitted(regressors):
         if name not in found:
             function, parameters = options[name]
             Y = function(regressors) + noise * np.random.default_rng(1).standard_normal((len(regressors), 6))
-            regressor = DependentGPRegressor(max_iter=8, random_state=0, **parameters)
+            regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
             model = make_pipeline(StandardScaler(), regressor)
             model[0].set_output(transform="pandas")
             found[name] = model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
+        return found[name]
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def built(fitted, uav):
+    """Return the build-ups of the fitted pipelines by name, each made once; of main effects without pairs."""
+    found = {}
+
+    def get(name):
+        if name not in found:
+            pairs = "none" if name == "additive" else "all"
+            found[name] = build_up(fitted(name), uav, pairs=pairs, max_loss=np.inf)
         return found[name]
 
     return get

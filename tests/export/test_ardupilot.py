@@ -6,12 +6,12 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from skdgp.export import build_up, write_ardupilot, write_gazebo
+from skdgp.export import write_ardupilot, write_gazebo
 
 
 @pytest.fixture(scope="module")
-def build(fitted, uav):
-    return build_up(fitted("trend"), uav)
+def build(built):
+    return built("trend")
 
 
 def plane(c, X):

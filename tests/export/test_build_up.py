@@ -16,18 +16,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
 
-@pytest.fixture(scope="module")
-def built(fitted, uav):
-    found = {}
-
-    def get(name):
-        if name not in found:
-            found[name] = build_up(fitted(name), uav, max_loss=np.inf)
-        return found[name]
-
-    return get
-
-
 def test_a_trend_is_its_derivatives_everywhere(built, fitted, regressors):
     found, far = built("trend"), 3.0 * regressors + 0.1
     assert not any(found.tables.values())
@@ -64,7 +52,7 @@ def test_main_effects_of_an_additive_model_are_its_tables(built, fitted, regress
 
 
 def test_deviations_are_those_of_drawn_aircraft(built, regressors):
-    found = built("joint")
+    found = built("sparse")
     drawn = np.stack([each.evaluate(regressors[:20]) for each in found.sample(300, random_state=0)])
     mean, std = found.evaluate(regressors[:20], return_std=True)
     np.testing.assert_allclose(drawn.std(axis=0), std, rtol=0.2)
@@ -119,7 +107,7 @@ def test_a_compact_model_needs_samples(fitted, uav, regressors):
 @pytest.mark.filterwarnings("ignore:Got one flight", "ignore:Got level")
 def test_a_calibrated_model_has_calibrated_deviations(fitted, uav, regressors):
     plain = fitted("trend")
-    model = type(plain)([("scale", plain[0]), ("calibrated", CalibratedRegressor(plain[-1]))])
+    model = type(plain)([("scale", plain[0]), ("calibrated", CalibratedRegressor(plain[-1], cv=2))])
     Y = pd.DataFrame(plain.predict(regressors), columns=COEFFICIENTS) + 1e-3 * np.sin(7 * regressors.to_numpy()[:, :1])
     model.fit(regressors, Y)
     inner = model[-1].estimator_.predict(model[:-1].transform(regressors), return_std=True)[1]

@@ -58,7 +58,7 @@ def pipeline(aircraft):
         0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder,
     ], axis=-1)  # fmt: skip
     Y = Y + rng.normal(0, [5e-3, 5e-3, 2e-2, 1e-3, 5e-3, 1e-3], Y.shape)
-    regressor = DependentGPRegressor(n_latent=1, private_latents=False, inference="sparse", n_inducing=15, max_iter=15,
+    regressor = DependentGPRegressor(n_latent=1, private_latents=False, inference="sparse", n_inducing=15, max_iter=6,
                                      random_state=0)  # fmt: skip
     model = make_identification_pipeline(
         aircraft, regressors=REGRESSORS, reconstruction="passthrough", cutoff=None, mixer="passthrough",

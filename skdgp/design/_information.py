@@ -124,7 +124,7 @@ def expected_information(
     Raises
     ------
     ValueError
-        If the flight lacks a column, or a noise is not > 0.
+        If the flight lacks a column, or a coefficient has no noise.
 
     Examples
     --------
@@ -146,15 +146,16 @@ def expected_information(
     table = check_table(flight)
     check_columns(table, ["time"])
     white, drift, memory = (noise[name].to_numpy(float) for name in ("white", "drift", "memory"))
-    if not (np.isfinite(white + drift + memory).all() and (white > 0).all() and (drift >= 0).all() and min(memory) > 0):
+    least = min(white.min(), drift.min())
+    if not (np.isfinite(white + drift + memory).all() and least >= 0 and min(white + drift) > 0 and min(memory) > 0):
         raise ValueError(
-            f"Got the noise\n{noise}\nbut expected white > 0, drift >= 0 and memory > 0: a coefficient without white "
-            "noise would be known exactly."
+            f"Got the noise\n{noise}\nbut expected white >= 0 and drift >= 0, one of them > 0, and memory > 0: a "
+            "coefficient without noise would be known exactly."
         )
     parts = [part for _, part in table.groupby("flight", sort=False, observed=True)] if "flight" in table else [table]
     fisher = np.zeros((len(noise), 1 + len(regressors), 1 + len(regressors)))
     for part in parts:
-        X = np.column_stack([np.ones(len(part)), _regressors(part, aircraft, regressors)])
+        X = np.column_stack([np.ones(len(part)), regressors_of(part, aircraft, regressors)])
         whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
         fisher += np.einsum("npa,npb->pab", whitened, whitened)
     return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))
@@ -206,7 +207,7 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     )
 
 
-def _regressors(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
+def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
     """Return the regressors (n, d) of one flight."""
     time, columns = flight["time"].to_numpy(float), []
     for name in names:

@@ -192,6 +192,7 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     y0    0.1    0.0     1.0
     """
     regressor = model[-1] if isinstance(model, Pipeline) else model
+    regressor = getattr(regressor, "estimator_", regressor)  # of a CalibratedRegressor
     if not hasattr(regressor, "noise_variance_"):
         raise ValueError(
             f"Got a {type(regressor).__name__} without noise_variance_, but expected a fitted DependentGPRegressor."

@@ -133,10 +133,10 @@ class Plan:
     before, after : Information
         About the derivatives, without and with the plan.
     manoeuvres : DataFrame
-        In the order of flight: ``airspeed`` [m/s] of its trim, ``start`` [s], ``name``, ``duration`` [s], ``scale``
-        (its amplitude relative to the limits), ``risk`` (predicted probability of leaving the envelope; NaN of a model
-        without posterior), ``gain`` (by which part it reduces the errors of the goal, on geometric average) and
-        ``gain_per_second``.
+        In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim, ``start`` [s],
+        ``name``, ``duration`` [s], ``scale`` (its amplitude relative to the limits), ``risk`` (predicted probability of
+        leaving the envelope; NaN of a model without posterior), ``gain`` (by which part it reduces the errors of the
+        goal, on geometric average) and ``gain_per_second`` (of the logarithm of these errors).
     alone : DataFrame
         What each manoeuvre of the library would teach if it were repeated for the whole time: ``name``, ``scale``,
         ``risk`` (NaN: not simulated), ``gain``.
@@ -223,7 +223,8 @@ def plan(
     banks : sequence of float, default=(0.0,)
         Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
     gusts : Turbulence, "as flown" or None
-        Of the check. "as flown": the turbulence of the training flights, calm air if the model does not know it.
+        Of the check. "as flown": that of the training flights, or calm air, with a warning, if the model does not know
+        it.
     known : Information, optional
         Of earlier flights; by default that of the model's posterior at the trims.
     noise : DataFrame or mapping, optional
@@ -250,6 +251,11 @@ def plan(
     ValueError
         If there is no trim, the trim has not an axis, the model has not a regressor of the goal, no manoeuvre fits into
         the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
+
+    Warns
+    -----
+    UserWarning
+        If the model does not know the turbulence of its flights, and none is given.
 
     Examples
     --------
@@ -367,6 +373,13 @@ class _Planner:
         """Return the plan: see `plan`."""
         if self.gusts == "as flown" and self.aerodynamics.turbulence is None:
             self.gusts = None
+            if self.aerodynamics.is_uncertain:
+                warnings.warn(
+                    "The model does not know the turbulence of its flights, so risks are those of calm air. Give "
+                    "gusts=Turbulence.low_altitude(height, wind_at_6m).",
+                    UserWarning,
+                    stacklevel=4,
+                )
         self._check_paths()
         self.seconds, self.noise, self.axes = float(seconds), noise, list(axes)
         self.coefficients = list(map(str, noise.index if isinstance(noise, pd.DataFrame) else noise))
@@ -624,7 +637,7 @@ class _Planner:
                 gain = self._gain(chosen[: len(flights)]) - gained
                 gained += gain
                 rows.append({
-                    "airspeed": self.trims[at].airspeed, "start": start, "name": one.name,
+                    "train": len(trains) - 1, "airspeed": self.trims[at].airspeed, "start": start, "name": one.name,
                     "duration": one.seconds - self.pause, "scale": one.scale, "risk": one.risk,
                     "gain": -np.expm1(-gain), "gain_per_second": gain / one.seconds,
                 })  # fmt: skip

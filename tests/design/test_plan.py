@@ -20,7 +20,14 @@ TABLE = np.array([
 ])  # fmt: skip
 SPREAD = 0.08
 NOISE = pd.DataFrame({"white": 0.002, "drift": 0.002, "memory": 0.5}, index=["CZ", "Cm"])
-AXES = {"axes": ["elevator"], "limits": {"elevator": 0.06}, "noise": NOISE, "airspeeds": 20.0, "n_paths": 30}
+AXES = {
+    "axes": ["elevator"],
+    "limits": {"elevator": 0.06},
+    "noise": NOISE,
+    "airspeeds": 20.0,
+    "n_paths": 30,
+    "gusts": None,
+}
 BANDS = pd.DataFrame(
     {"doublet_width": 0.4, "three_two_one_one_width": 0.3, "lowest": 0.3, "highest": 1.2}, index=["elevator"]
 )
@@ -59,7 +66,7 @@ def planned(model, uav):
         seen = []
         found = plan(
             model, uav, seconds=15.0, goal=["Cm_alpha", "Cm_q"], bands=BANDS, envelope=Envelope(alpha=(-0.03, 0.055)),
-            gusts=Turbulence.low_altitude(100.0, 1.5), **AXES,
+            **AXES | {"gusts": Turbulence.low_altitude(100.0, 1.5)},
         )  # fmt: skip
     return found, seen
 
@@ -153,6 +160,8 @@ def test_limits_are_what_was_flown(model, uav):
     found = plan(model, uav, **options)
     elevator = found.trims[0].controls["elevator"]
     assert found.trains[0].limits["elevator"].amplitude == pytest.approx(0.3 - abs(elevator))
+    with pytest.warns(UserWarning, match="risks are those of calm air"), pytest.raises(ValueError, match="no trim"):
+        plan(model, uav, **options | {"gusts": "as flown", "airspeeds": 1.0})
     with pytest.raises(ValueError, match="does not say what was flown"):
         plan(Aerodynamics(model.function, NAMES), uav, **options)
 

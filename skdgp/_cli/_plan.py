@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -70,9 +71,11 @@ def plan(run: Run) -> None:
 
 
 def _envelope(options: argparse.Namespace) -> Envelope:
-    ends = {name: tuple(value) for key, name in BOTH.items() if (value := getattr(options, key)) is not None}
-    given = {"bank": options.max_bank, "altitude": options.floor, "growth": options.growth, "risk": options.risk}
-    return Envelope(**ends, **{name: value for name, value in given.items() if value is not None})
+    given: dict[str, Any] = {
+        name: tuple(value) for key, name in BOTH.items() if (value := getattr(options, key)) is not None
+    }
+    others = {"bank": options.max_bank, "altitude": options.floor, "growth": options.growth, "risk": options.risk}
+    return Envelope(**given, **{name: value for name, value in others.items() if value is not None})
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:
@@ -87,9 +90,9 @@ def _writers(options: argparse.Namespace, found: Plan, numbers: dict) -> dict[st
     rate, full = options.rate, _by_axis(options.full)
     for number, train in enumerate(found.trains, start=1):
         name = "plan" if len(found.trains) == 1 else f"plan_{number}"
-        files[f"{name}.csv"] = lambda path, train=train: write_csv(path, train, rate)
+        files[f"{name}.csv"] = partial(write_csv, train=train, rate=rate)
         if full:
-            files[f"{name}.lua"] = lambda path, train=train: write_ardupilot_lua(path, train, rate, full)
+            files[f"{name}.lua"] = partial(write_ardupilot_lua, train=train, rate=rate, full=full)
     return files | {
         "expected.csv": table_writer(found.flight, ".csv"),
         "plan.json": text_writer(json_text(numbers)),

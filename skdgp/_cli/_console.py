@@ -104,7 +104,7 @@ class Console:
     def _interrupt(self, number, frame):
         self.interrupts += 1
         if self._shows_progress:  # not through the stream, which the handler may have interrupted
-            os.write(self.stream.fileno(), f"{CLEAR}keeping the best model so far (Ctrl-C again: stop)".encode())
+            os.write(self.stream.fileno(), f"{CLEAR}keeping the best so far (Ctrl-C again: stop)".encode())
         raise KeyboardInterrupt
 
     def _show(self, line):

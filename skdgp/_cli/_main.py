@@ -19,13 +19,15 @@ from skdgp._cli._identify import CHECKPOINT, DEMO, IDENTIFY
 from skdgp._cli._inspect import INSPECT
 from skdgp._cli._output import OutputFolder, Run
 from skdgp._cli._parser import PROGRAM, check_replaceable
+from skdgp._cli._plan import PLAN
 from skdgp._cli._predict import PREDICT, VALIDATE
 from skdgp._cli._simulate import SIMULATE
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
 COMMANDS = {
-    command.name: command for command in (DEMO, INSPECT, IDENTIFY, VALIDATE, PREDICT, SIMULATE, DERIVATIVES, EXPORT)
+    command.name: command
+    for command in (DEMO, INSPECT, IDENTIFY, VALIDATE, PREDICT, SIMULATE, DERIVATIVES, PLAN, EXPORT)
 }
 OPTIONS = {
     "thrust=None": "--thrust none",
@@ -46,6 +48,7 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
   python -m skdgp predict results/model.joblib c.csv -o coefficients.csv
   python -m skdgp simulate results/model.joblib --trim 35 -o flown
   python -m skdgp derivatives results/model.joblib --airspeed 30 35 40
+  python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron -o next
   python -m skdgp export results/model.joblib --to c -o flight_code
 
 COMMAND --help explains each. SI units and radians throughout. Exit codes: 0 done, 1 an error, in one line, 2 wrong

@@ -3,6 +3,7 @@
 from skdgp.design._bands import input_bands
 from skdgp.design._information import Information, coefficient_noise, expected_information
 from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
+from skdgp.design._plan import Envelope, Plan, plan, posterior_information
 from skdgp.design._signals import (
     Chirp,
     Limits,
@@ -17,9 +18,11 @@ from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
 
 __all__ = [
     "Chirp",
+    "Envelope",
     "Information",
     "Limits",
     "Multisine",
+    "Plan",
     "Signal",
     "Steps",
     "Wavetrain",
@@ -30,6 +33,8 @@ __all__ = [
     "input_bands",
     "multisine",
     "orthogonal_multisines",
+    "plan",
+    "posterior_information",
     "three_two_one_one",
     "wavetrain",
     "write_ardupilot_lua",

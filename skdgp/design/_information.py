@@ -125,7 +125,8 @@ def expected_information(
     Raises
     ------
     ValueError
-        If the flight lacks a column or a value, its time does not increase, a noise is not > 0, or nothing is asked.
+        If the flight lacks a column or a value, its time does not increase, a coefficient has no noise, or nothing is
+        asked.
 
     Examples
     --------
@@ -152,15 +153,16 @@ def expected_information(
             f"Got noise of {list(noise.index)} and regressors {list(regressors)}, but expected at least one of each."
         )
     check_clock(table["time"], table.get("flight"))
-    if not (np.isfinite(white + drift + memory).all() and (white > 0).all() and (drift >= 0).all() and min(memory) > 0):
+    least = min(white.min(), drift.min())
+    if not (np.isfinite(white + drift + memory).all() and least >= 0 and min(white + drift) > 0 and min(memory) > 0):
         raise ValueError(
-            f"Got the noise\n{noise}\nbut expected white > 0, drift >= 0 and memory > 0: a coefficient without white "
-            "noise would be known exactly."
+            f"Got the noise\n{noise}\nbut expected white >= 0 and drift >= 0, one of them > 0, and memory > 0: a "
+            "coefficient without noise would be known exactly."
         )
     parts = [part for _, part in table.groupby("flight", sort=False, observed=True)] if "flight" in table else [table]
     fisher = np.zeros((len(noise), 1 + len(regressors), 1 + len(regressors)))
     for part in parts:
-        X = np.column_stack([np.ones(len(part)), _regressors(part, aircraft, regressors)])
+        X = np.column_stack([np.ones(len(part)), regressors_of(part, aircraft, regressors)])
         if not np.isfinite(X).all():
             raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
         whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
@@ -199,6 +201,7 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     y0    0.1    0.0     1.0
     """
     regressor = model[-1] if isinstance(model, Pipeline) else model
+    regressor = getattr(regressor, "estimator_", regressor)  # of a CalibratedRegressor
     if not hasattr(regressor, "noise_variance_"):
         raise ValueError(
             f"Got a {type(regressor).__name__} without noise_variance_, but expected a fitted DependentGPRegressor."
@@ -214,7 +217,7 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     )
 
 
-def _regressors(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
+def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
     """Return the regressors (n, d) of one flight."""
     time, columns = flight["time"].to_numpy(float), []
     for name in names:

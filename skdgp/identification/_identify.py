@@ -34,6 +34,7 @@ from skdgp.identification._pipeline import (
     check_aircraft,
     clock_of,
     default_regressor,
+    flown_turbulence,
     make_identification_pipeline,
     regressor_and_scale,
 )
@@ -207,6 +208,7 @@ def identify(
         groups = {"groups": table["flight"]} if calibrate else {}
         X = pipeline[:-1].fit_transform(table, targets)
         pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
+        pipeline.turbulence_ = flown_turbulence(pipeline, table)
         seconds = time.monotonic() - began
 
         fit = {

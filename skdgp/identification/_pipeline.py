@@ -256,7 +256,7 @@ class FlightPipeline(Pipeline):
             name = self.steps[-1][0]
             params = {f"{name}__{key}": value for key, value in clock_of(self[-1], X).items()} | params
         super().fit(X, y, **params)
-        self.turbulence_ = _turbulence_of(self, X)
+        self.turbulence_ = flown_turbulence(self, X)
         return self
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
@@ -285,7 +285,7 @@ class FlightPipeline(Pipeline):
         return _predict(self[-1], regressors, ratio, params)
 
 
-def _turbulence_of(pipeline: Pipeline, flight: Any) -> Turbulence | None:
+def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:
     """Return the turbulence of the flights, or None if the table does not show it."""
     rates = next((step for _, step in pipeline.steps if getattr(step, "in_simulation", None) == "rates"), None)
     try:

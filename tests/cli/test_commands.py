@@ -367,3 +367,34 @@ class TestDerivatives:
         assert main(["derivatives", path, *words]) == 0
         assert "No picture: it needs pip install" in capsys.readouterr().err
         assert "derivatives.png" not in files(tmp_path / "out")
+
+
+class TestPlan:
+    WORDS = ("--airspeed", "35", "--seconds", "8", "--axes", "rudder", "--altitude", "200", "--gusts", "none")
+
+    def test_writes_what_autopilots_fly(self, run, tmp_path):
+        more = (
+            "--limits",
+            "rudder=0.1",
+            "--full",
+            "rudder=0.4",
+            "--goal",
+            "Cn_rudder",
+            "--growth",
+            "2",
+            "--paths",
+            "20",
+        )
+        said = run("plan", *self.WORDS, *more)
+        names = {"plan.csv", "plan.lua", "expected.csv", "plan.json", "config.toml"}
+        assert files(tmp_path / "out") == names
+        table = pd.read_csv(tmp_path / "out" / "plan.csv")
+        assert table["rudder"].abs().max() <= 0.1
+        assert table["time"].iloc[-1] + 3.0 <= said["seconds"] + 0.02 <= 8.02
+        assert json.loads((tmp_path / "out" / "plan.json").read_text()) == said
+        assert said["errors"]["Cn_rudder"]["after"] < said["errors"]["Cn_rudder"]["before"]
+        assert all(one["risk"] <= 0.05 for one in said["manoeuvres"])
+
+    def test_what_cannot_be_planned_is_one_line(self, refused):
+        refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")
+        refused("add --limits", "plan", *self.WORDS, "--rates", "rudder=1")

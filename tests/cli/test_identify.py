@@ -759,6 +759,7 @@ def test_demo_is_honest(tmp_path, capsys):
     means = flight["means"]
     assert 0.90 <= means["measured"]["all"]["interval_coverage"] <= 0.99
     assert means["truth"]["all"]["normalized_rmse"] < 0.2
+    assert (load_model(tmp_path / "model.joblib").pipeline.turbulence_.intensity > 0.2).all()  # as flown
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from skdgp.design import coefficient_noise, doublet, expected_information, multi
 
 TIME = np.arange(0.0, 8.0, 0.04)
 NOISE = pd.DataFrame(
-    {"white": [0.002, 0.001], "drift": [0.003, 0.0], "memory": [0.6, 1.0]}, index=["Cm", "Cn"]
+    {"white": [0.002, 0.001, 0.0], "drift": [0.003, 0.0, 0.003], "memory": [0.6, 1.0, 0.6]}, index=["Cm", "Cn", "Cl"]
 )  # fmt: skip
 
 
@@ -39,7 +39,7 @@ def test_standard_errors_are_those_of_generalised_least_squares(flight, uav):
         np.testing.assert_allclose(found.covariance[k], expected, rtol=1e-7)
         np.testing.assert_allclose(found.std.loc[name], np.sqrt(np.diag(expected)), rtol=1e-7)
     std = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found.correlation("Cn"), expected / np.outer(std, std), rtol=1e-6)
+    np.testing.assert_allclose(found.correlation(name), expected / np.outer(std, std), rtol=1e-6)
 
 
 def test_standard_errors_are_the_scatter_of_estimates(flight, uav):
@@ -108,9 +108,9 @@ def test_the_noise_of_a_model_is_split_into_white_noise_and_drift():
     [
         (["elevater"], {"Cm": 0.1}, "nearest: 'elevator'"),
         (["beta_dot_hat"], {"Cm": 0.1}, "'beta'"),
-        (["alpha"], {"Cm": 0.0}, "white > 0"),
         (["alpha"], {}, "at least one of each"),
         ([], {"Cm": 0.1}, "at least one of each"),
+        (["alpha"], {"Cm": 0.0}, "one of them > 0"),
         (["alpha"], pd.DataFrame({"white": [0.1]}, index=["Cm"]), "drift"),
     ],
 )

@@ -1,0 +1,200 @@
+"""The command ``plan``: manoeuvres for the next flight."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from skdgp._cli import _options as opt
+from skdgp._cli._output import Run, Writer, table_writer, text_writer
+from skdgp._cli._parser import Command
+from skdgp._cli._predict import read_model, thrust_of_model
+from skdgp._compute.progress import listening
+from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
+from skdgp.design import plan as plan_flight
+from skdgp.design._wavetrain import AXES
+from skdgp.identification._model_file import json_text
+
+BOTH = {"alpha": "alpha", "beta": "beta", "load_factor": "load_factor", "speeds": "airspeed"}
+"""Options of limits that have two ends, and their names in an envelope."""
+
+
+def plan(run: Run) -> None:
+    """Choose the manoeuvres of the next flight: those that lower the errors of derivatives most in the given time.
+
+    Doublets, 3-2-1-1s and multisines are simulated from trims of the model. Each that is chosen is flown by aircraft
+    drawn from its posterior, in gusts as those of its training flights, and is made smaller or left out if it leaves
+    the envelope too often. The controls are open loop during a manoeuvre; return to the trim in the pause after it.
+    Ctrl-C ends the search with the best of what has been checked.
+
+    Writes into DIR, all or none:
+      plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1]; plan_1.csv, plan_2.csv ... of
+                     several airspeeds
+      plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
+      expected.csv   the flight that the model expects, manoeuvre by manoeuvre
+      plan.json      trims, manoeuvres, risks, standard errors before and after
+      config.toml    all options of this run
+
+    For example:
+      python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
+      python -m skdgp plan results/model.joblib --airspeed 30 40 --seconds 120 --axes elevator --goal Cm_q -o pitch
+      python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
+    """
+    options, console = run.options, run.console
+    console.stage("reading")
+    model = read_model(options)
+    limits = _limits(options)
+    with listening(console.progress), console.counting_interrupts():
+        found = plan_flight(
+            model.pipeline,
+            model.aircraft,
+            airspeeds=sorted(set(options.airspeed)),
+            seconds=options.seconds,
+            axes=options.axes,
+            goal=options.goal,
+            limits=limits,
+            envelope=_envelope(options),
+            altitude=options.altitude,
+            gusts=None if options.gusts == "none" else options.gusts.replace("-", " "),
+            pause=options.pause,
+            rate=options.rate,
+            n_paths=options.paths,
+            thrust=thrust_of_model(model),
+            random_state=options.seed,
+        )
+    numbers = _numbers(options, found)
+    files = run.write(_writers(options, found, numbers))
+    run.print(_text(found, options, files), numbers)
+
+
+def _envelope(options: argparse.Namespace) -> Envelope:
+    given: dict[str, Any] = {
+        name: tuple(value) for key, name in BOTH.items() if (value := getattr(options, key)) is not None
+    }
+    others = {"bank": options.max_bank, "altitude": options.floor, "growth": options.growth, "risk": options.risk}
+    return Envelope(**given, **{name: value for name, value in others.items() if value is not None})
+
+
+def _limits(options: argparse.Namespace) -> dict[str, Limits]:
+    amplitudes, rates = _by_axis(options.limits), _by_axis(options.rates)
+    if lacking := sorted({*rates} - {*amplitudes}):
+        raise ValueError(f"Got --rates of {', '.join(lacking)} without --limits, but expected both: add --limits.")
+    return {axis: Limits(value, rates.get(axis, np.inf)) for axis, value in amplitudes.items()}
+
+
+def _writers(options: argparse.Namespace, found: Plan, numbers: dict) -> dict[str, Writer]:
+    files: dict[str, Writer] = {}
+    rate, full = options.rate, _by_axis(options.full)
+    for number, train in enumerate(found.trains, start=1):
+        name = "plan" if len(found.trains) == 1 else f"plan_{number}"
+        files[f"{name}.csv"] = partial(write_csv, train=train, rate=rate)
+        if full:
+            files[f"{name}.lua"] = partial(write_ardupilot_lua, train=train, rate=rate, full=full)
+    return files | {
+        "expected.csv": table_writer(found.flight, ".csv"),
+        "plan.json": text_writer(json_text(numbers)),
+    }
+
+
+def _numbers(options: argparse.Namespace, found: Plan) -> dict[str, Any]:
+    """Return the plan as numbers, SI units and radians."""
+    names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
+    return {
+        "model": options.model,
+        "seconds": sum(train.duration + options.pause for train in found.trains),
+        "trims": [{name: getattr(one, name) for name in names} for one in found.trims],
+        "manoeuvres": found.manoeuvres.to_dict("records"),
+        "errors": found.errors.to_dict("index"),
+        "confounded": found.confounded.to_dict("records"),
+    }
+
+
+def _text(found: Plan, options: argparse.Namespace, files: list) -> str:
+    rows = found.manoeuvres
+    width = max(map(len, rows["name"])) + 2
+    lines = [f"{'start':>7}  {'manoeuvre':<{width}}{'of limits':>10}{'risk':>8}{'errors':>9}"]
+    for number, trim in enumerate(found.trims):
+        lines.append(f"{trim.airspeed:g} m/s: " + ", ".join(f"{k} {v:.4g}" for k, v in trim.controls.items()))
+        for _, row in rows[rows["train"] == number].iterrows():
+            risk = "-" if np.isnan(row["risk"]) else f"{row['risk']:.1%}"
+            lines.append(
+                f"{row['start']:>5.1f} s  {row['name']:<{width}}{row['scale']:>10.0%}{risk:>8}{-row['gain']:>9.0%}"
+            )
+    lines += ["", f"{'standard error of':<18}{'before':>10}{'after':>10}"]
+    lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in found.errors.iterrows()]
+    pairs = found.confounded
+    if len(pairs):
+        shown = [f"{one['first']} and {one['second']} in {one['coefficient']}" for _, one in pairs.head(5).iterrows()]
+        lines += ["", f"not told apart: {', '.join(shown)}"]
+    if not options.full:
+        lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
+    return "\n".join([*lines, "", *map(str, files)])
+
+
+def _by_axis(words: list[str]) -> dict[str, float]:
+    """Return numbers by axis, of words such as ``elevator=0.4``."""
+    return {axis: float(value) for axis, _, value in (word.partition("=") for word in words)}
+
+
+def _axis_value(text: str) -> str:
+    try:
+        _by_axis([text])
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"got {text}, but expected AXIS=NUMBER such as elevator=0.4") from None
+    return text
+
+
+def _axis_values(name: str, help: str) -> opt.Option:
+    return opt.option(f"{name} AXIS=X", help, _axis_value, nargs="+", default=[])
+
+
+def _ends(name: str, help: str) -> opt.Option:
+    """Return the option of a lowest and a highest value."""
+    return opt.Option((name,), {"type": opt.number(), "nargs": 2, "metavar": ("LOW", "HIGH"), "help": help})
+
+
+PLAN = Command(
+    plan,
+    {
+        "": [
+            *(opt.MODEL, opt.AIRCRAFT),
+            opt.option("--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True),
+            opt.option("--seconds S", "of all flights together", opt.positive("seconds"), required=True),
+            opt.Option(("--axes",), {"choices": AXES, "nargs": "+", "required": True, "help": "controls to move"}),
+            opt.option("--goal NAME", "derivatives, such as Cm_q Cn_rudder (default: all)", str, nargs="+"),
+            opt.option("--altitude M", "[m] (default: 100)", opt.number(), default=100.0),
+            opt.option("--pause S", "after each manoeuvre (default: 3)", opt.positive("seconds"), default=3.0),
+            opt.option("--rate HZ", "of the autopilot (default: 50)", opt.positive("Hz"), default=50.0),
+            _axis_values("--full", "deflections [rad] at the ends of the servos' ranges, for the script"),
+            opt.SEED,
+            opt.FOLDER,
+        ],
+        "limits": [
+            _axis_values("--limits", "largest deviations from trim [rad] (default: what was flown)"),
+            _axis_values("--rates", "largest rates of change [rad/s] of axes with --limits (default: none)"),
+            _ends("--alpha", "[rad]"),
+            _ends("--beta", "[rad]"),
+            _ends("--load-factor", "of -az / g"),
+            _ends("--speeds", "[m/s]"),
+            opt.option("--max-bank RAD", "to either side", opt.positive("rad")),
+            opt.option("--floor M", "lowest altitude [m]", opt.number()),
+            opt.option(
+                "--growth X",
+                "part of its range by which a regressor may leave what was flown (default: 0.2)",
+                opt.number("a number, 0 or more", lambda value: value >= 0),
+                default=0.2,
+            ),
+            opt.option(
+                "--risk P",
+                "largest probability that a manoeuvre leaves the limits (default: 0.05)",
+                opt.number("a number between 0 and 1", lambda value: 0 < value < 1),
+                default=0.05,
+            ),
+            opt.choice("--gusts", ["as-flown", "none"], "of the check (default: as-flown)"),
+            opt.option("--paths N", "aircraft drawn for each check (default: 60)", opt.at_least(2), default=60),
+        ],
+    },
+)

@@ -1,0 +1,662 @@
+"""The next flight: manoeuvres that teach most about chosen derivatives, and stay in an envelope."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, Literal, cast
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from sklearn.utils import check_random_state
+
+from skdgp._compute.progress import notify
+from skdgp._compute.threads import one_blas_thread
+from skdgp._compute.typing import Seed
+from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp._flight.checks import check_names
+from skdgp.design._bands import input_bands
+from skdgp.design._information import Information, coefficient_noise, expected_information, regressors_of
+from skdgp.design._multisines import orthogonal_multisines
+from skdgp.design._signals import Limits, Signal, doublet, three_two_one_one
+from skdgp.design._wavetrain import Wavetrain, wavetrain
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    SimulationWarning,
+    Trim,
+    Turbulence,
+    as_aerodynamics,
+    linearize,
+    simulate,
+    trim,
+)
+
+STEP = 0.04
+"""Of simulations, and between the rows that count as independent measurements [s]."""
+WIDTHS = (1.0, 2.5)
+"""Of pulses, in units of the suggested width."""
+MULTISINES = (5.0, 10.0)
+"""Durations [s]."""
+MOST_TONES = 8
+STARTS = 2
+"""Searches for the phases of a multisine."""
+SCALES = (1.0, 0.7, 0.5, 0.35, 0.25)
+"""By which a manoeuvre is made smaller until it is safe."""
+SECANT = 0.25
+"""Part of the range of a regressor over which a posterior's slope is taken; absolute without a range."""
+SMALL = 0.05
+VAGUE = 1e-8
+"""Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
+GRAVITY = 9.80665
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What a flight must not leave, and the risk that is accepted.
+
+    Parameters
+    ----------
+    alpha, beta : tuple of float
+        Lowest and highest [rad].
+    load_factor : tuple of float
+        Lowest and highest of -az / g.
+    bank : float
+        Largest, to either side [rad].
+    airspeed : tuple of float
+        Lowest and highest [m/s].
+    altitude : float
+        Lowest [m].
+    growth : float, default=0.2
+        By which part of its range a regressor may leave what the model was learned from; inf: no limit.
+    risk : float, default=0.05
+        Largest probability that a manoeuvre leaves any of these.
+
+    Examples
+    --------
+    >>> from skdgp.design import Envelope
+    >>> Envelope(bank=0.8, altitude=60.0, risk=0.01).alpha
+    (-inf, inf)
+    """
+
+    alpha: tuple[float, float] = (-np.inf, np.inf)
+    beta: tuple[float, float] = (-np.inf, np.inf)
+    load_factor: tuple[float, float] = (-np.inf, np.inf)
+    bank: float = np.inf
+    airspeed: tuple[float, float] = (0.0, np.inf)
+    altitude: float = -np.inf
+    growth: float = 0.2
+    risk: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "beta", "load_factor", "airspeed"):
+            low, high = getattr(self, name)
+            if not low < high:
+                raise ValueError(f"Got {name}=({low}, {high}), but expected the lowest and the highest value.")
+        if not (self.bank > 0 and self.growth >= 0 and 0 < self.risk < 1):
+            raise ValueError(
+                f"Got bank={self.bank}, growth={self.growth}, risk={self.risk}, but expected bank > 0, growth >= 0 and "
+                "a risk between 0 and 1."
+            )
+
+    def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
+        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
+        values = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
+        values |= {"load_factor": -flight["az"].to_numpy(float) / GRAVITY, "bank": flight["phi"].to_numpy(float)}
+        bounds = {name: getattr(self, name) for name in values}
+        bounds |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
+        found = {name: (values[name] < low) | (values[name] > high) for name, (low, high) in bounds.items()}
+        if model.limits is not None and np.isfinite(self.growth):
+            X = regressors_of(flight, aircraft, model.regressors)
+            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
+            for k, name in enumerate(model.regressors):
+                outside = (X[:, k] < model.limits[0, k] - grown[k]) | (X[:, k] > model.limits[1, k] + grown[k])
+                found[f"growth of {name}"] = outside
+        return pd.DataFrame(found | {"ended": flight["ended"].to_numpy() != ""})
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Flights that `plan` has chosen, and what they will teach.
+
+    Parameters
+    ----------
+    trains : tuple of Wavetrain
+        The inputs, a wavetrain for each trim that is flown.
+    trims : tuple of Trim
+        Where each wavetrain begins, and to which the aircraft is returned before each manoeuvre.
+    goal : tuple of str
+        Names of derivatives, such as ``Cm_q``.
+    before, after : Information
+        About the derivatives, without and with the plan.
+    manoeuvres : DataFrame
+        In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim, ``start`` [s],
+        ``name``, ``duration`` [s], ``scale`` (its amplitude relative to the limits), ``risk`` (predicted probability of
+        leaving the envelope; NaN of a model without posterior), ``gain`` (by which part it reduces the errors of the
+        goal, on geometric average) and ``gain_per_second`` (of the logarithm of these errors).
+    alone : DataFrame
+        What each manoeuvre of the library would teach if it were repeated for the whole time: ``name``, ``scale``,
+        ``risk`` (NaN: not simulated), ``gain``.
+    flight : DataFrame
+        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
+    """
+
+    trains: tuple[Wavetrain, ...]
+    trims: tuple[Trim, ...]
+    goal: tuple[str, ...]
+    before: Information
+    after: Information
+    manoeuvres: pd.DataFrame
+    alone: pd.DataFrame
+    flight: pd.DataFrame
+
+    @property
+    def errors(self) -> pd.DataFrame:
+        """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known."""
+        columns = {"before": _named(self.before), "after": _named(self.after)}
+        return pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
+
+    @property
+    def confounded(self) -> pd.DataFrame:
+        """Pairs of regressors that are still not told apart: see :meth:`Information.confounded`."""
+        return self.after.confounded()
+
+
+def plan(
+    model: Any,
+    aircraft: Aircraft,
+    *,
+    airspeeds: ArrayLike,
+    seconds: float,
+    axes: Sequence[str],
+    goal: Sequence[str] | None = None,
+    limits: Mapping[str, Limits | float] | None = None,
+    envelope: Envelope | None = None,
+    altitude: float = 100.0,
+    banks: Sequence[float] = (0.0,),
+    gusts: Turbulence | Literal["as flown"] | None = "as flown",
+    known: Information | None = None,
+    noise: pd.DataFrame | Mapping[str, float] | None = None,
+    bands: pd.DataFrame | None = None,
+    pause: float = 3.0,
+    rate: float = 50.0,
+    n_paths: int = 60,
+    thrust: Any = "auto",
+    random_state: Seed = 0,
+) -> Plan:
+    r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
+
+    The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
+    Each is simulated from a trim with the mean of the model. Its information (`expected_information`) adds to what is
+    known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the standard
+    errors of the goal; then each is exchanged while that helps.
+
+    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
+    envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre above the allowed risk
+    is made smaller, or left out, and the choice is made again. Controls are open loop during a manoeuvre; the pilot or
+    the autopilot returns to the trim in the pause after it.
+
+    Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
+
+    Parameters
+    ----------
+    model : Pipeline, estimator or Aerodynamics
+        As for :func:`skdgp.dynamics.as_aerodynamics`. Without a posterior only its mean is checked.
+    aircraft : Aircraft
+    airspeeds : float or array-like
+        Of the trims [m/s].
+    seconds : float
+        Of all flights together, pauses included.
+    axes : sequence of str
+        Controls to move, such as ``["elevator", "aileron", "rudder"]``.
+    goal : sequence of str, optional
+        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional. By default all.
+    limits : mapping of str to Limits or float, optional
+        Of the axes; by default the deviation from trim that the model was learned from.
+    envelope : Envelope, optional
+        By default that which was flown, and a fifth more.
+    altitude : float, default=100.0
+        [m].
+    banks : sequence of float, default=(0.0,)
+        Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
+    gusts : Turbulence, "as flown" or None
+        Of the check. "as flown": that of the training flights, or calm air, with a warning, if the model does not know
+        it.
+    known : Information, optional
+        Of earlier flights; by default that of the model's posterior at the trims.
+    noise : DataFrame or mapping, optional
+        As for `expected_information`; by default `coefficient_noise` of the model.
+    bands : DataFrame, optional
+        As `input_bands` returns, for a model without recognisable modes.
+    pause : float, default=3.0
+        After each manoeuvre [s]; the response in it counts.
+    rate : float, default=50.0
+        Of the autopilot [Hz].
+    n_paths : int, default=60
+        Aircraft drawn for each check.
+    thrust
+        As for :func:`skdgp.dynamics.simulate`.
+    random_state : int, RandomState instance or None, default=0
+        Of the draws.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ValueError
+        If there is no trim, the trim has not an axis, the model has not a regressor of the goal, no manoeuvre fits into
+        the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
+
+    Warns
+    -----
+    UserWarning
+        If the model does not know the turbulence of its flights, and none is given.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.design import plan
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft
+    >>> def linear(X):
+    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
+    ...     lift = 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
+    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
+    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
+    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    >>> found = plan(Aerodynamics(linear, names), aircraft, airspeeds=20.0, seconds=16.0, axes=["elevator"],
+    ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, noise={"Cm": 0.004})
+    >>> found.manoeuvres["name"].tolist()
+    ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
+    """
+    planner = _Planner(
+        as_aerodynamics(model), model, aircraft, envelope or Envelope(), pause, rate, n_paths, gusts, thrust,
+        int(check_random_state(random_state).randint(2**31 - 1)),
+    )  # fmt: skip
+    with one_blas_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
+        return planner.plan(
+            np.atleast_1d(np.asarray(airspeeds, dtype=float)), seconds, axes, goal, limits, altitude, banks, known,
+            coefficient_noise(model) if noise is None else noise, bands,
+        )  # fmt: skip
+
+
+def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
+    r"""Return what a model knows of its derivatives: the inverse of their posterior covariance.
+
+    A slope is that over a quarter of the range of its regressor to either side.
+
+    Parameters
+    ----------
+    model : Pipeline, estimator or Aerodynamics
+        With a posterior.
+    at : array-like of shape (d,)
+        Regressors.
+    coefficients : sequence of str
+        By default all six.
+
+    Returns
+    -------
+    Information
+
+    Raises
+    ------
+    ValueError
+        If the model has no posterior covariance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.design import posterior_information
+    >>> from skdgp.dynamics import Aerodynamics
+    >>> def covariance(X):        # of CX = a + b alpha, a and b with standard deviations 0.1 and 0.5
+    ...     one = 0.01 + 0.25 * X @ X.T
+    ...     return np.kron(np.eye(6), one)
+    >>> model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha"], covariance=covariance)
+    >>> posterior_information(model, [0.0]).std.loc["Cm", "alpha"].round(3).item()
+    0.5
+    """
+    aerodynamics = as_aerodynamics(model)
+    at, d = np.asarray(at, dtype=float), len(aerodynamics.regressors)
+    size = np.full(d, SMALL) if aerodynamics.limits is None else SECANT * np.ptp(aerodynamics.limits, axis=0)
+    size = np.where(size > 0, size, SMALL)
+    points = np.concatenate([at[None], at + np.diag(size), at - np.diag(size)])
+    slopes = np.concatenate([np.zeros((d, 1)), np.diag(0.5 / size), -np.diag(0.5 / size)], axis=1)
+    linear = np.concatenate([np.eye(1, 1 + 2 * d), slopes])
+    linear[0] -= at @ slopes  # the constant of a coefficient that is linear in the regressors
+    covariance = aerodynamics.covariance(points).reshape(6, 1 + 2 * d, 6, 1 + 2 * d)
+    rows = [COEFFICIENTS.index(name) for name in coefficients]
+    found = np.stack([linear @ covariance[k, :, k] @ linear.T for k in rows])
+    scale = np.sqrt(np.maximum(np.einsum("pdd->pd", found), np.finfo(float).tiny))
+    scaled = found / scale[:, :, None] / scale[:, None] + 1e-9 * np.eye(1 + d)
+    fisher = np.linalg.inv(scaled) / scale[:, :, None] / scale[:, None]
+    return Information(fisher, tuple(coefficients), aerodynamics.regressors)
+
+
+@dataclass(frozen=True, eq=False)
+class _Manoeuvre:
+    """A manoeuvre of the library, from one of the trims."""
+
+    name: str
+    at: int
+    inputs: dict[str, Signal]
+    seconds: float
+    information: Information
+    flight: pd.DataFrame
+    scale: float = 1.0
+    risk: float | None = None
+    """None: not checked."""
+
+
+@dataclass
+class _Planner:
+    """What the steps of a search share."""
+
+    aerodynamics: Aerodynamics
+    model: Any
+    aircraft: Aircraft
+    envelope: Envelope
+    pause: float
+    rate: float
+    n_paths: int
+    gusts: Any
+    thrust: Any
+    seed: int
+
+    def plan(self, airspeeds, seconds, axes, goal, limits, altitude, banks, known, noise, bands) -> Plan:
+        """Return the plan: see `plan`."""
+        if self.gusts == "as flown" and self.aerodynamics.turbulence is None:
+            self.gusts = None
+            if self.aerodynamics.is_uncertain:
+                warnings.warn(
+                    "The model does not know the turbulence of its flights, so risks are those of calm air. Give "
+                    "gusts=Turbulence.low_altitude(height, wind_at_6m).",
+                    UserWarning,
+                    stacklevel=4,
+                )
+        self._check_paths()
+        self.seconds, self.noise, self.axes = float(seconds), noise, list(axes)
+        self.coefficients = list(map(str, noise.index if isinstance(noise, pd.DataFrame) else noise))
+        self.goal = self._checked_goal(goal)
+        notify("planning: trims", 0, 0.0)
+        level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
+        self.trims = [
+            cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
+            for speed in airspeeds
+            for bank in banks
+        ]
+        for point in self.trims:
+            check_names(self.axes, point.controls, "controls of the trim")
+        self.limits = self._checked_limits(limits)
+        holds = [self._checked_hold(point) for point in self.trims]
+        self.before = self._known(known, holds)
+        library = {one.name: one for one in self._library(bands)}
+        if not library:
+            raise ValueError(
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:g} s is that short and can be "
+                "flown: give more seconds, a shorter pause or smaller limits."
+            )
+        peaks = [np.einsum("pdd->pd", one.information.fisher) for one in library.values()]
+        self.vague = VAGUE * np.stack([np.diag(row) for row in np.max(peaks, axis=0)])
+        return self._plan_of(*self._searched(library))
+
+    def _check_paths(self) -> None:
+        if self.aerodynamics.is_uncertain and 1 / (self.n_paths + 2) > self.envelope.risk:
+            raise ValueError(
+                f"Got n_paths={self.n_paths}, too few to show a risk of {self.envelope.risk:g}, but expected at least "
+                f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
+            )
+
+    def _checked_goal(self, goal: Sequence[str] | None) -> list[tuple[int, int]]:
+        """Return coefficient and regressor of each derivative."""
+        short = [name.removesuffix(HAT) for name in self.aerodynamics.regressors]
+        known = {
+            f"{coefficient}_{name}": (i, 1 + k)
+            for i, coefficient in enumerate(self.coefficients)
+            for k, name in enumerate(short)
+        }
+        self.goal_names = tuple(known if goal is None else goal)
+        lacking = [name for name in self.goal_names if name not in known]
+        if lacking or not self.goal_names:
+            raise ValueError(
+                f"Got the goal {lacking or goal}, but the model has the coefficients {self.coefficients} and the "
+                f"regressors {short}: name derivatives such as {next(iter(known))!r}, or learn a model with that "
+                "regressor."
+            )
+        return [known[name] for name in self.goal_names]
+
+    def _checked_limits(self, limits: Mapping[str, Limits | float] | None) -> dict[str, Limits]:
+        """Return the limits of the axes; by default what the model was learned from."""
+        check_names(limits or (), self.axes, "axes")
+        given = {axis: one if isinstance(one, Limits) else Limits(one) for axis, one in (limits or {}).items()}
+        return {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in self.axes}
+
+    def _flown(self, axis: str) -> float:
+        """Return the largest deviation from the trims that was flown to both sides."""
+        flown = self.aerodynamics.limits
+        if flown is None or axis not in self.aerodynamics.regressors:
+            raise ValueError(
+                f"Got no limit of the {axis}, and the model does not say what was flown: give limits={{{axis!r}: ...}}."
+            )
+        low, high = flown[:, self.aerodynamics.regressors.index(axis)]
+        values = [point.controls[axis] for point in self.trims]
+        room = min(min(value - low, high - value) for value in values)
+        if not room > 0:
+            raise ValueError(
+                f"Got trims with the {axis} at {values[0]:.3g}, outside what the model was learned from ({low:.3g} to "
+                f"{high:.3g}): choose another airspeed, or give limits={{{axis!r}: ...}}."
+            )
+        return float(room)
+
+    def _flown_by(self, at: int, inputs: Mapping[str, Signal], **options: Any) -> pd.DataFrame:
+        """Return the simulated flight of a manoeuvre and the pause after it."""
+        point, train = self.trims[at], Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
+        table = train.table(self.rate, trim=point.controls, pause=self.pause)
+        duration = STEP * np.floor(table["time"].iloc[-1] / STEP + 1e-6)
+        return simulate(self.model, self.aircraft, point, table, STEP, duration=duration, thrust=self.thrust, **options)
+
+    def _checked_hold(self, point: Trim) -> pd.DataFrame:
+        """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
+        at = self.trims.index(point)
+        risk, causes = self._risk(at, {})
+        if risk > self.envelope.risk:
+            raise ValueError(
+                f"Got an envelope that trimmed flight at {point.airspeed:g} m/s leaves in {risk:.0%} of cases within "
+                f"{self.pause:g} s, by {causes}, but expected at most {self.envelope.risk:.0%}: widen this limit, "
+                "choose another airspeed or altitude, or weaker gusts."
+            )
+        return self._flown_by(at, {})
+
+    def _risk(self, at: int, inputs: Mapping[str, Signal]) -> tuple[float, str]:
+        """Return the predicted risk that a manoeuvre leaves the envelope, and the limits that it leaves."""
+        draws: dict[str, Any] = {}
+        if self.aerodynamics.is_uncertain:
+            draws = {"n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed}
+        flight = self._flown_by(at, inputs, **draws)
+        left = self.envelope.left(flight, self.aircraft, self.aerodynamics)
+        by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
+        shares = by_path.mean().sort_values(ascending=False)
+        causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
+        n_left = int(by_path.any(axis=1).sum())
+        if not draws:
+            return float(n_left), causes
+        return (n_left + 1) / (self.n_paths + 2), causes
+
+    def _known(self, known: Information | None, holds: list[pd.DataFrame]) -> Information:
+        """Return the information before the flight."""
+        names, d = self.aerodynamics.regressors, len(self.aerodynamics.regressors)
+        nothing = Information(np.zeros((len(self.coefficients), 1 + d, 1 + d)), tuple(self.coefficients), tuple(names))
+        if known is not None:
+            return nothing + known  # which checks names
+        if not self.aerodynamics.is_uncertain:
+            return nothing
+        at = np.mean([regressors_of(one, self.aircraft, names)[0] for one in holds], axis=0)
+        return posterior_information(self.model, at, self.coefficients)
+
+    def _library(self, bands: pd.DataFrame | None) -> Iterator[_Manoeuvre]:
+        """Yield the manoeuvres that fit into the time and can be flown by the mean."""
+        for at, point in enumerate(self.trims):
+            found = bands
+            if found is None:
+                linear = linearize(self.model, self.aircraft, point, inputs=self.axes, thrust=self.thrust)
+                found = input_bands(linear)
+            label = f"{point.airspeed:g} m/s: " if len({one.airspeed for one in self.trims}) > 1 else ""
+            label += (
+                f"bank {np.rad2deg(point.phi):.0f} deg: " if len({round(one.phi, 3) for one in self.trims}) > 1 else ""
+            )
+            for name, inputs in self._inputs(found.loc[self.axes]):
+                seconds = max(signal.duration for signal in inputs.values()) + self.pause
+                if seconds + self.pause <= self.seconds:
+                    notify(f"planning: {label}{name}", 0, 0.0)
+                    made = self._made(label + name, at, inputs, seconds)
+                    if made is not None:
+                        yield made
+
+    def _inputs(self, bands: pd.DataFrame) -> Iterator[tuple[str, dict[str, Signal]]]:
+        """Yield names and inputs of the library, as large as the limits allow."""
+        for axis in self.axes:
+            limit = self.limits[axis]
+            for factor in WIDTHS:
+                for kind, make in (("doublet", doublet), ("3-2-1-1", three_two_one_one)):
+                    width = factor * bands.loc[axis, f"{make.__name__}_width"]
+                    signal = limit.largest(make(width, limit.amplitude, limits=replace(limit, rms=np.inf)))
+                    yield f"{axis} {kind} {width:.2f} s", {axis: signal}
+        groups = {tuple(group) for n in (1, len(self.axes)) for group in combinations(self.axes, n)}
+        for group in sorted(groups, key=lambda one: (len(one), self.axes.index(one[0]))):
+            low, high = bands.loc[list(group), "lowest"].min(), bands.loc[list(group), "highest"].max()
+            for duration in MULTISINES:
+                n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
+                tones = min(MOST_TONES, n // len(group))
+                if tones > 1:
+                    limits = {axis: self.limits[axis] for axis in group}
+                    inputs = orthogonal_multisines(
+                        limits, duration, (low, high), n_tones=tones, n_starts=STARTS, random_state=self.seed
+                    )
+                    yield f"{'+'.join(group)} multisine {duration:g} s", dict(inputs)
+
+    def _made(self, name: str, at: int, inputs: dict[str, Signal], seconds: float) -> _Manoeuvre | None:
+        """Return a manoeuvre with its information, or None if the mean does not fly it to its end."""
+        flight = self._flown_by(at, inputs)
+        if (flight["ended"] != "").any():
+            return None
+        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        return _Manoeuvre(name, at, inputs, seconds, found, flight)
+
+    def _gain(self, chosen: Sequence[_Manoeuvre]) -> float:
+        """Return the mean of minus the logarithm of the standard errors of the goal."""
+        fisher = self.before.fisher + self.vague
+        for one in chosen:
+            fisher = fisher + one.information.fisher
+        scale = np.sqrt(np.einsum("pdd->pd", fisher))
+        inverse = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])
+        return float(-np.mean([0.5 * np.log(inverse[i, k, k]) - np.log(scale[i, k]) for i, k in self.goal]))
+
+    def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
+        flights = len({one.at for one in chosen})
+        return sum(one.seconds for one in chosen) + flights * self.pause <= self.seconds + 1e-9
+
+    def _filled(self, chosen: list[_Manoeuvre], library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
+        """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
+        while options := [one for one in library if self._fits([*chosen, one])]:
+            now = self._gain(chosen)
+            chosen = [*chosen, max(options, key=lambda one: (self._gain([*chosen, one]) - now) / one.seconds)]
+        return chosen
+
+    def _sequence(self, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
+        """Return the best sequence that is found: greedy, or one repeated, with exchanges while they help."""
+        starts = [self._filled([], library), *(self._filled([], [one]) for one in library)]
+        best = self._filled(max(starts, key=self._gain), library)
+        while True:
+            swaps = [
+                self._filled([*best[:k], one, *best[k + 1 :]], [])
+                for k in range(len(best))
+                for one in library
+                if one is not best[k] and self._fits([*best[:k], one, *best[k + 1 :]])
+            ]
+            better = self._filled(max(swaps, key=self._gain), library) if swaps else best
+            if self._gain(better) <= self._gain(best) + 1e-6:
+                return best
+            best = better
+
+    def _searched(self, library: dict[str, _Manoeuvre]) -> tuple[list[_Manoeuvre], dict[str, _Manoeuvre]]:
+        """Return the chosen manoeuvres, all of them safe, and the library."""
+        causes = ""
+        try:
+            while chosen := self._sequence([*library.values()]):
+                n_checked = sum(one.risk is not None for one in library.values())
+                notify(f"planning: {len(chosen)} manoeuvres, {n_checked} kinds checked", 0, 0.0)
+                unchecked = next((one for one in chosen if one.risk is None), None)
+                if unchecked is None:
+                    break
+                safe, causes = self._safe(unchecked)
+                del library[unchecked.name]
+                if safe is not None:
+                    library[safe.name] = safe
+        except KeyboardInterrupt:
+            chosen = self._sequence([one for one in library.values() if one.risk is not None])
+            if not chosen:
+                raise
+        if not chosen:
+            raise ValueError(
+                f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
+                f"{SCALES[-1]:.0%} of the limits; the last one by {causes}: widen this limit, allow more growth "
+                "or risk, plan for weaker gusts, or fly another airspeed or altitude."
+            )
+        return chosen, library
+
+    def _safe(self, one: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
+        """Return a manoeuvre that is made smaller until it is safe, or None and the limits that it leaves."""
+        causes = ""
+        for scale in SCALES:
+            inputs = {axis: signal.scaled(scale) for axis, signal in one.inputs.items()}
+            risk, causes = self._risk(one.at, inputs)
+            if risk <= self.envelope.risk:
+                made = self._made(one.name, one.at, inputs, one.seconds)
+                if made is not None:
+                    risk = risk if self.aerodynamics.is_uncertain else np.nan
+                    return replace(made, scale=scale, risk=risk), causes
+        return None, causes
+
+    def _plan_of(self, chosen: list[_Manoeuvre], library: dict[str, _Manoeuvre]) -> Plan:
+        """Return the plan of manoeuvres, those of one trim together."""
+        chosen = sorted(chosen, key=lambda one: one.at)
+        trains, rows, gained = [], [], self._gain([])
+        flights: list[pd.DataFrame] = []
+        for at in sorted({one.at for one in chosen}):
+            here = [one for one in chosen if one.at == at]
+            trains.append(wavetrain([one.inputs for one in here], pause=self.pause, limits=self.limits))
+            start = self.pause
+            for one in here:
+                flights.append(one.flight.assign(flight=len(flights)))
+                gain = self._gain(chosen[: len(flights)]) - gained
+                gained += gain
+                rows.append({
+                    "train": len(trains) - 1, "airspeed": self.trims[at].airspeed, "start": start, "name": one.name,
+                    "duration": one.seconds - self.pause, "scale": one.scale, "risk": one.risk,
+                    "gain": -np.expm1(-gain), "gain_per_second": gain / one.seconds,
+                })  # fmt: skip
+                start += one.seconds
+        alone = [
+            {"name": one.name, "scale": one.scale, "risk": np.nan if one.risk is None else one.risk,
+             "gain": -np.expm1(self._gain([]) - self._gain(self._filled([], [one])))}
+            for one in library.values()
+        ]  # fmt: skip
+        flight = pd.concat(flights, ignore_index=True)
+        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        return Plan(
+            tuple(trains), tuple(self.trims[at] for at in sorted({one.at for one in chosen})), self.goal_names,
+            self.before, self.before + found, pd.DataFrame(rows), pd.DataFrame(alone), flight,
+        )  # fmt: skip
+
+
+def _named(information: Information) -> pd.Series:
+    """Return standard errors by the names of derivatives."""
+    errors = information.std
+    names = [f"{i}_{name.removesuffix(HAT)}" for i in errors.index for name in errors.columns]
+    return pd.Series(errors.to_numpy(float).ravel(), index=names)

@@ -1,0 +1,179 @@
+"""A planned flight: what it teaches, what it risks, and what cannot be planned."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp import listening
+from skdgp.design import Envelope, Information, _plan, expected_information, plan, posterior_information
+from skdgp.dynamics import Aerodynamics, Turbulence, simulate
+
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+# Coefficients CX ... Cn by 1 and the regressors; lift and drag are linear here.
+TABLE = np.array([
+    [-0.01, 0.2, 0, 0, 0, 0, 0, 0, 0],
+    [0, 0, -0.5, 0, 0, 0, 0, 0, 0.1],
+    [-0.3, -4.5, 0, 0, 0, 0, 0, 0, 0],
+    [0, 0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0],
+    [0.02, -0.6, 0, 0, -9, 0, -1, 0, 0],
+    [0, 0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
+])  # fmt: skip
+SPREAD = 0.08
+NOISE = pd.DataFrame({"white": 0.002, "drift": 0.002, "memory": 0.5}, index=["CZ", "Cm"])
+AXES = {
+    "axes": ["elevator"],
+    "limits": {"elevator": 0.06},
+    "noise": NOISE,
+    "airspeeds": 20.0,
+    "n_paths": 30,
+    "gusts": None,
+}
+BANDS = pd.DataFrame(
+    {"doublet_width": 0.4, "three_two_one_one_width": 0.3, "lowest": 0.3, "highest": 1.2}, index=["elevator"]
+)
+
+
+def features(X):
+    return np.concatenate([np.ones((*X.shape[:-1], 1)), X], axis=-1)
+
+
+@pytest.fixture(scope="module")
+def model():
+    """Return a model whose derivatives are known to eight parts in a hundred."""
+
+    def sampler(n_paths, random_state):
+        draws = np.random.default_rng(random_state).standard_normal((n_paths, *TABLE.shape))
+        table = TABLE * (1 + SPREAD * draws)
+        return (
+            lambda X: np.einsum("knd,kpd->knp", features(X), table),
+            lambda X: np.broadcast_to(table[:, None, :, 1:], (*X.shape[:2], 6, 8)),
+        )
+
+    def covariance(X):
+        blocks = [features(X) @ np.diag((SPREAD * row) ** 2 + 1e-8) @ features(X).T for row in TABLE]
+        return np.einsum("pq,pnm->pnqm", np.eye(6), blocks).reshape(6 * len(X), -1)
+
+    low = np.array([-0.1, -0.2, -0.1, -0.03, -0.1, -0.3, -0.3, -0.3])
+    return Aerodynamics(
+        lambda X: features(X) @ TABLE.T, NAMES, gradient=lambda X: np.broadcast_to(TABLE[:, 1:], (len(X), 6, 8)),
+        sampler=sampler, covariance=covariance, limits=[low, -low + [0.2, 0, 0, 0, 0, 0, 0, 0]],
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def planned(model, uav):
+    with listening(lambda *progress: seen.append(progress)):
+        seen = []
+        found = plan(
+            model, uav, seconds=15.0, goal=["Cm_alpha", "Cm_q"], bands=BANDS, envelope=Envelope(alpha=(-0.03, 0.055)),
+            **AXES | {"gusts": Turbulence.low_altitude(100.0, 1.5)},
+        )  # fmt: skip
+    return found, seen
+
+
+def test_expected_errors_are_those_of_the_whole_flight(planned, model, uav):
+    found, seen = planned
+    whole = found.before + expected_information(found.flight, uav, NAMES, NOISE)
+    np.testing.assert_allclose(found.errors["after"], whole.std.loc["Cm", ["alpha", "q_hat"]])
+    pd.testing.assert_frame_equal(found.confounded, whole.confounded())
+    assert (found.errors["after"] < found.errors["before"]).all()
+    gains = found.manoeuvres["gain"]
+    assert 1 - np.prod(1 - gains) == pytest.approx(
+        1 - np.sqrt((found.errors["after"] / found.errors["before"]).prod()), rel=1e-3
+    )
+    assert seen[0] == ("planning: trims", 0, 0.0)
+
+
+def test_the_time_is_kept_and_nothing_alone_teaches_more(planned):
+    found, _ = planned
+    assert found.trains[0].duration + 3.0 <= 15.0
+    assert found.trains[0].table(50.0)["elevator"].abs().max() <= 0.06
+    checked = found.alone[found.alone["risk"].notna()]
+    assert 1 - np.prod(1 - found.manoeuvres["gain"]) >= checked["gain"].max() - 1e-6
+
+
+@pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
+def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
+    found, _ = planned
+    assert (found.manoeuvres["risk"] <= 0.05).all()
+    assert (found.manoeuvres["scale"] < 1).any()  # alpha was the limit
+    for _, one in found.manoeuvres.drop_duplicates("name").iterrows():
+        table = found.trains[0].table(50.0, trim=found.trims[0].controls, pause=3.0)
+        table = table[table["time"].between(one["start"], one["start"] + one["duration"] + 3.0)]
+        paths = simulate(
+            model, uav, found.trims[0], table, 0.04, n_paths=200, random_state=7,
+            gusts=Turbulence.low_altitude(100.0, 1.5),
+        )  # fmt: skip
+        left = Envelope(alpha=(-0.03, 0.055)).left(paths, uav, model).groupby(paths["flight"], observed=True).any()
+        assert left.any(axis=1).mean() <= 0.05 + 0.03
+
+
+def test_the_same_seed_gives_the_same_plan(model, uav):
+    options = {"seconds": 8.0, "goal": ["Cm_q"], "bands": BANDS, "random_state": 3}
+    one, two = (plan(model, uav, **AXES, **options) for _ in range(2))
+    pd.testing.assert_frame_equal(one.manoeuvres, two.manoeuvres)
+    np.testing.assert_array_equal(one.after.fisher, two.after.fisher)
+
+
+def test_the_posterior_is_the_information_of_a_linear_model(model):
+    found = posterior_information(model, np.full(8, 0.01))
+    expected = np.sqrt((SPREAD * TABLE[:, 1:]) ** 2 + 1e-8)
+    np.testing.assert_allclose(found.std, expected, rtol=1e-3)
+    constant = np.linalg.inv(found.fisher)[:, 0, 0]
+    np.testing.assert_allclose(constant, (SPREAD * TABLE[:, 0]) ** 2 + 1e-8, rtol=1e-3, atol=1e-8)
+
+
+def test_ctrl_c_keeps_what_was_checked(model, uav):
+    def stop(stage, *_):
+        if ", 1 kinds checked" in stage:
+            raise KeyboardInterrupt
+
+    with listening(stop):
+        found = plan(model, uav, seconds=12.0, bands=BANDS, **AXES)
+    assert found.alone["risk"].notna().sum() == 1
+    assert found.manoeuvres["name"].nunique() == 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"goal": ["Cm_alpha_dot"]}, "Cm_alpha_dot.*learn a model with that regressor"),
+        ({"goal": []}, "Got the goal"),
+        ({"axes": ["elevator", "flaps"]}, "flaps"),
+        ({"limits": {"aileron": 0.1}}, "aileron"),
+        ({"seconds": 5.0}, "give more seconds, a shorter pause"),
+        ({"rate": 10.0}, "Got a rate of 10 Hz"),
+        ({"n_paths": 5}, "at least 18"),
+        ({"envelope": Envelope(altitude=200.0)}, "trimmed flight at 20 m/s leaves .* by altitude"),
+        ({"seconds": 7.0, "limits": {"elevator": 1.8}}, "every manoeuvre leaves .* growth of elevator"),
+        ({"known": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
+    ],
+)
+def test_what_cannot_be_planned_is_said(model, uav, changed, words):
+    options = {"seconds": 20.0, "bands": BANDS} | AXES | changed
+    with pytest.raises(ValueError, match=words):
+        plan(model, uav, **options)
+
+
+def test_limits_are_what_was_flown(model, uav):
+    options = AXES | {"limits": None, "n_paths": 30, "seconds": 7.0, "bands": BANDS, "goal": ["Cm_elevator"]}
+    found = plan(model, uav, **options)
+    elevator = found.trims[0].controls["elevator"]
+    assert found.trains[0].limits["elevator"].amplitude == pytest.approx(0.3 - abs(elevator))
+    with pytest.warns(UserWarning, match="risks are those of calm air"), pytest.raises(ValueError, match="no trim"):
+        plan(model, uav, **options | {"gusts": "as flown", "airspeeds": 1.0})
+    with pytest.raises(ValueError, match="does not say what was flown"):
+        plan(Aerodynamics(model.function, NAMES), uav, **options)
+
+
+def test_pitch_rate_is_told_from_alpha_dot_in_a_turn(uav, monkeypatch):
+    """In level flight the two differ by the slow turn of the flight path alone; here the bank angle changes."""
+    monkeypatch.setattr(_plan, "WIDTHS", (2.5,))  # few candidates, for time
+    monkeypatch.setattr(_plan, "MULTISINES", ())
+    table = np.column_stack([TABLE, [0, 0, 0, 0, -3, 0]])
+    model = Aerodynamics(lambda X: features(X) @ table.T, [*NAMES, "alpha_dot_hat"])
+    axes = {"elevator": 0.12, "aileron": 0.12}
+    options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
+    found = plan(model, uav, **options, seconds=20.0, goal=["Cm_q", "Cm_alpha_dot"], banks=(1.0,))
+    assert abs(found.after.correlation("Cm").loc["q_hat", "alpha_dot_hat"]) < 0.7
+    assert {"alpha_dot_hat", "q_hat"} not in [set(pair) for pair in found.confounded[["first", "second"]].to_numpy()]

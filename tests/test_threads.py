@@ -99,7 +99,7 @@ class TestInterrupt:
         timer = self.press_soon()
 
         def until_stopped(task):
-            stop.wait(10)
+            stop.wait(2)
             return task
 
         assert thread_map(until_stopped, range(threads), stop) == list(range(threads))

@@ -1,9 +1,10 @@
 """Design of flights: inputs that excite an aircraft, their sequences, and what they teach."""
 
 from skdgp.design._bands import input_bands
-from skdgp.design._information import Information, coefficient_noise, expected_information
+from skdgp.design._envelope import Envelope
+from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
 from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
-from skdgp.design._plan import Envelope, Plan, plan, posterior_information
+from skdgp.design._plan import Plan, plan
 from skdgp.design._signals import (
     Chirp,
     Limits,

@@ -9,19 +9,23 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array, Matrix
-from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, RATE_LENGTHS, rate_factor
+from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_columns, check_names, check_table
 from skdgp._flight.clock import check_clock
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, as_aerodynamics
 
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 UNKNOWN = 1e-10
 """Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
 NO_SHARE = 1e-6
 """Share of a regressor in such a combination below which it does not matter."""
+SECANT = 0.25
+"""Part of the range of a regressor over which a posterior's slope is taken; absolute without a range."""
+SMALL = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +137,7 @@ def expected_information(
     >>> import numpy as np
     >>> import pandas as pd
     >>> from skdgp.design import expected_information
-    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.dynamics import Aircraft, as_aerodynamics
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
     >>> time = np.arange(0, 10, 0.02)
     >>> flight = pd.DataFrame({"time": time, "alpha": 0.05 * np.sin(3 * time), "elevator": 0.05 * np.cos(3 * time)})
@@ -263,3 +267,55 @@ def _inverse(fisher: Matrix) -> Matrix:
     lost = ~seen | ((vectors[:, ~known] ** 2).sum(axis=1) > NO_SHARE)
     inverse[lost, lost] = np.inf
     return inverse
+
+
+def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
+    r"""Return what a model knows of its derivatives: the inverse of their posterior covariance.
+
+    A slope is that over a quarter of the range of its regressor to either side.
+
+    Parameters
+    ----------
+    model : Pipeline, estimator or Aerodynamics
+        With a posterior.
+    at : array-like of shape (d,)
+        Regressors.
+    coefficients : sequence of str
+        By default all six.
+
+    Returns
+    -------
+    Information
+
+    Raises
+    ------
+    ValueError
+        If the model has no posterior covariance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.design import posterior_information
+    >>> from skdgp.dynamics import Aerodynamics
+    >>> def covariance(X):        # of CX = a + b alpha, a and b with standard deviations 0.1 and 0.5
+    ...     one = 0.01 + 0.25 * X @ X.T
+    ...     return np.kron(np.eye(6), one)
+    >>> model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha"], covariance=covariance)
+    >>> posterior_information(model, [0.0]).std.loc["Cm", "alpha"].round(3).item()
+    0.5
+    """
+    aerodynamics = as_aerodynamics(model)
+    at, d = np.asarray(at, dtype=float), len(aerodynamics.regressors)
+    size = np.full(d, SMALL) if aerodynamics.limits is None else SECANT * np.ptp(aerodynamics.limits, axis=0)
+    size = np.where(size > 0, size, SMALL)
+    points = np.concatenate([at[None], at + np.diag(size), at - np.diag(size)])
+    slopes = np.concatenate([np.zeros((d, 1)), np.diag(0.5 / size), -np.diag(0.5 / size)], axis=1)
+    linear = np.concatenate([np.eye(1, 1 + 2 * d), slopes])
+    linear[0] -= at @ slopes  # the constant of a coefficient that is linear in the regressors
+    covariance = aerodynamics.covariance(points).reshape(6, 1 + 2 * d, 6, 1 + 2 * d)
+    rows = [COEFFICIENTS.index(name) for name in coefficients]
+    found = np.stack([linear @ covariance[k, :, k] @ linear.T for k in rows])
+    scale = np.sqrt(np.maximum(np.einsum("pdd->pd", found), np.finfo(float).tiny))
+    scaled = found / scale[:, :, None] / scale[:, None] + 1e-9 * np.eye(1 + d)
+    fisher = np.linalg.inv(scaled) / scale[:, :, None] / scale[:, None]
+    return Information(fisher, tuple(coefficients), aerodynamics.regressors)

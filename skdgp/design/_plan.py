@@ -16,10 +16,17 @@ from sklearn.utils import check_random_state
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Seed
-from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._information import Information, coefficient_noise, expected_information, regressors_of
+from skdgp.design._envelope import Envelope
+from skdgp.design._information import (
+    Information,
+    coefficient_noise,
+    expected_information,
+    posterior_information,
+    regressors_of,
+)
 from skdgp.design._multisines import orthogonal_multisines
 from skdgp.design._signals import Limits, Signal, doublet, three_two_one_one
 from skdgp.design._wavetrain import Wavetrain, wavetrain
@@ -46,76 +53,8 @@ STARTS = 2
 """Searches for the phases of a multisine."""
 SCALES = (1.0, 0.7, 0.5, 0.35, 0.25)
 """By which a manoeuvre is made smaller until it is safe."""
-SECANT = 0.25
-"""Part of the range of a regressor over which a posterior's slope is taken; absolute without a range."""
-SMALL = 0.05
 VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
-GRAVITY = 9.80665
-
-
-@dataclass(frozen=True)
-class Envelope:
-    """What a flight must not leave, and the risk that is accepted.
-
-    Parameters
-    ----------
-    alpha, beta : tuple of float
-        Lowest and highest [rad].
-    load_factor : tuple of float
-        Lowest and highest of -az / g.
-    bank : float
-        Largest, to either side [rad].
-    airspeed : tuple of float
-        Lowest and highest [m/s].
-    altitude : float
-        Lowest [m].
-    growth : float, default=0.2
-        By which part of its range a regressor may leave what the model was learned from; inf: no limit.
-    risk : float, default=0.05
-        Largest probability that a manoeuvre leaves any of these.
-
-    Examples
-    --------
-    >>> from skdgp.design import Envelope
-    >>> Envelope(bank=0.8, altitude=60.0, risk=0.01).alpha
-    (-inf, inf)
-    """
-
-    alpha: tuple[float, float] = (-np.inf, np.inf)
-    beta: tuple[float, float] = (-np.inf, np.inf)
-    load_factor: tuple[float, float] = (-np.inf, np.inf)
-    bank: float = np.inf
-    airspeed: tuple[float, float] = (0.0, np.inf)
-    altitude: float = -np.inf
-    growth: float = 0.2
-    risk: float = 0.05
-
-    def __post_init__(self) -> None:
-        for name in ("alpha", "beta", "load_factor", "airspeed"):
-            low, high = getattr(self, name)
-            if not low < high:
-                raise ValueError(f"Got {name}=({low}, {high}), but expected the lowest and the highest value.")
-        if not (self.bank > 0 and self.growth >= 0 and 0 < self.risk < 1):
-            raise ValueError(
-                f"Got bank={self.bank}, growth={self.growth}, risk={self.risk}, but expected bank > 0, growth >= 0 and "
-                "a risk between 0 and 1."
-            )
-
-    def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
-        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
-        values = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
-        values |= {"load_factor": -flight["az"].to_numpy(float) / GRAVITY, "bank": flight["phi"].to_numpy(float)}
-        bounds = {name: getattr(self, name) for name in values}
-        bounds |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
-        found = {name: (values[name] < low) | (values[name] > high) for name, (low, high) in bounds.items()}
-        if model.limits is not None and np.isfinite(self.growth):
-            X = regressors_of(flight, aircraft, model.regressors)
-            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
-            for k, name in enumerate(model.regressors):
-                outside = (X[:, k] < model.limits[0, k] - grown[k]) | (X[:, k] > model.limits[1, k] + grown[k])
-                found[f"growth of {name}"] = outside
-        return pd.DataFrame(found | {"ended": flight["ended"].to_numpy() != ""})
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,58 +224,6 @@ def plan(
             np.atleast_1d(np.asarray(airspeeds, dtype=float)), seconds, axes, goal, limits, altitude, banks, known,
             coefficient_noise(model) if noise is None else noise, bands,
         )  # fmt: skip
-
-
-def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
-    r"""Return what a model knows of its derivatives: the inverse of their posterior covariance.
-
-    A slope is that over a quarter of the range of its regressor to either side.
-
-    Parameters
-    ----------
-    model : Pipeline, estimator or Aerodynamics
-        With a posterior.
-    at : array-like of shape (d,)
-        Regressors.
-    coefficients : sequence of str
-        By default all six.
-
-    Returns
-    -------
-    Information
-
-    Raises
-    ------
-    ValueError
-        If the model has no posterior covariance.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skdgp.design import posterior_information
-    >>> from skdgp.dynamics import Aerodynamics
-    >>> def covariance(X):        # of CX = a + b alpha, a and b with standard deviations 0.1 and 0.5
-    ...     one = 0.01 + 0.25 * X @ X.T
-    ...     return np.kron(np.eye(6), one)
-    >>> model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha"], covariance=covariance)
-    >>> posterior_information(model, [0.0]).std.loc["Cm", "alpha"].round(3).item()
-    0.5
-    """
-    aerodynamics = as_aerodynamics(model)
-    at, d = np.asarray(at, dtype=float), len(aerodynamics.regressors)
-    size = np.full(d, SMALL) if aerodynamics.limits is None else SECANT * np.ptp(aerodynamics.limits, axis=0)
-    size = np.where(size > 0, size, SMALL)
-    points = np.concatenate([at[None], at + np.diag(size), at - np.diag(size)])
-    slopes = np.concatenate([np.zeros((d, 1)), np.diag(0.5 / size), -np.diag(0.5 / size)], axis=1)
-    linear = np.concatenate([np.eye(1, 1 + 2 * d), slopes])
-    linear[0] -= at @ slopes  # the constant of a coefficient that is linear in the regressors
-    covariance = aerodynamics.covariance(points).reshape(6, 1 + 2 * d, 6, 1 + 2 * d)
-    rows = [COEFFICIENTS.index(name) for name in coefficients]
-    found = np.stack([linear @ covariance[k, :, k] @ linear.T for k in rows])
-    scale = np.sqrt(np.maximum(np.einsum("pdd->pd", found), np.finfo(float).tiny))
-    scaled = found / scale[:, :, None] / scale[:, None] + 1e-9 * np.eye(1 + d)
-    fisher = np.linalg.inv(scaled) / scale[:, :, None] / scale[:, None]
-    return Information(fisher, tuple(coefficients), aerodynamics.regressors)
 
 
 @dataclass(frozen=True, eq=False)

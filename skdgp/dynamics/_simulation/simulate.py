@@ -259,11 +259,8 @@ def _drift_besides_gusts(drift: Drift, motion: Motion, start_speed: float) -> Dr
         name = regressor.removesuffix(TRUTH_SUFFIX)
         rate = name.removesuffix(HAT)
         if rate in BODY_RATES:
-            factor = (
-                1.0
-                if rate == name
-                else float(rate_factor(rate, getattr(motion.aircraft, RATE_LENGTHS[rate]), np.array(speed)))
-            )
+            length = getattr(motion.aircraft, RATE_LENGTHS[rate])
+            factor = 1.0 if rate == name else rate_factor(rate, length, np.array(speed))
             slopes[:, BODY_RATES.index(rate)] += gradient[:, k] * factor
     return model.turbulence.without_rotation(drift, slopes, speed, motion.aircraft.span)
 

@@ -304,19 +304,22 @@ class MultiOutputKernel(Kernel):
         expected = sum(f.n_elements for f in self.free_parameters())
         if theta.shape != (expected,):
             raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
-        start = 0
-        for f in self.free_parameters():
+        free, start, values = self.free_parameters(), 0, {}
+        for f in free:
             if f.n_elements:
                 part = theta[start : start + f.n_elements]
                 start += f.n_elements
-                value = self._value(f.name).copy()
-                free = f.index >= 0
-                value[free] = (np.exp(part) if f.log else part)[f.index[free]]
-                setattr(self, f.name, value)
+                value, chosen = self._value(f.name).copy(), f.index >= 0
+                value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
+                values[f.name] = value
+        for name, value in values.items():
+            setattr(self, name, value)
+        self._cache = {"free": free}  # other values, the same parameters
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""
         kernel = copy.copy(self)  # scikit-learn's clone copies every parameter, which costs more than a small matrix
+        kernel._cache = dict(self.__dict__.get("_cache", {}))
         kernel.theta = theta
         return kernel
 
@@ -336,7 +339,8 @@ class MultiOutputKernel(Kernel):
         return np.asarray(getattr(self, name), dtype=float)
 
     def __setattr__(self, name, value):
-        self.__dict__.pop("_cache", None)  # values derived from the parameters
+        if name != "theta":  # which sets parameters in turn
+            self.__dict__.pop("_cache", None)  # values derived from the parameters
         super().__setattr__(name, value)
 
     def __getstate__(self):

@@ -11,6 +11,9 @@ from skdgp.design._information import regressors_of
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
+QUANTITIES = ("alpha", "beta", "load_factor", "bank", "airspeed", "altitude")
+GROWTH = "growth of "
+
 
 @dataclass(frozen=True)
 class Envelope:
@@ -60,20 +63,41 @@ class Envelope:
                 "a risk between 0 and 1."
             )
 
+    def limits(self, model: Aerodynamics) -> pd.DataFrame:
+        """Return the ``low`` and ``high`` of each limit: of the six quantities, and of the regressors' growth."""
+        found = {name: getattr(self, name) for name in ("alpha", "beta", "load_factor", "airspeed")}
+        found |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
+        if model.limits is not None and np.isfinite(self.growth):
+            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
+            ends = np.stack([model.limits[0] - grown, model.limits[1] + grown], axis=1)
+            found |= {f"{GROWTH}{name}": tuple(pair) for name, pair in zip(model.regressors, ends, strict=True)}
+        return pd.DataFrame.from_dict(found, orient="index", columns=["low", "high"])
+
     def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
         """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
-        values = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
-        values |= {
-            "load_factor": -flight["az"].to_numpy(float) / STANDARD_GRAVITY,
-            "bank": flight["phi"].to_numpy(float),
-        }
-        bounds = {name: getattr(self, name) for name in values}
-        bounds |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
-        found = {name: (values[name] < low) | (values[name] > high) for name, (low, high) in bounds.items()}
-        if model.limits is not None and np.isfinite(self.growth):
+        limits = self.limits(model)
+        values = quantities(flight)
+        if len(limits) > len(QUANTITIES):
             X = regressors_of(flight, aircraft, model.regressors)
-            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
-            for k, name in enumerate(model.regressors):
-                outside = (X[:, k] < model.limits[0, k] - grown[k]) | (X[:, k] > model.limits[1, k] + grown[k])
-                found[f"growth of {name}"] = outside
-        return pd.DataFrame(found | {"ended": flight["ended"].to_numpy() != ""})
+            values = values.join(pd.DataFrame(X, flight.index, [f"{GROWTH}{name}" for name in model.regressors]))
+        values = values[list(limits.index)]
+        found = (values < limits["low"]) | (values > limits["high"])
+        return found.reset_index(drop=True).assign(ended=flight["ended"].to_numpy() != "")
+
+
+def quantities(flight: pd.DataFrame) -> pd.DataFrame:
+    """Return what an envelope limits, of each row of a flight; angles in radians, load factor -az / g."""
+    found = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
+    found["load_factor"] = -flight["az"].to_numpy(float) / STANDARD_GRAVITY
+    found["bank"] = flight["phi"].to_numpy(float)
+    return pd.DataFrame(found, index=flight.index)[list(QUANTITIES)]
+
+
+def with_band(flight: pd.DataFrame, paths: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
+    """Return a flight with the central share of others at its times: columns such as ``alpha_low``, ``alpha_high``."""
+    others = quantities(paths).to_numpy().reshape(-1, len(flight), len(QUANTITIES))
+    flown = np.isfinite(others).any(axis=0).all(axis=-1)
+    bounds = np.full((2, *others.shape[1:]), np.nan)
+    bounds[:, flown] = np.nanquantile(others[:, flown], [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+    names = [[f"{name}_{end}" for name in QUANTITIES] for end in ("low", "high")]
+    return pd.concat([flight, *(pd.DataFrame(b, flight.index, n) for b, n in zip(bounds, names, strict=True))], axis=1)

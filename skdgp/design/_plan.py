@@ -19,7 +19,7 @@ from skdgp._compute.typing import Seed
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._envelope import Envelope
+from skdgp.design._envelope import Envelope, with_band
 from skdgp.design._information import (
     Information,
     coefficient_noise,
@@ -80,7 +80,12 @@ class Plan:
         What each manoeuvre of the library would teach if it were repeated for the whole time: ``name``, ``scale``,
         ``risk`` (NaN: not simulated), ``gain``.
     flight : DataFrame
-        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
+        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them. Of a model with a
+        posterior also what holds 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on for beta,
+        load_factor, bank, airspeed and altitude.
+    limits : DataFrame
+        ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.limits`.
+    aircraft : Aircraft
     """
 
     trains: tuple[Wavetrain, ...]
@@ -91,6 +96,8 @@ class Plan:
     manoeuvres: pd.DataFrame
     alone: pd.DataFrame
     flight: pd.DataFrame
+    limits: pd.DataFrame
+    aircraft: Aircraft
 
     @property
     def errors(self) -> pd.DataFrame:
@@ -351,7 +358,7 @@ class _Planner:
     def _checked_hold(self, point: Trim) -> pd.DataFrame:
         """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
         at = self.trims.index(point)
-        risk, causes = self._risk(at, {})
+        risk, causes, _ = self._risk(at, {})
         if risk > self.envelope.risk:
             raise ValueError(
                 f"Got an envelope that trimmed flight at {point.airspeed:g} m/s leaves in {risk:.0%} of cases within "
@@ -360,8 +367,8 @@ class _Planner:
             )
         return self._flown_by(at, {})
 
-    def _risk(self, at: int, inputs: Mapping[str, Signal]) -> tuple[float, str]:
-        """Return the predicted risk that a manoeuvre leaves the envelope, and the limits that it leaves."""
+    def _risk(self, at: int, inputs: Mapping[str, Signal]) -> tuple[float, str, pd.DataFrame]:
+        """Return the predicted risk that a manoeuvre leaves the envelope, the limits it leaves, and the flights."""
         draws: dict[str, Any] = {}
         if self.aerodynamics.is_uncertain:
             draws = {"n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed}
@@ -372,8 +379,8 @@ class _Planner:
         causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
         n_left = int(by_path.any(axis=1).sum())
         if not draws:
-            return float(n_left), causes
-        return (n_left + 1) / (self.n_paths + 2), causes
+            return float(n_left), causes, flight
+        return (n_left + 1) / (self.n_paths + 2), causes, flight
 
     def _known(self, known: Information | None, holds: list[pd.DataFrame]) -> Information:
         """Return the information before the flight."""
@@ -502,12 +509,13 @@ class _Planner:
         causes = ""
         for scale in SCALES:
             inputs = {axis: signal.scaled(scale) for axis, signal in one.inputs.items()}
-            risk, causes = self._risk(one.at, inputs)
+            risk, causes, paths = self._risk(one.at, inputs)
             if risk <= self.envelope.risk:
                 made = self._made(one.name, one.at, inputs, one.seconds)
+                if made is not None and self.aerodynamics.is_uncertain:
+                    return replace(made, scale=scale, risk=risk, flight=with_band(made.flight, paths)), causes
                 if made is not None:
-                    risk = risk if self.aerodynamics.is_uncertain else np.nan
-                    return replace(made, scale=scale, risk=risk), causes
+                    return replace(made, scale=scale, risk=np.nan), causes
         return None, causes
 
     def _plan_of(self, chosen: list[_Manoeuvre], library: dict[str, _Manoeuvre]) -> Plan:
@@ -539,6 +547,7 @@ class _Planner:
         return Plan(
             tuple(trains), tuple(self.trims[at] for at in sorted({one.at for one in chosen})), self.goal_names,
             self.before, self.before + found, pd.DataFrame(rows), pd.DataFrame(alone), flight,
+            self.envelope.limits(self.aerodynamics), self.aircraft,
         )  # fmt: skip
 
 

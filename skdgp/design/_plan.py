@@ -19,7 +19,7 @@ from skdgp._compute.typing import Seed
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._envelope import Envelope, with_band
+from skdgp.design._envelope import QUANTITIES, Envelope, quantities, with_band
 from skdgp.design._information import (
     Information,
     coefficient_noise,
@@ -83,6 +83,8 @@ class Plan:
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them. Of a model with a
         posterior also what holds 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on for beta,
         load_factor, bank, airspeed and altitude.
+    parts : tuple of Information
+        Of each manoeuvre; ``after`` is ``before`` and their sum.
     limits : DataFrame
         ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.limits`.
     aircraft : Aircraft
@@ -96,14 +98,53 @@ class Plan:
     manoeuvres: pd.DataFrame
     alone: pd.DataFrame
     flight: pd.DataFrame
+    parts: tuple[Information, ...]
     limits: pd.DataFrame
     aircraft: Aircraft
 
     @property
     def errors(self) -> pd.DataFrame:
         """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known."""
-        columns = {"before": _named(self.before), "after": _named(self.after)}
+        columns = {"before": errors_of(self.before), "after": errors_of(self.after)}
         return pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
+
+    def inputs(self, k: int) -> dict[str, Signal]:
+        """Return the inputs of a row of ``manoeuvres`` by axis."""
+        row = self.manoeuvres.iloc[k]
+        events = self.trains[int(row["train"])].events()
+        return {axis: signal for axis, start, signal in events if np.isclose(start, row["start"])}
+
+    def expected(self, rows: Sequence[int]) -> pd.DataFrame:
+        """Return the ``low`` and ``high`` ends that some rows of ``manoeuvres`` are expected to reach."""
+        flight = self.flight[self.flight["flight"].isin(list(rows))]
+        values = quantities(flight)
+        ends = [
+            (flight.get(f"{name}_low", values[name]).min(), flight.get(f"{name}_high", values[name]).max())
+            for name in QUANTITIES
+        ]
+        return pd.DataFrame(ends, index=list(QUANTITIES), columns=["low", "high"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a check after the flight needs, as plain values; inputs in steps of 0.04 s."""
+        names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
+        rows = []
+        for k, row in enumerate(self.manoeuvres.to_dict("records")):
+            time = np.arange(0.0, row["duration"] + STEP, STEP)
+            inputs = {axis: signal(time).round(6).tolist() for axis, signal in self.inputs(k).items()}
+            rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
+        starts = [
+            regressors_of(one, self.aircraft, self.before.regressors)[0] for _, one in self.flight.groupby("flight")
+        ]
+        return {
+            "aircraft": self.aircraft.to_dict(),
+            "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
+            "at": dict(zip(self.before.regressors, np.mean(starts, axis=0).tolist(), strict=True)),
+            "manoeuvres": rows,
+            "limits": self.limits.to_dict("index"),
+            "errors": self.errors.to_dict("index"),
+            "confounded": self.confounded.to_dict("records"),
+            "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
+        }
 
     @property
     def confounded(self) -> pd.DataFrame:
@@ -542,16 +583,15 @@ class _Planner:
              "gain": -np.expm1(self._gain([]) - self._gain(self._filled([], [one])))}
             for one in library.values()
         ]  # fmt: skip
-        flight = pd.concat(flights, ignore_index=True)
-        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        parts = tuple(one.information for one in chosen)
         return Plan(
             tuple(trains), tuple(self.trims[at] for at in sorted({one.at for one in chosen})), self.goal_names,
-            self.before, self.before + found, pd.DataFrame(rows), pd.DataFrame(alone), flight,
-            self.envelope.limits(self.aerodynamics), self.aircraft,
+            self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
+            pd.concat(flights, ignore_index=True), parts, self.envelope.limits(self.aerodynamics), self.aircraft,
         )  # fmt: skip
 
 
-def _named(information: Information) -> pd.Series:
+def errors_of(information: Information) -> pd.Series:
     """Return standard errors by the names of derivatives."""
     errors = information.std
     names = [f"{i}_{name.removesuffix(HAT)}" for i in errors.index for name in errors.columns]

@@ -386,7 +386,7 @@ class TestPlan:
             "20",
         )
         said = run("plan", *self.WORDS, *more)
-        names = {"plan.csv", "plan.lua", "expected.csv", "plan.json", "config.toml"}
+        names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json", "config.toml"}
         assert files(tmp_path / "out") == names
         table = pd.read_csv(tmp_path / "out" / "plan.csv")
         assert table["rudder"].abs().max() <= 0.1

@@ -132,13 +132,16 @@ class Plan:
             time = np.arange(0.0, row["duration"] + STEP, STEP)
             inputs = {axis: signal(time).round(6).tolist() for axis, signal in self.inputs(k).items()}
             rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
+        trims = [self.trims[int(at)].controls for at in self.manoeuvres["train"]]
         starts = [
-            regressors_of(one, self.aircraft, self.before.regressors)[0] for _, one in self.flight.groupby("flight")
+            regressors_of(one.assign(**trims[k]), self.aircraft, self.before.regressors)[0]
+            for k, (_, one) in enumerate(self.flight.groupby("flight"))
         ]
         return {
             "aircraft": self.aircraft.to_dict(),
             "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
             "at": dict(zip(self.before.regressors, np.mean(starts, axis=0).tolist(), strict=True)),
+            "pause": float(self.manoeuvres["start"].iloc[0]),
             "manoeuvres": rows,
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),

@@ -1,4 +1,4 @@
-"""The flight card of a plan: one HTML file to print and to fly from."""
+"""The flight card of a plan, to print and to fly from; and the plan beside the flight, for the report."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import write_atomically
 from skdgp._flight.channels import HAT
-from skdgp.design import Plan, Steps
+from skdgp.design import FlownPlan, Plan, Steps
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._plan import errors_of
 from skdgp.plotting._style import PALETTE, ROLES, display_unit, tidy
@@ -103,6 +103,46 @@ def write_flight_card(
     return write_atomically(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
 
 
+def flown_plan(plan: FlownPlan) -> str:
+    """Return what a plan expected beside what was found, a section of the report on the flight."""
+    names = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
+    errors = plan.errors
+    if len(errors) <= MOST_LISTED:
+        rows = [[_derivative(name), *(_milli(row[key]) for key in names)] for name, row in _rows(errors)]
+        head, classes, each = ["", *names.values()], "narrow", ""
+    else:
+        (head, rows), classes = _by_coefficient(errors, ("found", "expected", "before")), ""
+        each = " Each cell: found and, in grey, expected and before."
+    caption = (
+        "Standard errors of derivatives, in thousandths. Expected: by the plan. Found: by the same formula, from what "
+        "the flight recorded during its manoeuvres. Of the model: of the one judged here, which knows of this flight "
+        "only if it learned from it. Geometric mean, of those before: "
+    )
+    caption += ", ".join(f"{name} {percent(value, '.0f')}{THIN}%" for name, value in plan.remaining.items())
+    tables = table(head, rows, caption=f"{caption}.{each}", classes=classes)
+    rows = [
+        [
+            f"{text(row['name'])}<br><em>{text(row['flight'])}, {number(row['start'], '.1f')}{THIN}s</em>",
+            percent(row["size"], ".0f"), number(row["likeness"], ".2f"),
+            *(f"{_range(name, row, '')}<br><em>{_range(name, row, 'expected_')}</em>" for name in QUANTITIES),
+            f'<span class="off">{text(row["left"])}</span>' if row["left"] else "none",
+        ]
+        for _, row in plan.manoeuvres.iterrows()
+    ]  # fmt: skip
+    head = ["manoeuvre", "size<br>[%]", "like<br>the plan", *map(_heading, QUANTITIES), "limits<br>left"]
+    caption = "Manoeuvres of the plan that were flown: the range of each response and, in grey, the expected one."
+    tables += table(head, rows, caption=caption)
+    if plan.missed:
+        words = ", ".join(f"{n} of {name}" for name, n in plan.missed.items())
+        tables += f'<p class="note">Planned, but not found in the flights: {text(words)}.</p>'
+    return f"<section><h2>The plan and the flight</h2>{tables}</section>"
+
+
+def _range(name: str, row: pd.Series, kind: str) -> str:
+    low, high = (row[f"{name}_{kind}{end}"] for end in ("low", "high"))
+    return DASH if np.isnan(low) else f"{_shown(name, low)} … {_shown(name, high)}"
+
+
 def _kinds(plan: Plan) -> dict[tuple, list[int]]:
     """Return the rows of ``manoeuvres`` by kind: name, wavetrain and size."""
     kinds: dict[tuple, list[int]] = {}
@@ -153,11 +193,12 @@ def _entry(plan: Plan) -> str:
 def _order(plan: Plan) -> str:
     head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size<br>[% of limit]", "risk [%]", "errors [%]", "flown"]
     rows: list[list[str]] = []
-    for k, row in enumerate(plan.manoeuvres.itertuples()):
-        if len(plan.trims) > 1 and (k == 0 or row.train != plan.manoeuvres["train"].iloc[k - 1]):
-            rows.append([_train(plan, row.train)])
-        numbers = [number(row.start, ".1f"), number(row.duration, ".1f"), percent(row.scale, ".0f"), percent(row.risk)]
-        rows.append([f"{k + 1}. {text(row.name)}", *numbers, percent(-row.gain, ".0f"), "☐"])
+    for k, row in enumerate(plan.manoeuvres.to_dict("records")):
+        if len(plan.trims) > 1 and (k == 0 or row["train"] != plan.manoeuvres["train"].iloc[k - 1]):
+            rows.append([_train(plan, row["train"])])
+        numbers = [number(row["start"], ".1f"), number(row["duration"], ".1f"), percent(row["scale"], ".0f")]
+        last = [percent(row["risk"]), percent(-row["gain"], ".0f"), "☐"]
+        rows.append([f"{k + 1}. {text(row['name'])}", *numbers, *last])
     caption = (
         "Order of flight. Risk: predicted probability of leaving a limit; if K of N flights drawn leave one, it is "
         "(K + 1) / (N + 2). Errors: change of the errors of the goal, on geometric average, by this manoeuvre after "
@@ -192,18 +233,12 @@ def _teaching(plan: Plan) -> str:
         head = ["", "before", "after", "left [%]"]
         rows = [
             [_derivative(name), *(_milli(row[c]) for c in ("before", "after")), percent(_left(row), ".0f")]
-            for name, row in errors.iterrows()
+            for name, row in _rows(errors)
         ]
         caption = "Standard errors of the derivatives of the goal, before and after the flight, in thousandths."
         shown = table(head, rows, caption=caption, classes="narrow")
     else:
-        names = list(plan.after.regressors)
-        head = ["", *(_heading(name.removesuffix(HAT), unit=False) for name in names)]
-        rows = []
-        for coefficient in plan.after.coefficients:
-            keys = [f"{coefficient}_{name.removesuffix(HAT)}" for name in names]
-            cells = [_before_after(errors.loc[key]) if key in errors.index else "" for key in keys]
-            rows.append([symbol(coefficient), *cells])
+        head, rows = _by_coefficient(errors, ("after", "before"))
         caption = "Standard errors of the derivatives, after the flight and, in grey, before it, in thousandths."
         shown = table(head, rows, caption=caption)
     pairs = plan.confounded
@@ -311,23 +346,19 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
     after = errors_of(sum((plan.parts[k] for k in rows), plan.before))[goal]
     left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
     shown = [
-        f"{_derivative(name)} to {percent(value, '.0f')}{THIN}% of its error"
-        if value > 0 else f"{_derivative(name)} to ±{number(after[name], '.2g')}"
-        for name, value in left.head(most).items() if value < SOME
+        f"{_derivative(name)} to {percent(left[name], '.0f')}{THIN}% of its error"
+        if left[name] > 0 else f"{_derivative(name)} to ±{number(after[name], '.2g')}"
+        for name in map(str, left.index[:most]) if left[name] < SOME
     ]  # fmt: skip
     return ", ".join(shown) + (", by itself" if shown else "nothing of the goal by itself")
 
 
 def _abort(plan: Plan) -> pd.DataFrame:
     """Return the limits of quantities that have one, the narrower of the envelope and of its growth."""
-    limits = plan.limits.loc[list(QUANTITIES)].copy()
-    limits.loc["airspeed", "low"] = limits.loc["airspeed", "low"] or -np.inf
-    for name in QUANTITIES:
-        grown = f"{GROWTH}{name}"
-        if grown in plan.limits.index:
-            limits.loc[name, "low"] = max(limits.loc[name, "low"], plan.limits.loc[grown, "low"])
-            limits.loc[name, "high"] = min(limits.loc[name, "high"], plan.limits.loc[grown, "high"])
-    return limits[np.isfinite(limits).any(axis=1)]
+    both = plan.limits.groupby(lambda name: name.removeprefix(GROWTH)).agg({"low": "max", "high": "min"})
+    limits = both.loc[list(QUANTITIES)]
+    limits["low"] = limits["low"].mask((limits.index == "airspeed") & (limits["low"] == 0.0), -np.inf)
+    return cast("pd.DataFrame", limits[np.isfinite(limits).any(axis=1)])
 
 
 def _pause(plan: Plan, train: int) -> float:
@@ -364,7 +395,7 @@ def _shown(name: str, value: float) -> str:
 
 
 def _value(name: str, frame: pd.DataFrame, end: str) -> str:
-    value = frame.loc[name, end] if name in frame.index else np.nan
+    value = dict(_rows(frame)).get(name, {}).get(end, np.nan)
     return _shown(name, value) if np.isfinite(value) else DASH
 
 
@@ -377,12 +408,26 @@ def _signed(value: float, form: str) -> str:
     return ("+" if value > 0 else "") + number(value, form)
 
 
-def _left(row: pd.Series) -> float:
+def _left(row: Mapping[str, float]) -> float:
     return row["after"] / row["before"] if np.isfinite(row["before"]) and row["before"] > 0 else np.nan
 
 
-def _before_after(row: pd.Series) -> str:
-    return f"{_milli(row['after'])}<br><em>{_milli(row['before'])}</em>"
+def _rows(table: pd.DataFrame) -> list[tuple[str, dict[Any, Any]]]:
+    """Return name and values of each row."""
+    return [(str(name), row) for name, row in table.to_dict("index").items()]
+
+
+def _by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Return heads and rows of a table of coefficients by regressors; all names but the first stand in grey."""
+    pairs = [name.split("_", 1) for name in errors.index]
+    known, regressors = dict(_rows(errors)), list(dict.fromkeys(second for _, second in pairs))
+    rows = []
+    for coefficient in dict.fromkeys(first for first, _ in pairs):
+        keys = [f"{coefficient}_{name}" for name in regressors]
+        shown = [[_milli(known[key][name]) for name in names] if key in known else [""] for key in keys]
+        cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in shown]
+        rows.append([symbol(coefficient), *cells])
+    return ["", *(_heading(name, unit=False) for name in regressors)], rows
 
 
 def _milli(value: float) -> str:

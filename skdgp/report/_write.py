@@ -8,6 +8,7 @@ from pathlib import Path
 
 from skdgp._compute.files import write_atomically
 from skdgp.report import _sections as sections
+from skdgp.report._card import flown_plan
 from skdgp.report._charts import thinning
 from skdgp.report._content import ReportContent
 from skdgp.report._page import can_draw, render_page
@@ -63,6 +64,7 @@ def _body(content: ReportContent) -> str:
     parts = [sections.summary(content), sections.messages(content), sections.what_was_done(content)]
     if not draw:
         parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
+    parts += [] if content.plan is None else [flown_plan(content.plan)]
     detail = Detail(time_slices(len(content.test)), thinning(content))
     parts += [sections.flight(result, content.model.noise_std, detail, draw) for result in content.test]
     if draw and content.effects is not None:

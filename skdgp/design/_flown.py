@@ -74,6 +74,8 @@ def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
     """Return what `Plan.to_dict` returns, of a plan or of the plan.json of ``python -m skdgp plan``."""
     if isinstance(plan, Plan):
         return plan.to_dict()
+    if not Path(plan).is_file():
+        raise FileNotFoundError(f"Got {plan} as the plan, but there is no such file.")
     try:
         found = json.loads(Path(plan).read_text(encoding="utf-8"))
     except ValueError:  # no JSON, or no text

@@ -97,6 +97,8 @@ def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
         compare_with_plan(plan, flown([]), uav, NOISE, BEFORE)
     with pytest.raises(ValueError, match="rudder"):
         compare_with_plan(plan, flight.drop(columns="rudder"), uav, NOISE, BEFORE)
+    with pytest.raises(FileNotFoundError, match="as the plan, but there is no such file"):
+        read_plan(tmp_path / "nowhere.json")
     for content in ("{}", "no plan"):
         (tmp_path / "plan.json").write_text(content)
         with pytest.raises(ValueError, match=r"expected the plan.json that python -m skdgp plan writes"):

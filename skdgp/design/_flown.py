@@ -57,7 +57,8 @@ class FlownPlan:
     @property
     def remaining(self) -> dict[str, float]:
         """Geometric mean of the errors over those before, ``expected``, ``found`` and of the ``model``."""
-        ratios = np.log(self.errors.div(self.errors["before"], axis=0)[["expected", "found", "model"]])
+        with np.errstate(divide="ignore"):  # nothing was known before
+            ratios = np.log(self.errors.div(self.errors["before"], axis=0)[["expected", "found", "model"]])
         return {str(name): float(np.exp(value)) for name, value in ratios.mean().items()}
 
     def to_dict(self) -> dict[str, Any]:

@@ -153,7 +153,8 @@ def _kinds(plan: Plan) -> dict[tuple, list[int]]:
 
 def _headline(plan: Plan) -> str:
     errors, rows = plan.errors, plan.manoeuvres
-    ratio = np.exp(np.log(errors["after"] / errors["before"]).mean())
+    known = np.isfinite(errors).all(axis=None)
+    ratio = np.exp(np.log(errors["after"] / errors["before"]).mean()) if known else np.nan
     seconds = sum(train.duration + _pause(plan, k) for k, train in enumerate(plan.trains))
     what = plan.goal[0] if len(plan.goal) == 1 else f"{len(plan.goal)} derivatives"
     tiles = [
@@ -162,7 +163,7 @@ def _headline(plan: Plan) -> str:
         (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre to leave the limits"),
         (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {text(what)} is left, on geometric average"),
     ]
-    if not np.isfinite(ratio):
+    if not known:
         tiles[3] = ("new", f"nothing was known of {text(what)}")
     return f'<div class="head">{"".join(f"<div><b>{n}</b><span>{words}</span></div>" for n, words in tiles)}</div>'
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.tables import column_names
+from skdgp._compute.typing import Indices
 
 
 def thin_targets(Y: Any, n_samples: int) -> Any:
@@ -46,9 +47,7 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     if values.ndim not in (1, 2):
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
     observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
-    if observed.size > n_samples:
-        middles = (np.arange(n_samples) + 0.5) * observed.size / n_samples  # of n_samples equal parts of the rows
-        values[np.setdiff1d(np.arange(len(values)), observed[middles.astype(int)])] = np.nan
+    values[np.setdiff1d(np.arange(len(values)), observed[evenly(observed.size, n_samples)])] = np.nan
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):
@@ -56,3 +55,10 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     if column_names(Y):  # a table without an index, such as polars'
         return type(Y)(dict(zip(Y.columns, values.T, strict=True))) if values.ndim == 2 else type(Y)(Y.name, values)
     return values
+
+
+def evenly(n_rows: int, n_samples: int) -> Indices:
+    """Return the middles of ``n_samples`` equal parts of the rows; all rows where there are fewer."""
+    if n_rows <= n_samples:
+        return np.arange(n_rows)
+    return ((np.arange(n_samples) + 0.5) * n_rows / n_samples).astype(int)

@@ -63,26 +63,32 @@ class Envelope:
                 "a risk between 0 and 1."
             )
 
-    def limits(self, model: Aerodynamics) -> pd.DataFrame:
-        """Return the ``low`` and ``high`` of each limit: of the six quantities, and of the regressors' growth."""
-        found = {name: getattr(self, name) for name in ("alpha", "beta", "load_factor", "airspeed")}
+    def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
+        """Return the lowest and the highest value of each channel of `channels`."""
+        found = {name: getattr(self, name) for name in ("alpha", "beta", "airspeed", "load_factor")}
         found |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
         if model.limits is not None and np.isfinite(self.growth):
             grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
-            ends = np.stack([model.limits[0] - grown, model.limits[1] + grown], axis=1)
-            found |= {f"{GROWTH}{name}": tuple(pair) for name, pair in zip(model.regressors, ends, strict=True)}
-        return pd.DataFrame.from_dict(found, orient="index", columns=["low", "high"])
+            for name, low, high in zip(model.regressors, model.limits[0] - grown, model.limits[1] + grown, strict=True):
+                found[f"growth of {name}"] = (low, high)
+        return found
+
+    def channels(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
+        """Return what is limited, along one simulated flight."""
+        values = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
+        values |= {
+            "load_factor": -flight["az"].to_numpy(float) / STANDARD_GRAVITY,
+            "bank": flight["phi"].to_numpy(float),
+        }
+        X = regressors_of(flight, aircraft, model.regressors)
+        values |= {f"growth of {name}": column for name, column in zip(model.regressors, X.T, strict=True)}
+        return pd.DataFrame(values)[[*self.bounds(model)]]
 
     def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
         """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
-        limits = self.limits(model)
-        values = quantities(flight)
-        if len(limits) > len(QUANTITIES):
-            X = regressors_of(flight, aircraft, model.regressors)
-            values = values.join(pd.DataFrame(X, flight.index, [f"{GROWTH}{name}" for name in model.regressors]))
-        values = values[list(limits.index)]
-        found = (values < limits["low"]) | (values > limits["high"])
-        return found.reset_index(drop=True).assign(ended=flight["ended"].to_numpy() != "")
+        low, high = np.array([*self.bounds(model).values()]).T
+        values = self.channels(flight, aircraft, model)
+        return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")
 
 
 def quantities(flight: pd.DataFrame) -> pd.DataFrame:

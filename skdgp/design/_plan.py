@@ -86,7 +86,7 @@ class Plan:
     parts : tuple of Information
         Of each manoeuvre; ``after`` is ``before`` and their sum.
     limits : DataFrame
-        ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.limits`.
+        ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
     """
 
@@ -590,7 +590,8 @@ class _Planner:
         return Plan(
             tuple(trains), tuple(self.trims[at] for at in sorted({one.at for one in chosen})), self.goal_names,
             self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
-            pd.concat(flights, ignore_index=True), parts, self.envelope.limits(self.aerodynamics), self.aircraft,
+            pd.concat(flights, ignore_index=True), parts,
+            pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
         )  # fmt: skip
 
 

@@ -40,7 +40,8 @@ def plan():
     one = one.assign(time=time, airspeed=20.0, altitude=100.0, az=-9.80665)
     for k, name in enumerate(QUANTITIES):
         one = one.assign(**{f"{name}_low": -1.0 - k, f"{name}_high": 1.0 + k})
-    limits = Envelope(alpha=(-0.1, 0.2), altitude=60.0).limits(Aerodynamics(linear, NAMES))
+    limits = pd.DataFrame(Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(Aerodynamics(linear, NAMES))).T
+    limits.columns = ["low", "high"]
     limits.loc["growth of alpha"] = [-0.05, 0.3]
     before = Information(np.stack([np.eye(5) * 4.0]), ("Cm",), NAMES)
     parts = tuple(Information(np.stack([np.diag(d)]), ("Cm",), NAMES)

@@ -59,7 +59,7 @@ VAGUE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flights that `plan` has chosen, and what they will teach.
+    """Flights that `plan` has chosen, and what they will teach; `skdgp.report.write_flight_card` draws them.
 
     Parameters
     ----------

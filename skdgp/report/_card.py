@@ -261,7 +261,7 @@ def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw:
     ]
     if not np.isnan(row["risk"]):
         facts.append(f"Risk of leaving a limit: {percent(row['risk'])}{THIN}%.")
-    facts.append(f"Teaches: {_most_taught(plan, rows)}.")
+    facts.append(_most_taught(plan, rows))
     words, steps = _steps(inputs, trim.controls, full)
     left = f"<p>{' '.join(facts)}</p><p><b>{words}</b></p>{steps}"
     parts = [f"<h2>{text(row['name'])}</h2>", f'<div class="pair"><div>{left}</div>{_limit_table(plan, rows)}</div>']
@@ -341,17 +341,17 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
 
 
 def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
-    """Return the derivatives of the goal whose errors these manoeuvres alone reduce most."""
+    """Return in words the derivatives of the goal whose errors these manoeuvres alone reduce most."""
     goal = list(plan.goal)
     before = errors_of(plan.before)[goal]
     after = errors_of(sum((plan.parts[k] for k in rows), plan.before))[goal]
     left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
     shown = [
-        f"{_derivative(name)} to {percent(left[name], '.0f')}{THIN}% of its error"
-        if left[name] > 0 else f"{_derivative(name)} to ±{number(after[name], '.2g')}"
+        f"{percent(left[name], '.0f')}{THIN}% of that of {_derivative(name)}"
+        if left[name] > 0 else f"{_derivative(name)} known to ±{number(after[name], '.2g')}"
         for name in map(str, left.index[:most]) if left[name] < SOME
     ]  # fmt: skip
-    return ", ".join(shown) + (", by itself" if shown else "nothing of the goal by itself")
+    return f"Errors it leaves, by itself: {', '.join(shown)}." if shown else "It teaches nothing of the goal by itself."
 
 
 def _abort(plan: Plan) -> pd.DataFrame:

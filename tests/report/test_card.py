@@ -94,8 +94,8 @@ def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):
     words = words_of(html)
     assert len(re.findall('<section class="flight">', html)) == 2
     assert "No. 1, 3 of the order, at 2.0 s, 12.0 s." in words
-    assert "Teaches: C m alpha to 20 % of its error, by itself." in words
-    assert "Teaches: C m q to 50 % of its error, by itself." in words
+    assert "Errors it leaves, by itself: 20 % of that of C m alpha ." in words
+    assert "Errors it leaves, by itself: 50 % of that of C m q ." in words
     assert re.search(r"m alpha 500 100 20 ", words)  # thousandths
 
 

@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 from sklearn.metrics import check_scoring
 from sklearn.model_selection import LeaveOneGroupOut
-from sklearn.pipeline import Pipeline
 from sklearn.utils.parallel import Parallel, delayed
 
 from skdgp._compute.sklearn_compat import safe_indexing
@@ -19,6 +17,7 @@ from skdgp._flight.checks import check_columns, check_table
 from skdgp.inference import Data, ExactPosterior, input_noise_loading
 from skdgp.metrics import score_outputs
 from skdgp.model_selection._blocks import list_splits, rows_by_flight
+from skdgp.model_selection._informative import regressor_and_inputs
 from skdgp.model_selection._thin import evenly, thin_targets
 
 
@@ -168,14 +167,8 @@ def expected_learning_curve(
     >>> curve["above"].round(1).tolist()  # only the first part of each half teaches
     [1.5, 1.4, 0.0, 0.0]
     """
-    regressor = model[-1] if isinstance(model, Pipeline) else model
-    regressor = getattr(regressor, "estimator_", regressor)  # of a CalibratedRegressor
-    if not hasattr(regressor, "posterior_"):
-        raise NotFittedError(f"Got a {type(regressor).__name__} that is not fitted: call fit first.")
     check_columns(check_table(table), ["time"])
-    names = getattr(regressor, "feature_names_in_", None)
-    X = model[:-1].transform(table) if isinstance(model, Pipeline) else table if names is None else table[list(names)]
-    X = np.asarray(X, dtype=float)
+    regressor, X = regressor_and_inputs(model, table)
     usable = np.flatnonzero(np.isfinite(X).all(axis=1))
     points, spread = (usable[evenly(len(usable), size)] for size in (n_points, n_samples))
     posterior, root = regressor.posterior_, regressor._root

@@ -6,10 +6,10 @@ FOLDER is that of the shared data. Rows: hyperparameters are learned once, from 
 processes; the posterior of 100, 300 or 1000 rows is then scored on the test flight, against truth where there is one.
 The rows are spread evenly, drawn at random, or chosen one by one from 3600 by the covariance of the model, averaged
 over the outputs with each in units of its noise: the row of the largest posterior variance (a pivoted Cholesky
-factorisation), or the row that lowers the mean posterior variance over the log most. Curve: hyperparameters are learned
-from the first sixth of the log; `expected_learning_curve` then says how far off the model will be after more of it,
-beside what is found with 600 even rows of the whole log. Each run is kept as OUT/information/NAME.json, and not run
-again unless ``--redo`` says so.
+factorisation), or the row that lowers the mean posterior variance over the log most (`informative_targets`). Curve: the
+trend alone, or with the dependent processes, learns from the first sixth of the log; `expected_learning_curve` then
+says how far off the model will be after more of it, beside what is found at these hyperparameters, with 600 even rows
+of the whole log. Each run is kept as OUT/information/NAME.json, and not run again unless ``--redo`` says so.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sklearn.linear_model import LinearRegression
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.inference import Data, ExactPosterior, input_noise_loading
 from skdgp.metrics import normalized_rmse
-from skdgp.model_selection import expected_learning_curve, thin_targets
+from skdgp.model_selection import expected_learning_curve, informative_targets, thin_targets
 
 FLIGHTS = {"viggen_latlon": "delta, to two altitudes (truth)", "ampyx_ap2": "AP2, real, other blocks"}
 LEARNED, CANDIDATES, POINTS = 600, 3600, 400
@@ -51,10 +51,10 @@ class Log:
         self.asked = self.task.measured if self.task.truth is None else self.task.truth
         self.clock = {name: self.task.train[name].to_numpy() for name in ("time", "flight") if name in self.task.train}
 
-    def fitted(self, targets, seed):
-        """Return a model with the dependent processes, learned exactly."""
+    def fitted(self, targets, seed, structure):
+        """Return a model that is learned exactly."""
         options = {"input_noise": "learned", "early_stopping": True, "inference": "exact", "random_state": seed}
-        return DependentGPRegressor(structure="joint", **options, **self.parameters).fit(
+        return DependentGPRegressor(structure=structure, **options, **self.parameters).fit(
             self.X, targets.to_numpy(), **self.clock
         )
 
@@ -74,39 +74,38 @@ def spread(rows, n):
     return rows[((np.arange(n) + 0.5) * len(rows) / n).astype(int)]
 
 
-def chosen(model, X, n, rule):
-    """Return n rows of X, in the order in which they are chosen."""
+def largest_variance(model, X, n):
+    """Return n rows of X, each that of the largest posterior variance: a pivoted Cholesky factorisation."""
     noise = model.posterior_.noise
 
     def covariance(A, B):
         return sum(model.kernel_.block(i, i, A, B) / one for i, one in enumerate(noise)) / len(noise)
 
-    points = np.linspace(0, len(X) - 1, min(POINTS, len(X))).astype(int)
     variance = np.array([covariance(x[None], x[None])[0, 0] for x in X])
-    cross, L, found = covariance(X[points], X), np.zeros((n, len(X))), []
+    L, found = np.zeros((n, len(X))), []
     for k in range(n):
-        score = variance.copy() if rule == "variance" else (cross**2).sum(axis=0) / (variance + 1)
+        score = variance.copy()
         score[found] = -np.inf
         best = int(score.argmax())
-        row = (covariance(X[best : best + 1], X)[0] - L[:k, best] @ L[:k]) / np.sqrt(variance[best] + 1)
-        cross -= np.outer(cross[:, best] / np.sqrt(variance[best] + 1), row)
-        variance = np.maximum(variance - row**2, 0.0)
-        L[k] = row
+        L[k] = (covariance(X[best : best + 1], X)[0] - L[:k, best] @ L[:k]) / np.sqrt(variance[best] + 1)
+        variance = np.maximum(variance - L[k] ** 2, 0.0)
         found.append(best)
     return np.array(found)
 
 
 def rows_run(log, seed):
     """Return the errors of all rules and sizes."""
-    model = log.fitted(thin_targets(log.task.targets, LEARNED), seed)
+    model = log.fitted(thin_targets(log.task.targets, LEARNED), seed, "joint")
     candidates = log.rows[:: max(1, len(log.rows) // CANDIDATES)]
     most = min(max(SIZES), len(candidates))
-    orders = {rule: candidates[chosen(model, log.X[candidates], most, rule)] for rule in ("variance", "mean")}
+    pivots = candidates[largest_variance(model, log.X[candidates], most)]
     found = []
     for n in (min(size, most) for size in SIZES):
         picked = {"even": spread(log.rows, n)}
         picked["random"] = np.random.default_rng(seed).choice(log.rows, n, replace=False)
-        picked |= {rule: order[:n] for rule, order in orders.items()}
+        picked["variance"] = pivots[:n]
+        told = informative_targets(model, log.X, log.Y, n, n_candidates=CANDIDATES, n_points=POINTS)
+        picked["mean"] = np.flatnonzero(np.isfinite(told).all(axis=1))
         found += [
             {"rows": n, "how": rule, "nrmse": log.error(model, np.sort(rows)), "linear": log.linear_error(rows)}
             for rule, rows in picked.items()
@@ -115,12 +114,19 @@ def rows_run(log, seed):
 
 
 def curve_run(log, seed):
-    """Return the expected and the found errors after parts of the log."""
-    recorded = np.arange(len(log.rows)) * float(np.median(np.diff(log.task.train["time"])))
-    seconds = [part * recorded[-1] for part in PARTS]
+    """Return the expected and the found errors after parts of the log, of the trend and of the dependent processes."""
+    return [one for structure in ("trend", "joint") for one in curve_of(log, seed, structure)]
+
+
+def curve_of(log, seed, structure):
+    """Return the errors of one structure."""
+    step = float(np.median(np.diff(log.task.train["time"])))
+    recorded = step * log.task.train.groupby(log.clock.get("flight", np.zeros(len(log.X)))).cumcount().to_numpy()
+    seconds = [part * recorded.max() for part in PARTS]
     first = log.task.targets.copy()
-    first.iloc[log.rows[recorded > FIRST * recorded[-1]]] = np.nan
-    model = log.fitted(thin_targets(first, 400), seed)
+    first.iloc[recorded > FIRST * recorded.max()] = np.nan
+    recorded = recorded[log.rows]
+    model = log.fitted(thin_targets(first, 400), seed, structure)
     log.pipeline.steps[-1] = (log.pipeline.steps[-1][0], model)
     options = {"seconds": seconds, "n_samples": LEARNED}
     curves = [
@@ -132,7 +138,7 @@ def curve_run(log, seed):
         rows = np.intersect1d(even, log.rows[recorded <= second])
         means = [curve.filter(like="normalized_rmse").iloc[k].mean() for curve in curves]
         found.append({
-            "seconds": second, "rows": len(rows), "expected": means[0], "with noise": means[1],
+            "structure": structure, "seconds": second, "rows": len(rows), "expected": means[0], "with noise": means[1],
             "above": float(curves[1]["above"].iloc[k]), "found": log.error(model, rows),
         })  # fmt: skip
     return found
@@ -169,17 +175,19 @@ def main(words=None):
 
 
 def curve_table(flight, found):
-    """Return a row for each part of a log."""
+    """Return a row for each structure and part of a log."""
+    whole = {one["structure"]: one["found"] for one in found}
     return [
         {
             "flight": FLIGHTS.get(flight, flight),
+            "model": one["structure"],
             "seconds": one["seconds"],
             "rows": one["rows"],
             "NRMSE expected": one["expected"],
             "NRMSE expected, with noise": one["with noise"],
             "NRMSE found": one["found"],
             "expected, with noise, over all": 1 + one["above"],
-            "found over all": one["found"] / found[-1]["found"],
+            "found over all": one["found"] / whole[one["structure"]],
         }
         for one in found
     ]

@@ -29,6 +29,7 @@ SCRIPTS = (
     "paths",
     "times",
     "rows",
+    "information",
     "sportcub",
     "study",
 )

@@ -17,6 +17,7 @@ from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
 from skdgp.design import plan as plan_flight
 from skdgp.design._wavetrain import AXES
 from skdgp.identification._model_file import json_text
+from skdgp.report import write_flight_card
 
 BOTH = {"alpha": "alpha", "beta": "beta", "load_factor": "load_factor", "speeds": "airspeed"}
 """Options of limits that have two ends, and their names in an envelope."""
@@ -34,8 +35,10 @@ def plan(run: Run) -> None:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1]; plan_1.csv, plan_2.csv ... of
                      several airspeeds
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
+      card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, what it teaches
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
-      plan.json      trims, manoeuvres, risks, standard errors before and after
+      plan.json      trims, manoeuvres, risks, standard errors before and after; validate --plan compares them with
+                     the flight
       config.toml    all options of this run
 
     For example:
@@ -94,6 +97,7 @@ def _writers(options: argparse.Namespace, found: Plan, numbers: dict) -> dict[st
         if full:
             files[f"{name}.lua"] = partial(write_ardupilot_lua, train=train, rate=rate, full=full)
     return files | {
+        "card.html": partial(write_flight_card, plan=found, full=full),
         "expected.csv": table_writer(found.flight, ".csv"),
         "plan.json": text_writer(json_text(numbers)),
     }
@@ -101,15 +105,8 @@ def _writers(options: argparse.Namespace, found: Plan, numbers: dict) -> dict[st
 
 def _numbers(options: argparse.Namespace, found: Plan) -> dict[str, Any]:
     """Return the plan as numbers, SI units and radians."""
-    names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
-    return {
-        "model": options.model,
-        "seconds": sum(train.duration + options.pause for train in found.trains),
-        "trims": [{name: getattr(one, name) for name in names} for one in found.trims],
-        "manoeuvres": found.manoeuvres.to_dict("records"),
-        "errors": found.errors.to_dict("index"),
-        "confounded": found.confounded.to_dict("records"),
-    }
+    seconds = sum(train.duration + options.pause for train in found.trains)
+    return {"model": options.model, "seconds": seconds, **found.to_dict()}
 
 
 def _text(found: Plan, options: argparse.Namespace, files: list) -> str:

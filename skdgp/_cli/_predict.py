@@ -106,11 +106,12 @@ def validate(run: Run) -> None:
 
     Its coefficients are compared with the measured ones and replayed: integrated from the measured state, restarted
     every --horizons seconds. Prints the scores, and with -o writes report.html, metrics.json and config.toml into DIR,
-    all or none.
+    all or none. With --plan also which of its manoeuvres were flown, their responses, and what they taught.
 
     For example:
       python -m skdgp validate results/model.joblib thursday.csv
       python -m skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
+      python -m skdgp validate results/model.joblib thursday.csv --plan next/plan.json -o validation
       python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
@@ -119,7 +120,9 @@ def validate(run: Run) -> None:
         known["external_forces"] = options.external_forces
     with listening(run.console.progress):
         model = read_model(options)
-        result = judge(model, options.flight, horizons=options.horizons, **opt.reading(options), **known)
+        result = judge(
+            model, options.flight, plan=options.plan, horizons=options.horizons, **opt.reading(options), **known
+        )
         finish(run, replace(result, command=run.command_line))
 
 
@@ -138,6 +141,7 @@ VALIDATE = Command(
     {
         "": [
             *(opt.MODEL, opt.FLIGHTS, opt.AIRCRAFT, opt.SERVOS, opt.AIRBORNE, opt.HORIZONS, opt.OPTIONAL_FOLDER),
+            opt.option("--plan FILE", "plan.json of the plan that was flown: what it expected beside what was found"),
             *opt.loads(None, None, "as of the model's fit"),
         ]
     },

@@ -2,6 +2,7 @@
 
 from skdgp.design._bands import input_bands
 from skdgp.design._envelope import Envelope
+from skdgp.design._flown import FlownPlan
 from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
 from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
 from skdgp.design._plan import Plan, plan
@@ -20,6 +21,7 @@ from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
 __all__ = [
     "Chirp",
     "Envelope",
+    "FlownPlan",
     "Information",
     "Limits",
     "Multisine",

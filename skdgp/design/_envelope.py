@@ -11,6 +11,9 @@ from skdgp.design._information import regressors_of
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
+QUANTITIES = ("alpha", "beta", "load_factor", "bank", "airspeed", "altitude")
+GROWTH = "growth of "
+
 
 @dataclass(frozen=True)
 class Envelope:
@@ -60,20 +63,47 @@ class Envelope:
                 "a risk between 0 and 1."
             )
 
-    def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
-        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
+    def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
+        """Return the lowest and the highest value of each channel of `channels`."""
+        found = {name: getattr(self, name) for name in ("alpha", "beta", "airspeed", "load_factor")}
+        found |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
+        if model.limits is not None and np.isfinite(self.growth):
+            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
+            for name, low, high in zip(model.regressors, model.limits[0] - grown, model.limits[1] + grown, strict=True):
+                found[f"growth of {name}"] = (low, high)
+        return found
+
+    def channels(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
+        """Return what is limited, along one simulated flight."""
         values = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
         values |= {
             "load_factor": -flight["az"].to_numpy(float) / STANDARD_GRAVITY,
             "bank": flight["phi"].to_numpy(float),
         }
-        bounds = {name: getattr(self, name) for name in values}
-        bounds |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
-        found = {name: (values[name] < low) | (values[name] > high) for name, (low, high) in bounds.items()}
-        if model.limits is not None and np.isfinite(self.growth):
-            X = regressors_of(flight, aircraft, model.regressors)
-            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
-            for k, name in enumerate(model.regressors):
-                outside = (X[:, k] < model.limits[0, k] - grown[k]) | (X[:, k] > model.limits[1, k] + grown[k])
-                found[f"growth of {name}"] = outside
-        return pd.DataFrame(found | {"ended": flight["ended"].to_numpy() != ""})
+        X = regressors_of(flight, aircraft, model.regressors)
+        values |= {f"growth of {name}": column for name, column in zip(model.regressors, X.T, strict=True)}
+        return pd.DataFrame(values)[[*self.bounds(model)]]
+
+    def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
+        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
+        low, high = np.array([*self.bounds(model).values()]).T
+        values = self.channels(flight, aircraft, model)
+        return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")
+
+
+def quantities(flight: pd.DataFrame) -> pd.DataFrame:
+    """Return what an envelope limits, of each row of a flight; angles in radians, load factor -az / g."""
+    found = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
+    found["load_factor"] = -flight["az"].to_numpy(float) / STANDARD_GRAVITY
+    found["bank"] = flight["phi"].to_numpy(float)
+    return pd.DataFrame(found, index=flight.index)[list(QUANTITIES)]
+
+
+def with_band(flight: pd.DataFrame, paths: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
+    """Return a flight with the central share of others at its times: columns such as ``alpha_low``, ``alpha_high``."""
+    others = quantities(paths).to_numpy().reshape(-1, len(flight), len(QUANTITIES))
+    flown = np.isfinite(others).any(axis=0).all(axis=-1)
+    bounds = np.full((2, *others.shape[1:]), np.nan)
+    bounds[:, flown] = np.nanquantile(others[:, flown], [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+    names = [[f"{name}_{end}" for name in QUANTITIES] for end in ("low", "high")]
+    return pd.concat([flight, *(pd.DataFrame(b, flight.index, n) for b, n in zip(bounds, names, strict=True))], axis=1)

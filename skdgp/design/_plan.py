@@ -19,7 +19,7 @@ from skdgp._compute.typing import Seed
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._envelope import Envelope
+from skdgp.design._envelope import QUANTITIES, Envelope, quantities, with_band
 from skdgp.design._information import (
     Information,
     coefficient_noise,
@@ -59,7 +59,7 @@ VAGUE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flights that `plan` has chosen, and what they will teach.
+    """Flights that `plan` has chosen, and what they will teach; `skdgp.report.write_flight_card` draws them.
 
     Parameters
     ----------
@@ -80,7 +80,14 @@ class Plan:
         What each manoeuvre of the library would teach if it were repeated for the whole time: ``name``, ``scale``,
         ``risk`` (NaN: not simulated), ``gain``.
     flight : DataFrame
-        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
+        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them. Of a model with a
+        posterior also what holds 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on for beta,
+        load_factor, bank, airspeed and altitude.
+    parts : tuple of Information
+        Of each manoeuvre; ``after`` is ``before`` and their sum.
+    limits : DataFrame
+        ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
+    aircraft : Aircraft
     """
 
     trains: tuple[Wavetrain, ...]
@@ -91,12 +98,56 @@ class Plan:
     manoeuvres: pd.DataFrame
     alone: pd.DataFrame
     flight: pd.DataFrame
+    parts: tuple[Information, ...]
+    limits: pd.DataFrame
+    aircraft: Aircraft
 
     @property
     def errors(self) -> pd.DataFrame:
         """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known."""
-        columns = {"before": _named(self.before), "after": _named(self.after)}
+        columns = {"before": errors_of(self.before), "after": errors_of(self.after)}
         return pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
+
+    def inputs(self, k: int) -> dict[str, Signal]:
+        """Return the inputs of a row of ``manoeuvres`` by axis."""
+        row = self.manoeuvres.iloc[k]
+        events = self.trains[int(row["train"])].events()
+        return {axis: signal for axis, start, signal in events if np.isclose(start, row["start"])}
+
+    def expected(self, rows: Sequence[int]) -> pd.DataFrame:
+        """Return the ``low`` and ``high`` ends that some rows of ``manoeuvres`` are expected to reach."""
+        flight = self.flight[self.flight["flight"].isin(list(rows))]
+        values = quantities(flight)
+        ends = [
+            (flight.get(f"{name}_low", values[name]).min(), flight.get(f"{name}_high", values[name]).max())
+            for name in QUANTITIES
+        ]
+        return pd.DataFrame(ends, index=list(QUANTITIES), columns=["low", "high"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a check after the flight needs, as plain values; inputs in steps of 0.04 s."""
+        names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
+        rows = []
+        for k, row in enumerate(self.manoeuvres.to_dict("records")):
+            time = np.arange(0.0, row["duration"] + STEP, STEP)
+            inputs = {axis: signal(time).round(6).tolist() for axis, signal in self.inputs(k).items()}
+            rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
+        trims = [self.trims[int(at)].controls for at in self.manoeuvres["train"]]
+        starts = [
+            regressors_of(one.assign(**trims[k]), self.aircraft, self.before.regressors)[0]
+            for k, (_, one) in enumerate(self.flight.groupby("flight"))
+        ]
+        return {
+            "aircraft": self.aircraft.to_dict(),
+            "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
+            "at": dict(zip(self.before.regressors, np.mean(starts, axis=0).tolist(), strict=True)),
+            "pause": float(self.manoeuvres["start"].iloc[0]),
+            "manoeuvres": rows,
+            "limits": self.limits.to_dict("index"),
+            "errors": self.errors.to_dict("index"),
+            "confounded": self.confounded.to_dict("records"),
+            "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
+        }
 
     @property
     def confounded(self) -> pd.DataFrame:
@@ -351,7 +402,7 @@ class _Planner:
     def _checked_hold(self, point: Trim) -> pd.DataFrame:
         """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
         at = self.trims.index(point)
-        risk, causes = self._risk(at, {})
+        risk, causes, _ = self._risk(at, {})
         if risk > self.envelope.risk:
             raise ValueError(
                 f"Got an envelope that trimmed flight at {point.airspeed:g} m/s leaves in {risk:.0%} of cases within "
@@ -360,8 +411,8 @@ class _Planner:
             )
         return self._flown_by(at, {})
 
-    def _risk(self, at: int, inputs: Mapping[str, Signal]) -> tuple[float, str]:
-        """Return the predicted risk that a manoeuvre leaves the envelope, and the limits that it leaves."""
+    def _risk(self, at: int, inputs: Mapping[str, Signal]) -> tuple[float, str, pd.DataFrame]:
+        """Return the predicted risk that a manoeuvre leaves the envelope, the limits it leaves, and the flights."""
         draws: dict[str, Any] = {}
         if self.aerodynamics.is_uncertain:
             draws = {"n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed}
@@ -372,8 +423,8 @@ class _Planner:
         causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
         n_left = int(by_path.any(axis=1).sum())
         if not draws:
-            return float(n_left), causes
-        return (n_left + 1) / (self.n_paths + 2), causes
+            return float(n_left), causes, flight
+        return (n_left + 1) / (self.n_paths + 2), causes, flight
 
     def _known(self, known: Information | None, holds: list[pd.DataFrame]) -> Information:
         """Return the information before the flight."""
@@ -502,12 +553,13 @@ class _Planner:
         causes = ""
         for scale in SCALES:
             inputs = {axis: signal.scaled(scale) for axis, signal in one.inputs.items()}
-            risk, causes = self._risk(one.at, inputs)
+            risk, causes, paths = self._risk(one.at, inputs)
             if risk <= self.envelope.risk:
                 made = self._made(one.name, one.at, inputs, one.seconds)
+                if made is not None and self.aerodynamics.is_uncertain:
+                    return replace(made, scale=scale, risk=risk, flight=with_band(made.flight, paths)), causes
                 if made is not None:
-                    risk = risk if self.aerodynamics.is_uncertain else np.nan
-                    return replace(made, scale=scale, risk=risk), causes
+                    return replace(made, scale=scale, risk=np.nan), causes
         return None, causes
 
     def _plan_of(self, chosen: list[_Manoeuvre], library: dict[str, _Manoeuvre]) -> Plan:
@@ -534,15 +586,16 @@ class _Planner:
              "gain": -np.expm1(self._gain([]) - self._gain(self._filled([], [one])))}
             for one in library.values()
         ]  # fmt: skip
-        flight = pd.concat(flights, ignore_index=True)
-        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        parts = tuple(one.information for one in chosen)
         return Plan(
             tuple(trains), tuple(self.trims[at] for at in sorted({one.at for one in chosen})), self.goal_names,
-            self.before, self.before + found, pd.DataFrame(rows), pd.DataFrame(alone), flight,
+            self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
+            pd.concat(flights, ignore_index=True), parts,
+            pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
         )  # fmt: skip
 
 
-def _named(information: Information) -> pd.Series:
+def errors_of(information: Information) -> pd.Series:
     """Return standard errors by the names of derivatives."""
     errors = information.std
     names = [f"{i}_{name.removesuffix(HAT)}" for i in errors.index for name in errors.columns]

@@ -26,7 +26,9 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.design import FlownPlan, Plan, coefficient_noise, posterior_information
+from skdgp.design._flown import compare_with_plan, read_plan
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, as_aerodynamics
 from skdgp.identification import _flights, _model_file
 from skdgp.identification._evaluation import Evaluation, evaluate_flight, fit_least_squares, group_means, scores
 from skdgp.identification._flights import Flights
@@ -242,6 +244,7 @@ def validate(
     flights: Any,
     *,
     aircraft: Aircraft | str | os.PathLike | None = None,
+    plan: Plan | str | os.PathLike[str] | None = None,
     horizons: Sequence[float] = (2.0, 10.0),
     servos: Any = None,
     airborne: bool | float = True,
@@ -257,6 +260,10 @@ def validate(
         The flights to predict and replay.
     aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
+    plan : Plan or path, optional
+        What was to be flown, or the plan.json of ``python -m skdgp plan``: what it expected is compared with what was
+        found (`Identification.plan`). Give the model that the plan was made with, or one learned from its flights and
+        these: its standard deviations stand beside those of the plan.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     servos, airborne
@@ -272,7 +279,8 @@ def validate(
     Raises
     ------
     ValueError
-        If the model is not of ``identify``, or a flight lacks a column of the model.
+        If the model is not of ``identify``, a flight lacks a column of the model, or the plan is of another aircraft,
+        of other regressors, or was not flown.
     """
     settings = {"thrust": "auto", "external_forces": []} | model.get("options", {}) | loads
     settings["horizons"] = list(horizons)
@@ -283,6 +291,7 @@ def validate(
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
         aircraft = read_aircraft(model.aircraft if aircraft is None else aircraft)
+        flown = None if plan is None else _flown_plan(plan, model.pipeline, aircraft, flights)
         fit = fit_facts(model.pipeline) | model.get("fit", {})
         evaluations = _evaluated(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
@@ -294,7 +303,19 @@ def validate(
         train={},
         evaluations=evaluations,
         messages=messages,
+        plan=flown,
     )
+
+
+def _flown_plan(plan: Any, pipeline: Pipeline, aircraft: Aircraft, flights: Flights) -> FlownPlan:
+    """Return what a plan expected beside what was found in flights."""
+    record = read_plan(plan)
+    tables = [one.assign(**pipeline[: list(pipeline.named_steps).index("regressorselector")].transform(one))
+              for one in flights.values()]  # fmt: skip
+    names = list(as_aerodynamics(pipeline).regressors)
+    at = [record["at"].get(name, np.nan) for name in names]
+    information = posterior_information(pipeline, at, record["known"]["coefficients"])
+    return compare_with_plan(record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information)
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
@@ -355,6 +376,8 @@ class Identification:
         Warnings that arose.
     held_out : str or None
         What was held out because no test flight was named.
+    plan : FlownPlan or None
+        What a plan expected beside what was found.
     title, command, created : str
         Heading of the report, the command line, date and time.
     """
@@ -367,6 +390,7 @@ class Identification:
     evaluations: list[Evaluation]
     messages: list[str]
     held_out: str | None = None
+    plan: FlownPlan | None = None
     title: str = ""
     command: str | None = None
     created: str = field(default_factory=lambda: datetime.now().astimezone().isoformat(timespec="seconds"))
@@ -395,6 +419,7 @@ class Identification:
                     for one in self.evaluations
                 },
                 "test_together": _score_metrics(self.evaluations),
+                **({} if self.plan is None else {"plan": self.plan.to_dict()}),
                 "messages": self.messages,
             }
         )
@@ -418,6 +443,7 @@ class Identification:
                 lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
         paths = _reconstruction(self.pipeline)
         facts = [f"flight paths {paths}"] if paths else []
+        facts += [] if self.plan is None else _plan_lines(self.plan)
         return "\n".join([*lines, "", *facts, *_comparison(tested)]).rstrip()
 
     def evaluate(self, flight: Any) -> Evaluation:
@@ -496,6 +522,7 @@ class Identification:
             },
             envelope=self._envelope(),
             effects=self._effects(),
+            plan=self.plan,
             messages=self.messages,
             command=self.command,
         )
@@ -711,6 +738,16 @@ def _comparison(evaluations) -> list[str]:
             better = [name for name in table.index if linear[name] < model[name]]
             lines.append(f"{line}; least squares is better in {', '.join(better)}" if better else line)
     return lines
+
+
+def _plan_lines(plan: FlownPlan) -> list[str]:
+    """Return how much of a plan was flown, and what it taught."""
+    n_missed, left = sum(plan.missed.values()), (plan.manoeuvres["left"] != "").sum()
+    words = ", ".join(f"{name} {value:.0%}" for name, value in plan.remaining.items())
+    return [
+        f"plan: {len(plan.manoeuvres)} manoeuvres flown, {n_missed} not; {left} left a limit",
+        f"errors of {len(plan.errors)} derivatives, of those before: {words}",
+    ]
 
 
 def _score_table(evaluations) -> list[str]:

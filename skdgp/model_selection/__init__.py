@@ -20,7 +20,8 @@ flight, ``BlockSplit`` holds out blocks of it, with a gap in time.
 """
 
 from skdgp.model_selection._blocks import BlockSplit
-from skdgp.model_selection._learning_curve import flight_learning_curve
+from skdgp.model_selection._informative import informative_targets
+from skdgp.model_selection._learning_curve import expected_learning_curve, flight_learning_curve
 from skdgp.model_selection._thin import thin_targets
 
-__all__ = ["BlockSplit", "flight_learning_curve", "thin_targets"]
+__all__ = ["BlockSplit", "expected_learning_curve", "flight_learning_curve", "informative_targets", "thin_targets"]

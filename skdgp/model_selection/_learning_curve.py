@@ -1,4 +1,4 @@
-"""Learning curves over the length of the training flights."""
+"""Learning curves over the length of the training flights, found by fits and expected before them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from sklearn.utils.parallel import Parallel, delayed
 from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._compute.typing import ArrayLike, Indices
 from skdgp._flight.checks import check_columns, check_table
+from skdgp.inference import Data, ExactPosterior, input_noise_loading
 from skdgp.metrics import score_outputs
 from skdgp.model_selection._blocks import list_splits, rows_by_flight
-from skdgp.model_selection._thin import thin_targets
+from skdgp.model_selection._informative import regressor_and_inputs
+from skdgp.model_selection._thin import evenly, thin_targets
 
 
 def flight_learning_curve(
@@ -101,6 +103,96 @@ def flight_learning_curve(
         for (_, k), rows in zip(points, parts, strict=True)
     )
     return pd.concat([pd.DataFrame(points, columns=["seconds", "split"]), pd.DataFrame(scores)], axis=1)
+
+
+def expected_learning_curve(
+    model: Any,
+    table: pd.DataFrame,
+    *,
+    seconds: ArrayLike,
+    n_samples: int = 300,
+    n_points: int = 200,
+    include_noise: bool = False,
+) -> pd.DataFrame:
+    r"""Return how far off a model expects to be once it has learned the first seconds of each flight.
+
+    No target is needed and nothing is fitted: at given hyperparameters the posterior variance depends on the
+    regressors alone. So the curve is known before a long log is learned, and of a simulated flight before it is flown.
+    With the posterior variance :math:`v_i` of output i after these seconds,
+
+    .. math:: \mathrm{NRMSE}_i = \sqrt{\mathrm{mean}(v_i)} / \mathrm{std}(m_i)
+
+    over points spread evenly over the whole log, where :math:`m` is the mean of the model as it is. The samples that
+    the model has learned from before do not count. Where the curve with noise is flat, more of the same flight does not
+    improve predictions of measurements: fly other manoeuvres.
+
+    Parameters
+    ----------
+    model : DependentGPRegressor or Pipeline that ends with it
+        Fitted, on a part of the log or on another flight.
+    table : DataFrame (n, ...)
+        The log, as the pipeline takes it, with ``time`` [s], and ``flight`` where there are several.
+    seconds : array-like of shape (S,)
+        Seconds of each flight, counted over its recorded rows, as of `flight_learning_curve`.
+    n_samples : int, default=300
+        Rows to learn from in the whole log, spread evenly; of its first seconds those among them.
+    n_points : int, default=200
+        Points at which the model is judged.
+    include_noise : bool, default=False
+        Whether to predict new measurements instead of the coefficients themselves.
+
+    Returns
+    -------
+    DataFrame
+        A row per point of the curve: ``seconds``, ``n_samples``, ``normalized_rmse_NAME`` of each output, and
+        ``above``, by which part their mean exceeds that of the whole log.
+
+    Raises
+    ------
+    ValueError
+        If ``seconds`` are not positive or longer than every flight, or too short for a row.
+    NotFittedError
+        If the model is not fitted.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp import DependentGPRegressor
+    >>> from skdgp.model_selection import expected_learning_curve
+    >>> log = pd.DataFrame({"time": np.arange(0, 100, 0.1)})
+    >>> log["alpha"] = 0.1 * np.sin(log["time"]) * (1 + (log["time"] > 50))  # a wider range from 50 s on
+    >>> y = np.sin(20 * log["alpha"]) + 0.1 * np.random.default_rng(0).standard_normal(1000)
+    >>> model = DependentGPRegressor(n_latent=1, random_state=0).fit(log[["alpha"]][::20], y[::20])
+    >>> curve = expected_learning_curve(model, log, seconds=[25, 50, 75, 100], include_noise=True)
+    >>> curve["above"].round(1).tolist()  # only the first part of each half teaches
+    [1.5, 1.4, 0.0, 0.0]
+    """
+    check_columns(check_table(table), ["time"])
+    regressor, X = regressor_and_inputs(model, table)
+    usable = np.flatnonzero(np.isfinite(X).all(axis=1))
+    points, spread = (usable[evenly(len(usable), size)] for size in (n_points, n_samples))
+    posterior, root = regressor.posterior_, regressor._root
+
+    def loading(rows):  # of noisy regressors
+        return None if root is None else input_noise_loading(posterior, X[rows], root)
+
+    noise = 0.0
+    if include_noise:
+        noise = posterior.noise + (0.0 if root is None else (loading(points) ** 2).sum(axis=2))
+    size = posterior.predict(X[points]).std(axis=0)
+    found = []
+    for second in [*np.atleast_1d(np.asarray(seconds, dtype=float)), np.inf]:
+        rows = spread if np.isinf(second) else np.intersect1d(spread, _first_rows(second, table, np.arange(len(table))))
+        if not len(rows):
+            raise ValueError(f"Got {second:g} s, without any of {n_samples} rows: ask for more, or raise n_samples.")
+        data = Data.from_table(X[rows], np.zeros((len(rows), len(size))), loading(rows))
+        learned = ExactPosterior(regressor.kernel_, posterior.noise, data)
+        variance = learned.predict(X[points], return_variance=True)[1] + noise
+        found.append([second, len(rows), *(np.sqrt(variance.mean(axis=0)) / size)])
+    names = [f"normalized_rmse_{name}" for name in regressor.output_names_]
+    curve = pd.DataFrame(found, columns=["seconds", "n_samples", *names])
+    mean = curve[names].mean(axis=1)
+    return curve.assign(above=mean / mean.iloc[-1] - 1).iloc[:-1]
 
 
 def _fit_and_score(estimator, table, Y, test_table, test_Y, n_samples, scorer) -> dict:

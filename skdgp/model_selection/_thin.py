@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.tables import column_names
+from skdgp._compute.typing import Indices
 
 
 def thin_targets(Y: Any, n_samples: int) -> Any:
@@ -40,15 +41,29 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     >>> thin_targets([1.0, 2.0, float("nan"), 4.0, 5.0], 2)
     array([nan,  2., nan, nan,  5.])
     """
+    check_n_samples(n_samples)
+    observed = observed_rows(Y)
+    return only_rows(Y, observed[evenly(len(observed), n_samples)])
+
+
+def check_n_samples(n_samples: Any) -> None:
+    """Raise ValueError if this is no number of rows to keep."""
     if not isinstance(n_samples, Integral) or isinstance(n_samples, bool) or n_samples < 1:
         raise ValueError(f"Got n_samples={n_samples!r}, but expected a positive number of rows to keep.")
+
+
+def observed_rows(Y: Any) -> Indices:
+    """Return the rows that are observed in any output."""
     values = np.array(Y, dtype=float)
     if values.ndim not in (1, 2):
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
-    observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
-    if observed.size > n_samples:
-        middles = (np.arange(n_samples) + 0.5) * observed.size / n_samples  # of n_samples equal parts of the rows
-        values[np.setdiff1d(np.arange(len(values)), observed[middles.astype(int)])] = np.nan
+    return np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
+
+
+def only_rows(Y: Any, rows: Indices) -> Any:
+    """Return a copy of targets, of their own type, in which all other rows are NaN."""
+    values = np.array(Y, dtype=float)
+    values[np.setdiff1d(np.arange(len(values)), rows)] = np.nan
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):
@@ -56,3 +71,10 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     if column_names(Y):  # a table without an index, such as polars'
         return type(Y)(dict(zip(Y.columns, values.T, strict=True))) if values.ndim == 2 else type(Y)(Y.name, values)
     return values
+
+
+def evenly(n_rows: int, n_samples: int) -> Indices:
+    """Return the middles of ``n_samples`` equal parts of the rows; all rows where there are fewer."""
+    if n_rows <= n_samples:
+        return np.arange(n_rows)
+    return ((np.arange(n_samples) + 0.5) * n_rows / n_samples).astype(int)

@@ -1,9 +1,19 @@
-"""The report of an identification: one HTML file to read, print and sign.
+"""The report of an identification and the card of a planned flight: each one HTML file to read, print and sign.
 
-Fill a `ReportContent` with arrays and pass it to `write_report`. The report neither fits nor predicts.
+Fill a `ReportContent` with arrays and pass it to `write_report`; pass a plan to `write_flight_card`. Both neither fit
+nor predict.
 """
 
+from skdgp.report._card import write_flight_card
 from skdgp.report._content import FlightRecord, FlightResult, ModelSummary, ReportContent
 from skdgp.report._write import render_report, write_report
 
-__all__ = ["FlightRecord", "FlightResult", "ModelSummary", "ReportContent", "render_report", "write_report"]
+__all__ = [
+    "FlightRecord",
+    "FlightResult",
+    "ModelSummary",
+    "ReportContent",
+    "render_report",
+    "write_flight_card",
+    "write_report",
+]

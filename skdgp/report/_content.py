@@ -13,6 +13,7 @@ import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp.design import FlownPlan
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._display import check_time
 from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
@@ -213,6 +214,8 @@ class ReportContent:
         What ``EnvelopeDisplay.compute`` returned: where the data are, and where the model knows nothing.
     effects : EffectsDisplay, optional
         What ``EffectsDisplay.compute`` returned: how each regressor changes each coefficient.
+    plan : FlownPlan, optional
+        What a plan expected beside what was found.
     messages : sequence of str
         Warnings that arose.
     command : str, optional
@@ -228,6 +231,7 @@ class ReportContent:
     aircraft: Mapping[str, str] | str = ""
     envelope: EnvelopeDisplay | None = None
     effects: EffectsDisplay | None = None
+    plan: FlownPlan | None = None
     messages: Sequence[str] = ()
     command: str | None = None
     created: datetime | None = None

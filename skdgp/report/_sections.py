@@ -11,6 +11,7 @@ from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _charts as charts
+from skdgp.report import _figures as figures
 from skdgp.report import _pictures as pictures
 from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
 from skdgp.report._tables import SCORES, THIN, error_table, facts, number, replay_table, text
@@ -167,12 +168,12 @@ def _coefficients(result: FlightResult, span, detail: Detail) -> str:
     caption = "Measured and estimated coefficients."
     if span is not None:
         length = f"{number(span[1] - span[0], 'g')}{THIN}s"
-        caption += _still(
+        caption += figures.still(
             f" First the {length} in which the estimates move most, where a wrong model shows first; then the whole "
             "flight."
         )
     chart = charts.coefficient_chart(result, band, span, detail.every)
-    return f"<h3>Coefficients</h3>{_columns(columns, key, caption, chart)}"
+    return f"<h3>Coefficients</h3>{figures.columns(columns, key, caption, chart)}"
 
 
 def _replays(result: FlightResult, span, detail: Detail, draw: bool) -> str:
@@ -196,10 +197,10 @@ def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
         f"States integrated from the estimated coefficients, restarted from the measured state every "
         f"{number(horizon, 'g')}{THIN}s; lines break there."
     )
-    caption += _still(" Marks at the upper edge show where.")
+    caption += figures.still(" Marks at the upper edge show where.")
     if span is not None:
-        caption += _still(" First the same seconds as of the coefficients, then the whole flight.")
-    return _columns(columns, key, caption, charts.state_chart(result, horizon, span, detail.every))
+        caption += figures.still(" First the same seconds as of the coefficients, then the whole flight.")
+    return figures.columns(columns, key, caption, charts.state_chart(result, horizon, span, detail.every))
 
 
 def _calibration(result: FlightResult) -> str:
@@ -209,7 +210,7 @@ def _calibration(result: FlightResult) -> str:
         f"Calibration: how often the intervals{noise} hold measured values. On the dotted line they hold as often as "
         "they say."
     )
-    return f"<h3>Calibration</h3>{_figure([panel], caption)}"
+    return f"<h3>Calibration</h3>{figures.figure([panel], caption)}"
 
 
 def coupling(content: ReportContent) -> str:
@@ -219,7 +220,7 @@ def coupling(content: ReportContent) -> str:
         "Strong coupling lets one coefficient inform another."
     )
     panel = pictures.coupling_panel(content.model.correlation)
-    return f"<section><h2>Coupling between outputs</h2>{_figure([panel], caption)}</section>"
+    return f"<section><h2>Coupling between outputs</h2>{figures.figure([panel], caption)}</section>"
 
 
 def effects(display: EffectsDisplay) -> str:
@@ -234,7 +235,7 @@ def effects(display: EffectsDisplay) -> str:
     )
     if several:
         caption += " The last column is what no single regressor explains: the range of 95 % of its values."
-    figure = _figure([pictures.effects_panel(display)], caption, key, layout="wide")
+    figure = figures.figure([pictures.effects_panel(display)], caption, key, layout="wide")
     return f"<section><h2>Effects</h2>{figure}</section>"
 
 
@@ -249,7 +250,7 @@ def envelope(display: EnvelopeDisplay) -> str:
         "flown is as likely. Where a test flight, or a simulation, leaves the grey area for the hatched, coefficients "
         "are extrapolated."
     )
-    figure = _figure(pictures.envelope_panels(display), caption, key, layout="trio")
+    figure = figures.figure(pictures.envelope_panels(display), caption, key, layout="trio")
     return f"<section><h2>Where the model knows</h2>{figure}</section>"
 
 
@@ -263,7 +264,7 @@ def flown(content: ReportContent, detail: Detail) -> str:
         key = [(_color(k), name, "")]
         panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
         chart = charts.input_chart(flights[name], name, links[name], _color(k), detail.every)
-        parts.append(_figure(panels, f"Inputs of {text(name)}.", key, chart))
+        parts.append(figures.figure(panels, f"Inputs of {text(name)}.", key, chart))
     tracked = {name: table for name, table in flights.items() if _has_path(table)}
     if tracked:
         key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
@@ -272,7 +273,7 @@ def flown(content: ReportContent, detail: Detail) -> str:
         caption += " First coloured by flight, then by altitude [m], on the same axes." if len(paths) > 1 else ""
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
-        figure = _columns({head: [panel] for head, panel in paths.items()}, key, caption)
+        figure = figures.columns({head: [panel] for head, panel in paths.items()}, key, caption)
         parts.append(f'<div class="map">{figure}{charts.flight_tracks(tracked, links)}</div>')
     return "".join([*parts, "</section>"])
 
@@ -316,42 +317,3 @@ def _close_and_whole(span, panels) -> dict[str, list[str]]:
     """Return the panels of the span, if there is one, and of the whole flight, by their headings."""
     close = {} if span is None else {f"{number(span[0], '.0f')} to {number(span[1], '.0f')}{THIN}s": panels(span)}
     return close | {"Whole flight": panels(None)}
-
-
-def _key(entries) -> str:
-    lines = "".join(
-        f'<li style="color: var(--{color})">{_sample(kind)}<span>{text(name)}</span></li>'
-        for color, name, kind in entries
-    )
-    return f'<ul class="key">{lines}</ul>' if lines else ""
-
-
-def _sample(kind: str) -> str:
-    """Return the sample before a name: a line (""), an area, a hatched area, or the sign of a marker."""
-    return f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
-
-
-def _still(words: str) -> str:
-    """Return words on the pictures, shown where no chart is."""
-    return f'<span class="still">{words}</span>'
-
-
-def _figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:
-    classes = f"panels {layout}" if len(panels) > 1 else layout or "single"
-    return _framed(f'{_key(key)}<div class="{classes}">{"".join(panels)}</div>', caption, chart)
-
-
-def _columns(columns: dict[str, list[str]], key, caption: str, chart: str = "") -> str:
-    """Return a figure of headed columns; on a phone one follows the other."""
-    rows = max(map(len, columns.values()))
-    cells = "".join(f"<p>{head}</p>{''.join(panels)}" for head, panels in columns.items())
-    return _framed(f'{_key(key)}<div class="panels columns" style="--rows: {rows}">{cells}</div>', caption, chart)
-
-
-def _framed(still: str, caption: str, chart: str) -> str:
-    """Return a figure: pictures, and the samples of which a script makes a chart in their place."""
-    if chart:
-        return (
-            f'<figure class="chart"><div class="static">{still}</div>{chart}<figcaption>{caption}</figcaption></figure>'
-        )
-    return f"<figure>{still}<figcaption>{caption}</figcaption></figure>"

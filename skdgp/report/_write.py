@@ -1,56 +1,20 @@
-"""The report as one HTML file: page, style and script."""
+"""The report as one HTML file."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import os
 from datetime import datetime
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
 from skdgp._compute.files import write_atomically
-from skdgp.plotting._style import check_matplotlib
 from skdgp.report import _sections as sections
+from skdgp.report._card import flown_plan
 from skdgp.report._charts import thinning
 from skdgp.report._content import ReportContent
+from skdgp.report._page import can_draw, render_page
 from skdgp.report._pictures import time_slices
 from skdgp.report._sections import Detail
 from skdgp.report._tables import text
-
-_HERE = files("skdgp.report")
-STYLE = _HERE.joinpath("report.css").read_text(encoding="utf-8")
-SCRIPT = _HERE.joinpath("chart.js").read_text(encoding="utf-8")
-_DIGEST = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
-POLICY = f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{_DIGEST}'"
-"""The browser allows this script and nothing else: no other file, no network."""
-PAGE = Template("""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="$policy">
-<meta name="generator" content="skdgp">
-<title>$title</title>
-<style>$style</style>
-</head>
-<body>
-<main>
-<header>
-<p class="kind">Aerodynamic identification report</p>
-<h1>$title</h1>
-<p class="meta">$meta</p>
-</header>
-$body
-<footer>
-<p class="colophon">$colophon</p>
-</footer>
-</main>
-<script>$script</script>
-</body>
-</html>
-""")
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
@@ -91,23 +55,16 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
 
 def render_report(content: ReportContent) -> str:
     """Return the report as one HTML document."""
-    title = text(content.title)
-    return PAGE.substitute(
-        title=title,
-        policy=POLICY,
-        style=STYLE,
-        meta=_meta(content),
-        body=_body(content),
-        colophon=_colophon(content),
-        script=SCRIPT,
-    )
+    kind = "Aerodynamic identification report"
+    return render_page(kind, content.title, _meta(content), _body(content), _colophon(content))
 
 
 def _body(content: ReportContent) -> str:
-    draw = _can_draw()
+    draw = can_draw("write_report")
     parts = [sections.summary(content), sections.messages(content), sections.what_was_done(content)]
     if not draw:
         parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
+    parts += [] if content.plan is None else [flown_plan(content.plan)]
     detail = Detail(time_slices(len(content.test)), thinning(content))
     parts += [sections.flight(result, content.model.noise_std, detail, draw) for result in content.test]
     if draw and content.effects is not None:
@@ -119,14 +76,6 @@ def _body(content: ReportContent) -> str:
     if draw and sections.flown_tables(content):
         parts.append(sections.flown(content, detail))
     return "\n".join([*parts, sections.how_to_read()])
-
-
-def _can_draw() -> bool:
-    try:
-        check_matplotlib("write_report")
-    except ImportError:
-        return False
-    return True
 
 
 def _meta(content: ReportContent) -> str:

@@ -386,7 +386,7 @@ class TestPlan:
             "20",
         )
         said = run("plan", *self.WORDS, *more)
-        names = {"plan.csv", "plan.lua", "expected.csv", "plan.json", "config.toml"}
+        names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json", "config.toml"}
         assert files(tmp_path / "out") == names
         table = pd.read_csv(tmp_path / "out" / "plan.csv")
         assert table["rudder"].abs().max() <= 0.1
@@ -394,6 +394,19 @@ class TestPlan:
         assert json.loads((tmp_path / "out" / "plan.json").read_text()) == said
         assert said["errors"]["Cn_rudder"]["after"] < said["errors"]["Cn_rudder"]["before"]
         assert all(one["risk"] <= 0.05 for one in said["manoeuvres"])
+
+        flight = pd.read_csv("test.csv")
+        one, time = said["manoeuvres"][0], flight["time"].to_numpy()
+        moved = np.interp(time - time[0] - 4.0, 0.04 * np.arange(len(one["inputs"]["rudder"])), one["inputs"]["rudder"])
+        flight.assign(rudder=0.01 + moved).to_csv(tmp_path / "flown.csv", index=False)
+        judged = run("validate", tmp_path / "flown.csv", "--plan", tmp_path / "out" / "plan.json", "--horizons", "1")
+        found = judged["plan"]["manoeuvres"][0]
+        assert found["start"] == pytest.approx(time[0] + 4.0, abs=0.05)
+        assert found["name"] == one["name"]
+        errors = judged["plan"]["errors"]["Cn_rudder"]
+        assert errors["expected"] == said["errors"]["Cn_rudder"]["after"]
+        assert errors["model"] == pytest.approx(errors["before"], rel=0.01)  # it is that of the plan
+        assert "The plan and the flight" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     def test_what_cannot_be_planned_is_one_line(self, refused):
         refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, ROLES, dashes
-from skdgp.report._write import STYLE
+from skdgp.report._page import STYLE
 
 # Linear RGB as dichromats see it: Machado, Oliveira & Fernandes (2009), severity 1.
 VISION = {

@@ -18,7 +18,7 @@ from skdgp._flight.channels import COEFFICIENTS, LATERAL
 from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
-from skdgp.report import _write as write_module
+from skdgp.report import _page as page_module
 from skdgp.report._charts import thinning
 from skdgp.report._pictures import time_slices
 from skdgp.report._sections import Detail, flown_tables
@@ -177,7 +177,7 @@ def numbers_only(monkeypatch):
     def absent(who):
         raise ImportError
 
-    monkeypatch.setattr(write_module, "check_matplotlib", absent)
+    monkeypatch.setattr(page_module, "check_matplotlib", absent)
 
 
 class TestPage:

@@ -1,0 +1,232 @@
+"""A plan beside the flight: which manoeuvres were flown, what they taught, and which limits they left."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.typing import Array
+from skdgp._flight.checks import check_columns
+from skdgp._flight.clock import flight_segments
+from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
+from skdgp.design._information import Information, expected_information
+from skdgp.design._plan import STEP, Plan, errors_of
+from skdgp.dynamics import Aircraft
+
+LIKE = 0.85
+"""Least correlation of recorded and planned deflections, over a manoeuvre and its ends, by which it counts as flown."""
+SIZES = (0.5, 2.0)
+"""Of what was flown, relative to the plan."""
+ENDS = 0.4
+"""Of flight at trim before and after, which a manoeuvre is recognised by too [s]."""
+Match = tuple[int, float, int, float, float]
+"""Segment, start [s], row of the plan, likeness, size."""
+NAMES = ("coefficients", "regressors")
+KEYS = {"aircraft", "at", "pause", "manoeuvres", "limits", "errors", "known"}
+
+
+@dataclass(frozen=True, eq=False)
+class FlownPlan:
+    """What a plan expected, and what was found after the flight.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        Standard errors of the derivatives of the goal: ``before`` the flight; ``expected`` after it; ``found``, by the
+        same formula from the recorded regressors of the manoeuvres that were flown; and ``model``, the standard
+        deviations of the model that is judged, at the trims.
+    manoeuvres : DataFrame
+        Those that were flown: ``flight``, ``start`` [s], ``name``, ``likeness`` (correlation with the plan), ``size``
+        (relative to it), lowest and highest values of what an envelope limits, found and expected (``alpha_low``,
+        ``alpha_high``, ``alpha_expected_low``, ...), and ``left``, the limits that were left.
+    missed : dict of str to int
+        How many of each kind were planned but not flown.
+    """
+
+    errors: pd.DataFrame
+    manoeuvres: pd.DataFrame
+    missed: dict[str, int]
+
+    @property
+    def remaining(self) -> dict[str, float]:
+        """Geometric mean of the errors over those before, ``expected``, ``found`` and of the ``model``."""
+        with np.errstate(divide="ignore"):  # nothing was known before
+            ratios = np.log(self.errors.div(self.errors["before"], axis=0)[["expected", "found", "model"]])
+        return {str(name): float(np.exp(value)) for name, value in ratios.mean().items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            "remaining": self.remaining,
+            "errors": self.errors.to_dict("index"),
+            "manoeuvres": self.manoeuvres.to_dict("records"),
+            "missed": self.missed,
+        }
+
+
+def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what `Plan.to_dict` returns, of a plan or of the plan.json of ``python -m skdgp plan``."""
+    if isinstance(plan, Plan):
+        return plan.to_dict()
+    if not Path(plan).is_file():
+        raise FileNotFoundError(f"Got {plan} as the plan, but there is no such file.")
+    try:
+        found = json.loads(Path(plan).read_text(encoding="utf-8"))
+    except ValueError:  # no JSON, or no text
+        found = None
+    if not (isinstance(found, dict) and set(found) >= KEYS):
+        raise ValueError(f"Got {plan} as the plan, but expected the plan.json that python -m skdgp plan writes.")
+    return found
+
+
+def compare_with_plan(
+    plan: Mapping[str, Any], flights: pd.DataFrame, aircraft: Aircraft, noise: pd.DataFrame, model: Information
+) -> FlownPlan:
+    """Return what a plan expected beside what was found.
+
+    Parameters
+    ----------
+    plan : mapping
+        As of `read_plan`.
+    flights : DataFrame
+        Recorded: ``time``, ``flight``, deflections of the plan's axes, what an envelope limits, and the regressors.
+    aircraft : Aircraft
+    noise : DataFrame
+        As of `coefficient_noise`.
+    model : Information
+        Of the model that is judged, at the plan's trims.
+
+    Raises
+    ------
+    ValueError
+        If the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre was flown.
+    """
+    _check_aircraft(plan["aircraft"], aircraft)
+    before = Information(np.asarray(plan["known"]["fisher"]), *(tuple(plan["known"][n]) for n in NAMES))
+    if set(before.regressors) != set(model.regressors):
+        raise ValueError(
+            f"Got a plan about the regressors {list(before.regressors)}, but the model has {list(model.regressors)}: "
+            "judge a model with the regressors that the plan was made with."
+        )
+    axes = sorted({axis for one in plan["manoeuvres"] for axis in one["inputs"]})
+    check_columns(flights, ["time", *axes], what="flight")
+    rows = sorted(_recognised(plan, flights, axes), key=lambda one: one[:2])
+    windows = [_window(plan, flights, *row) for row in rows]
+    thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for _, part in windows]
+    numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
+    gained = expected_information(numbered, aircraft, before.regressors, noise.loc[list(before.coefficients)])
+    errors = pd.DataFrame.from_dict(plan["errors"], orient="index").astype(float).fillna(np.inf)
+    found = {"found": errors_of(before + gained), "model": errors_of(model)}
+    errors = errors.rename(columns={"after": "expected"})
+    planned = pd.Series([one["name"] for one in plan["manoeuvres"]]).value_counts()
+    flown = pd.DataFrame([row for row, _ in windows])
+    missed = (planned - flown["name"].value_counts().reindex(planned.index, fill_value=0)).clip(lower=0)
+    return FlownPlan(
+        errors.assign(**{name: values[list(errors.index)] for name, values in found.items()}),
+        flown,
+        {str(name): int(n) for name, n in missed.items() if n},
+    )
+
+
+def _check_aircraft(planned: Mapping[str, Any], aircraft: Aircraft) -> None:
+    for name in ("wing_area", "span", "chord"):
+        if not np.isclose(planned[name], getattr(aircraft, name), rtol=1e-3):
+            raise ValueError(
+                f"Got a plan of the aircraft {planned.get('name')!r} with a {name} of {planned[name]:g}, but the model "
+                f"is of {aircraft.name!r} with {getattr(aircraft, name):g}: give the plan of this aircraft."
+            )
+
+
+def _recognised(plan: Mapping[str, Any], flights: pd.DataFrame, axes: list[str]) -> list[Match]:
+    """Return segment, start, row of the plan, likeness and size of each manoeuvre that is recognised."""
+    kinds = {one["name"]: k for k, one in reversed([*enumerate(plan["manoeuvres"])])}
+    found: list[Match] = []
+    best = 0.0
+    for number, part in _segments(flights):
+        time = part["time"].to_numpy(float)
+        grid = np.arange(time[0] - ENDS, time[-1] + ENDS, STEP)
+        moved = np.stack([np.interp(grid, time, part[axis].to_numpy(float)) for axis in axes])
+        candidates = []
+        for k in kinds.values():
+            likeness, size = _likeness(moved, _template(plan["manoeuvres"][k]["inputs"], axes))
+            best = max(best, likeness.max(initial=0.0))
+            fits = (likeness >= LIKE) & (size >= SIZES[0]) & (size <= SIZES[1])
+            candidates += [(likeness[n], k, grid[n] + ENDS, size[n]) for n in np.flatnonzero(fits)]
+        taken: list[tuple[float, float]] = []
+        for like, k, start, size in sorted(candidates, key=lambda one: -one[0]):
+            end = start + plan["manoeuvres"][k]["duration"]
+            if all(end <= low or start >= high for low, high in taken):
+                taken.append((start, end))
+                found.append((number, float(start), k, float(like), float(size)))
+    if not found:
+        raise ValueError(
+            f"Got flights without a manoeuvre of the plan: the {' '.join(axes)} that come nearest have a correlation "
+            f"of {best:.2f} with it, but expected at least {LIKE}, and {SIZES[0]:g} to {SIZES[1]:g} times its size. "
+            "Give the flights that flew this plan."
+        )
+    return found
+
+
+def _segments(flights: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Yield number and rows of each gap-free part of the flights."""
+    number = 0
+    for _, table in flights.groupby("flight", sort=False, observed=True):
+        for rows in flight_segments(table["time"].to_numpy(float)):
+            if len(table.iloc[rows]) > 1:
+                yield number, table.iloc[rows]
+            number += 1
+
+
+def _template(inputs: Mapping[str, list[float]], axes: list[str]) -> Array:
+    """Return the deviations of all axes, (axes, steps), with flight at trim before and after."""
+    ends, length = round(ENDS / STEP), max(map(len, inputs.values()))
+    found = np.zeros((len(axes), length + 2 * ends))
+    for axis, values in inputs.items():
+        found[axes.index(axis), ends : ends + len(values)] = values
+    return found
+
+
+def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
+    """Return correlation and relative size of the template at each start; trims do not count."""
+    n = template.shape[1]
+    if moved.shape[1] < n:
+        return np.zeros(0), np.zeros(0)
+    template = template - template.mean(axis=1, keepdims=True)
+    used = np.abs(template).max(axis=1) > 0
+    product = sum(np.correlate(y, t, "valid") for y, t in zip(moved[used], template[used], strict=True))
+    ones = np.ones(n)
+    centred = moved[used] - moved[used].mean(axis=1, keepdims=True)  # for precision
+    squares = sum(np.correlate(y**2, ones, "valid") - np.correlate(y, ones, "valid") ** 2 / n for y in centred)
+    power = (template**2).sum()
+    return product / np.sqrt(power * np.maximum(squares, 1e-12 * power)), product / power
+
+
+def _window(
+    plan: Mapping[str, Any], flights: pd.DataFrame, number: int, start: float, k: int, like: float, size: float
+) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Return the facts of a manoeuvre that was flown, and its rows and those of the pause after it."""
+    one = plan["manoeuvres"][k]
+    part = dict(_segments(flights))[number]
+    part = part[part["time"].between(start, start + one["duration"] + plan["pause"])]
+    values = quantities(part.reindex(columns=["alpha", "beta", "airspeed", "altitude", "az", "phi"]))
+    facts: dict[str, Any] = {
+        "flight": part["flight"].iloc[0], "start": start, "name": one["name"], "likeness": like, "size": size
+    }  # fmt: skip
+    for name in QUANTITIES:
+        facts |= {f"{name}_low": values[name].min(), f"{name}_high": values[name].max()}
+        facts |= {f"{name}_expected_{end}": one["expected"][name][end] for end in ("low", "high")}
+    left = []
+    for name, limit in plan["limits"].items():
+        column = name.removeprefix(GROWTH)
+        flown = values[name] if name in values else part[column] if column in part else pd.Series(dtype=float)
+        low, high = (np.nan if limit[end] is None else limit[end] for end in ("low", "high"))
+        if (flown < low).any() or (flown > high).any():
+            left.append(name)
+    return facts | {"left": ", ".join(left)}, part

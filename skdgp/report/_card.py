@@ -1,0 +1,438 @@
+"""The flight card of a plan, to print and to fly from; and the plan beside the flight, for the report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.files import write_atomically
+from skdgp._flight.channels import HAT
+from skdgp.design import FlownPlan, Plan, Steps
+from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
+from skdgp.design._plan import errors_of
+from skdgp.plotting._style import PALETTE, ROLES, display_unit, tidy
+from skdgp.report._figures import figure
+from skdgp.report._page import can_draw, render_page
+from skdgp.report._pictures import strip
+from skdgp.report._tables import DASH, THIN, number, percent, symbol, table, text
+
+QUICK = 0.5
+"""Shortest step that a pilot can time by counting [s]."""
+SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")
+"""Responses that are drawn; altitude stands in the table of limits."""
+MOST_LISTED = 16
+"""Derivatives in one list; more stand in a table of coefficients by regressors."""
+NEAR = 0.6
+"""A limit is drawn if it is nearer to the response than this part of its range."""
+DIRECTIONS = {
+    "elevator": ("nose down", "nose up"), "aileron": ("roll right", "roll left"), "rudder": ("nose left", "nose right"),
+    "throttle": ("more power", "less power"),
+}  # fmt: skip
+SOME = 0.95
+"""Part of an error that is left, above which a manoeuvre teaches nothing worth naming."""
+LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.rad2deg(1.0)), "deg")}
+NO_BREAK = "\u00a0"
+SIGN = '<div class="sign"><p>Planned</p><p>Pilot</p><p>Flown: date, time, remarks</p></div>'
+
+
+def write_flight_card(
+    path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None, created: datetime | None = None
+) -> Path:
+    """Write the flight card of a plan as one HTML file, to print on A4 and to fly from.
+
+    Its first page says how to trim and to enter, the order of the manoeuvres, when to abort, and what the flight
+    teaches. A page for each kind of manoeuvre shows the inputs as pictures and, where a pilot can fly them, as steps;
+    the responses expected of 95 % of the aircraft drawn; its limits, its risk and what it teaches.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to write, such as ``card.html``; its folder must exist.
+    plan : Plan
+        As of :func:`skdgp.design.plan`.
+    full : mapping of str to float, optional
+        Full deflection of axes [rad], or 1 of the throttle: the card then says how much of the stick each step is.
+    created : datetime, optional
+        When; default: now.
+
+    Returns
+    -------
+    Path
+        ``path``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder does not exist.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from skdgp.design import plan
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft
+    >>> from skdgp.report import write_flight_card
+    >>> def linear(X):
+    ...     alpha, q, elevator = X.T
+    ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    >>> found = plan(Aerodynamics(linear, ["alpha", "q_hat", "elevator"]), aircraft, airspeeds=20.0, seconds=8.0,
+    ...              axes=["elevator"], goal=["Cm_q"], limits={"elevator": 0.04}, noise={"Cm": 0.004})
+    >>> path = write_flight_card(Path(tempfile.mkdtemp()) / "card.html", found)
+    >>> "nose down" in path.read_text(encoding="utf-8")
+    True
+    """
+    created = datetime.now().astimezone() if created is None else created
+    draw = can_draw("write_flight_card")
+    body = [_headline(plan), _entry(plan), _limits(plan), _order(plan), _teaching(plan)]
+    if not draw:
+        body.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
+    body += [_manoeuvre(plan, kind, full or {}, draw) for kind in _kinds(plan).values()]
+    meta = f"{len(plan.manoeuvres)} manoeuvres of {len(_kinds(plan))} kinds · planned {created:%d %B %Y, %H:%M}"
+    colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
+    title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
+    page = render_page("Flight card", title, meta, "\n".join(body), colophon, script=False)
+    return write_atomically(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+
+
+def flown_plan(plan: FlownPlan) -> str:
+    """Return what a plan expected beside what was found, a section of the report on the flight."""
+    names = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
+    errors = plan.errors
+    if len(errors) <= MOST_LISTED:
+        rows = [[_derivative(name), *(_milli(row[key]) for key in names)] for name, row in _rows(errors)]
+        head, classes, each = ["", *names.values()], "narrow", ""
+    else:
+        (head, rows), classes = _by_coefficient(errors, ("found", "expected", "before")), ""
+        each = " Each cell: found and, in grey, expected and before."
+    caption = (
+        "Standard errors of derivatives, in thousandths. Expected: by the plan. Found: by the same formula, from what "
+        "the flight recorded during its manoeuvres. Of the model: of the one judged here, which knows of this flight "
+        "only if it learned from it. Geometric mean, of those before: "
+    )
+    caption += ", ".join(f"{name} {percent(value, '.0f')}{THIN}%" for name, value in plan.remaining.items())
+    tables = table(head, rows, caption=f"{caption}.{each}", classes=classes)
+    rows = [
+        [
+            f"{text(row['name'])}<br><em>{text(row['flight'])}, {number(row['start'], '.1f')}{THIN}s</em>",
+            percent(row["size"], ".0f"), number(row["likeness"], ".2f"),
+            *(f"{_range(name, row, '')}<br><em>{_range(name, row, 'expected_')}</em>" for name in QUANTITIES),
+            f'<span class="off">{text(row["left"])}</span>' if row["left"] else "none",
+        ]
+        for _, row in plan.manoeuvres.iterrows()
+    ]  # fmt: skip
+    head = ["manoeuvre", "size<br>[%]", "like<br>the plan", *map(_heading, QUANTITIES), "limits<br>left"]
+    caption = "Manoeuvres of the plan that were flown: the range of each response and, in grey, the expected one."
+    tables += table(head, rows, caption=caption)
+    if plan.missed:
+        words = ", ".join(f"{n} of {name}" for name, n in plan.missed.items())
+        tables += f'<p class="note">Planned, but not found in the flights: {text(words)}.</p>'
+    return f"<section><h2>The plan and the flight</h2>{tables}</section>"
+
+
+def _range(name: str, row: pd.Series, kind: str) -> str:
+    low, high = (row[f"{name}_{kind}{end}"] for end in ("low", "high"))
+    return DASH if np.isnan(low) else f"{_shown(name, low)} … {_shown(name, high)}"
+
+
+def _kinds(plan: Plan) -> dict[tuple, list[int]]:
+    """Return the rows of ``manoeuvres`` by kind: name, wavetrain and size."""
+    kinds: dict[tuple, list[int]] = {}
+    for k, row in enumerate(plan.manoeuvres.itertuples()):
+        kinds.setdefault((row.name, row.train, row.scale), []).append(k)
+    return kinds
+
+
+def _headline(plan: Plan) -> str:
+    errors, rows = plan.errors, plan.manoeuvres
+    known = np.isfinite(errors).all(axis=None)
+    ratio = np.exp(np.log(errors["after"] / errors["before"]).mean()) if known else np.nan
+    seconds = sum(train.duration + _pause(plan, k) for k, train in enumerate(plan.trains))
+    what = plan.goal[0] if len(plan.goal) == 1 else f"{len(plan.goal)} derivatives"
+    tiles = [
+        (f"{number(seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
+        (f"{len(rows)}", "manoeuvres, one after another"),
+        (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre to leave the limits"),
+        (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {text(what)} is left, on geometric average"),
+    ]
+    if not known:
+        tiles[3] = ("new", f"nothing was known of {text(what)}")
+    return f'<div class="head">{"".join(f"<div><b>{n}</b><span>{words}</span></div>" for n, words in tiles)}</div>'
+
+
+def _entry(plan: Plan) -> str:
+    axes = list(dict.fromkeys(name for one in plan.trims for name in one.controls))
+    head = ["", *map(_heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes))]
+    rows = [
+        [
+            _train(plan, k),
+            *(_shown(name, getattr(one, name)) for name in ("airspeed", "altitude", "phi", "alpha", "theta")),
+            *(_shown(name, one.controls.get(name, np.nan)) for name in axes),
+        ]
+        for k, one in enumerate(plan.trims)
+    ]
+    pause = f"{number(_pause(plan, 0), 'g')}{THIN}s"
+    steps = (
+        f"<li>Trim at the values of the table, hands off, for {pause}.</li>"
+        "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock.</li>"
+        "<li>Leave the other controls at their trim while the inputs run: corrections spoil the measurement.</li>"
+        f"<li>Return to the trim, and hold it for {pause} before the next manoeuvre. Wait longer if the aircraft has "
+        "not come to rest; the order may be interrupted between manoeuvres, not within one.</li>"
+    )
+    caption = "Trim, as the model expects it; deflections of the controls are positions, not deviations."
+    return f"<section><h2>Trim and entry</h2>{table(head, rows, caption=caption)}<ol>{steps}</ol></section>"
+
+
+def _order(plan: Plan) -> str:
+    head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size<br>[% of limit]", "risk [%]", "errors [%]", "flown"]
+    rows: list[list[str]] = []
+    for k, row in enumerate(plan.manoeuvres.to_dict("records")):
+        if len(plan.trims) > 1 and (k == 0 or row["train"] != plan.manoeuvres["train"].iloc[k - 1]):
+            rows.append([_train(plan, row["train"])])
+        numbers = [number(row["start"], ".1f"), number(row["duration"], ".1f"), percent(row["scale"], ".0f")]
+        last = [percent(row["risk"]), percent(-row["gain"], ".0f"), "☐"]
+        rows.append([f"{k + 1}. {text(row['name'])}", *numbers, *last])
+    caption = (
+        "Order of flight. Risk: predicted probability of leaving a limit; if K of N flights drawn leave one, it is "
+        "(K + 1) / (N + 2). Errors: change of the errors of the goal, on geometric average, by this manoeuvre after "
+        "those before it."
+    )
+    return f"<section><h2>Order of flight</h2>{table(head, rows, caption=caption)}</section>"
+
+
+def _limits(plan: Plan) -> str:
+    words = "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b></p>"
+    if any(name.startswith(GROWTH) for name in plan.limits.index):
+        words += (
+            '<p class="note">The plan also keeps rates and deflections near what was flown before; the risk of a '
+            "manoeuvre counts these too.</p>"
+        )
+    return f"<section><h2>Abort limits</h2>{words}{_limit_table(plan, range(len(plan.manoeuvres)))}</section>"
+
+
+def _limit_table(plan: Plan, rows: Sequence[int]) -> str:
+    """Return the limits, and what is expected of some manoeuvres."""
+    limits, expected = _abort(plan), plan.expected(rows)
+    cells = [(frame, end) for frame in (limits, expected) for end in ("low", "high")]
+    lines = [[_name(name), _unit(name), *(_value(name, *cell) for cell in cells)] for name in QUANTITIES]
+    head = ["", "unit", "abort<br>below", "abort<br>above", "expected<br>lowest", "expected<br>highest"]
+    of = "95 % of the aircraft and gusts drawn" if "alpha_low" in plan.flight else "the mean of the model"
+    return table(head, lines, caption=f"Limits, and what is expected of {of}.", classes="narrow")
+
+
+def _teaching(plan: Plan) -> str:
+    errors = plan.errors
+    if len(errors) <= MOST_LISTED:
+        head = ["", "before", "after", "left [%]"]
+        rows = [
+            [_derivative(name), *(_milli(row[c]) for c in ("before", "after")), percent(_left(row), ".0f")]
+            for name, row in _rows(errors)
+        ]
+        caption = "Standard errors of the derivatives of the goal, before and after the flight, in thousandths."
+        shown = table(head, rows, caption=caption, classes="narrow")
+    else:
+        head, rows = _by_coefficient(errors, ("after", "before"))
+        caption = "Standard errors of the derivatives, after the flight and, in grey, before it, in thousandths."
+        shown = table(head, rows, caption=caption)
+    pairs = plan.confounded
+    if len(pairs):
+        named = [f"{one.first} and {one.second} in {one.coefficient}" for one in pairs.head(5).itertuples()]
+        more = f" and {len(pairs) - 5} more pairs" if len(pairs) > 5 else ""
+        shown += f'<p class="note">Not told apart by this flight: {text(", ".join(named)).replace(HAT, "")}{more}.</p>'
+    return f"<section><h2>What the flight teaches</h2>{shown}{SIGN}</section>"
+
+
+def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw: bool) -> str:
+    """Return the page of a kind of manoeuvre, which is flown in one or several rows of the order."""
+    row, inputs = plan.manoeuvres.iloc[rows[0]], plan.inputs(rows[0])
+    starts = ", ".join(f"{number(start, '.1f')}{THIN}s" for start in plan.manoeuvres["start"].iloc[list(rows)])
+    trim = plan.trims[int(row["train"])]
+    facts = [
+        f"No. {', '.join(str(k + 1) for k in rows)} of the order, at {starts}.",
+        f"Entry: {_train(plan, int(row['train']))}, altitude {_shown('altitude', trim.altitude)}{THIN}m.",
+    ]
+    if not np.isnan(row["risk"]):
+        facts.append(f"Risk of leaving a limit: {percent(row['risk'])}{THIN}%.")
+    facts.append(_most_taught(plan, rows))
+    words, steps = _steps(inputs, trim.controls, full)
+    left = f"<p>{' '.join(facts)}</p><p><b>{words}</b></p>{steps}"
+    parts = [f"<h2>{text(row['name'])}</h2>", f'<div class="pair"><div>{left}</div>{_limit_table(plan, rows)}</div>']
+    parts += [_pictures(plan, rows[0], inputs)] if draw else []
+    return f'<section class="flight">{"".join(parts)}</section>'
+
+
+def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mapping[str, float]) -> tuple[str, str]:
+    """Return who can fly the inputs, and the table of their steps, if they have steps."""
+    if not all(isinstance(signal, Steps) for signal in inputs.values()):
+        highest = max(1.0 / signal.period for signal in inputs.values())
+        return f"By the autopilot: sums of sines up to {number(highest, '.2g')}{THIN}Hz, which no pilot can fly.", ""
+    quick = min(min(signal.durations) for signal in inputs.values())
+    by_hand = "By hand, or by the autopilot."
+    if quick < QUICK:
+        by_hand = f"By the autopilot: steps of {number(quick, '.2f')}{THIN}s are too quick for a hand."
+    sticks = bool(set(inputs) & set(full))
+    head = [text(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by [deg]", "to [deg]"]
+    head += ["of full<br>deflection [%]"] if sticks else []
+    rows = []
+    for axis, signal in inputs.items():
+        factor = display_unit(axis)[0]
+        for time, level, hold in zip(signal.edges, [*signal.levels, 0.0], [*signal.durations, np.nan], strict=True):
+            way = DIRECTIONS.get(axis, ("up", "down"))[int(level < 0)] if level else "back to trim"
+            cells = [_signed(factor * level, ".1f"), number(factor * (controls.get(axis, 0.0) + level), ".1f")]
+            stick = [_signed(100.0 * level / full[axis], ".0f") if axis in full else ""] if sticks else []
+            what = way if len(inputs) == 1 else f"{text(axis)}: {way}"
+            rows.append((time, [what, number(time, ".2f"), number(hold, ".2f"), *cells, *stick]))
+    rows.sort(key=lambda one: one[0])
+    caption = "Steps, from the start of the manoeuvre; hold the other controls at trim."
+    return by_hand, table(head, [row for _, row in rows], caption=caption, classes="narrow")
+
+
+def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
+    flight = plan.flight[plan.flight["flight"] == k]
+    time, values, limits = flight["time"].to_numpy(float), quantities(flight), _abort(plan)
+    end = plan.manoeuvres["duration"].iloc[k]
+    fine = np.linspace(0.0, time[-1], 2000)
+    panels = []
+
+    def draw_input(ax, axis):
+        ax.plot(fine, display_unit(axis)[0] * inputs[axis](fine), color=PALETTE["purple"], linewidth=1.2)
+        ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.5)
+
+    def draw_response(ax, name):
+        factor = _label(name)[1]
+        if f"{name}_low" in flight:
+            low, high = (factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high"))
+            ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
+        ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
+        bottom, top = ax.get_ylim()
+        for limit in factor * limits.loc[name].to_numpy() if name in limits.index else ():
+            if bottom - NEAR * (top - bottom) < limit < top + NEAR * (top - bottom):
+                ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
+
+    names = [*inputs, *(name for name in SHOWN if name in values)]
+    for n, name in enumerate(names):
+
+        def draw(ax, name=name):
+            draw_input(ax, name) if name in inputs else draw_response(ax, name)
+            ax.axvline(end, color=PALETTE["grey"], linewidth=0.5)
+            label, _, unit = _label(name)
+            ax.set_ylabel(f"{label} [{unit}]" if unit else label)
+            ax.set_xlabel("time [s]")
+            tidy(ax)
+
+        label = f"{_label(name)[0]} against time" + ("" if name in inputs else ": expected, with its 95 % band")
+        panels.append(strip(draw, label=label, bottom=n >= len(names) - 2))
+    key = [("purple", "input, deviation from trim", ""), ("blue", "expected", "")]
+    key += [("sky", "95 % of the aircraft drawn", "area")] if "alpha_low" in flight else []
+    key += [("vermillion", "abort limit", "")]
+    caption = (
+        "Inputs and expected responses, from the start of the manoeuvre; the thin line marks the end of the inputs. "
+        "Limits that the response does not come near are not drawn."
+    )
+    return figure(panels, caption, key)
+
+
+def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
+    """Return in words the derivatives of the goal whose errors these manoeuvres alone reduce most."""
+    goal = list(plan.goal)
+    before = errors_of(plan.before)[goal]
+    after = errors_of(sum((plan.parts[k] for k in rows), plan.before))[goal]
+    left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
+    shown = [
+        f"{percent(left[name], '.0f')}{THIN}% of that of {_derivative(name)}"
+        if left[name] > 0 else f"{_derivative(name)} known to ±{number(after[name], '.2g')}"
+        for name in map(str, left.index[:most]) if left[name] < SOME
+    ]  # fmt: skip
+    return f"Errors it leaves, by itself: {', '.join(shown)}." if shown else "It teaches nothing of the goal by itself."
+
+
+def _abort(plan: Plan) -> pd.DataFrame:
+    """Return the limits of quantities that have one, the narrower of the envelope and of its growth."""
+    both = plan.limits.groupby(lambda name: name.removeprefix(GROWTH)).agg({"low": "max", "high": "min"})
+    limits = both.loc[list(QUANTITIES)]
+    limits["low"] = limits["low"].mask((limits.index == "airspeed") & (limits["low"] == 0.0), -np.inf)
+    return cast("pd.DataFrame", limits[np.isfinite(limits).any(axis=1)])
+
+
+def _pause(plan: Plan, train: int) -> float:
+    """Return the time at trim before and after each manoeuvre [s]."""
+    return float(plan.manoeuvres.loc[plan.manoeuvres["train"] == train, "start"].iloc[0])
+
+
+def _train(plan: Plan, k: int) -> str:
+    trim = plan.trims[k]
+    bank = f", bank {_shown('phi', trim.phi)}°" if abs(trim.phi) > np.deg2rad(0.5) else ""
+    return f"{number(trim.airspeed, 'g')}{THIN}m/s{bank}"
+
+
+def _label(name: str) -> tuple[str, float, str]:
+    return LABELS.get(name, (name.replace("_", " "), *display_unit(name)))
+
+
+def _name(name: str) -> str:
+    return text(_label(name)[0])
+
+
+def _unit(name: str) -> str:
+    return text(_label(name)[2])
+
+
+def _heading(name: str, unit: bool = True) -> str:
+    named = {"phi": "bank", "theta": "pitch"}.get(name, _name(name))
+    return f"{named}<br>[{_unit(name)}]" if unit and _unit(name) else named
+
+
+def _shown(name: str, value: float) -> str:
+    _, factor, unit = _label(name)
+    return number(factor * value, ".0f" if name == "altitude" else ".2f" if not unit else ".1f")
+
+
+def _value(name: str, frame: pd.DataFrame, end: str) -> str:
+    value = dict(_rows(frame)).get(name, {}).get(end, np.nan)
+    return _shown(name, value) if np.isfinite(value) else DASH
+
+
+def _derivative(name: str) -> str:
+    coefficient, _, regressor = name.partition("_")
+    return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
+
+
+def _signed(value: float, form: str) -> str:
+    return ("+" if value > 0 else "") + number(value, form)
+
+
+def _left(row: Mapping[str, float]) -> float:
+    return row["after"] / row["before"] if np.isfinite(row["before"]) and row["before"] > 0 else np.nan
+
+
+def _rows(table: pd.DataFrame) -> list[tuple[str, dict[Any, Any]]]:
+    """Return name and values of each row."""
+    return [(str(name), row) for name, row in table.to_dict("index").items()]
+
+
+def _by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Return heads and rows of a table of coefficients by regressors; all names but the first stand in grey."""
+    pairs = [name.split("_", 1) for name in errors.index]
+    known, regressors = dict(_rows(errors)), list(dict.fromkeys(second for _, second in pairs))
+    rows = []
+    for coefficient in dict.fromkeys(first for first, _ in pairs):
+        keys = [f"{coefficient}_{name}" for name in regressors]
+        shown = [[_milli(known[key][name]) for name in names] if key in known else [""] for key in keys]
+        cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in shown]
+        rows.append([symbol(coefficient), *cells])
+    return ["", *(_heading(name, unit=False) for name in regressors)], rows
+
+
+def _milli(value: float) -> str:
+    """Return a thousandth's number with two digits that count, never in powers of ten."""
+    if not np.isfinite(value):
+        return number(value)
+    return np.format_float_positional(float(f"{1e3 * value:.2g}"), trim="-")

@@ -1,0 +1,107 @@
+"""A plan beside the flight: what is recognised, what it taught, and what cannot be compared."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.design import Information, doublet, expected_information, three_two_one_one
+from skdgp.design._envelope import QUANTITIES
+from skdgp.design._flown import compare_with_plan, read_plan
+from skdgp.dynamics import Aircraft
+
+STEP = 0.04
+REGRESSORS = ("alpha", "elevator")
+NOISE = pd.DataFrame({"white": 0.002, "drift": 0.001, "memory": 0.5}, index=["CZ", "Cm"])
+SIGNALS = {"doublet": {"elevator": doublet(0.6, 0.05)}, "3-2-1-1": {"rudder": three_two_one_one(0.4, 0.1)}}
+BEFORE = Information(np.stack([np.diag([1e4, 100.0, 400.0])]), ("Cm",), REGRESSORS)
+
+
+@pytest.fixture
+def plan(uav):
+    """Return a plan of two doublets and a 3-2-1-1, as its file holds it."""
+    rows = []
+    for name in ("doublet", "3-2-1-1", "doublet"):
+        inputs = SIGNALS[name]
+        duration = max(signal.duration for signal in inputs.values())
+        sampled = {axis: signal(np.arange(0, duration + STEP, STEP)).tolist() for axis, signal in inputs.items()}
+        expected = {quantity: {"low": -0.2, "high": 0.3} for quantity in QUANTITIES}
+        rows.append({"name": name, "duration": duration, "inputs": sampled, "expected": expected})
+    return {
+        "aircraft": uav.to_dict(), "at": dict.fromkeys(REGRESSORS, 0.0), "pause": 2.0, "manoeuvres": rows,
+        "limits": {"alpha": {"low": None, "high": 0.25}, "growth of elevator": {"low": -0.5, "high": 0.5}},
+        "errors": {"Cm_elevator": {"before": 0.05, "after": 0.02}},
+        "known": {name: np.asarray(value).tolist() for name, value in vars(BEFORE).items()},
+    }  # fmt: skip
+
+
+def flown(events, rate=50.0, seconds=40.0):
+    """Return a flight with some of the signals at their times and sizes, about trims that are not zero."""
+    time = np.arange(0.0, seconds, 1 / rate)
+    table = pd.DataFrame({"time": time, "flight": "a", "elevator": -0.03, "rudder": 0.01})
+    for name, start, size in events:
+        for axis, signal in SIGNALS[name].items():
+            table[axis] += size * signal(time - start)
+    noise = 5e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    table[["elevator", "rudder"]] += noise
+    alpha = 0.08 + 0.01 * np.sin(0.7 * time) + np.convolve(table["elevator"] + 0.03, np.ones(25) / 25, "same")
+    return table.assign(alpha=alpha, beta=0.0, airspeed=20.0, altitude=100.0, az=-9.81, phi=0.0)
+
+
+def test_manoeuvres_are_found_where_they_were_flown(plan, uav):
+    events = [("3-2-1-1", 5.013, 0.8), ("doublet", 20.0, 1.0)]
+    found = compare_with_plan(plan, flown(events), uav, NOISE, BEFORE)
+    rows = found.manoeuvres
+    assert rows["name"].tolist() == ["3-2-1-1", "doublet"]
+    np.testing.assert_allclose(rows["start"], [5.013, 20.0], atol=STEP)
+    np.testing.assert_allclose(rows["size"], [0.8, 1.0], atol=0.06)
+    assert (rows["likeness"] > 0.95).all()
+    assert found.missed == {"doublet": 1}
+    assert rows["alpha_high"].iloc[1] == pytest.approx(
+        flown(events).query("20 <= time <= 23.2")["alpha"].max(), abs=2e-3
+    )
+    assert (rows["left"] == "").all()
+
+
+def test_what_was_found_is_the_information_of_what_was_flown(plan, uav):
+    """The rows of the manoeuvre and of the pause after it, 25 a second, add to what was known."""
+    flight = flown([("doublet", 20.0, 1.0)])
+    found = compare_with_plan(plan, flight, uav, NOISE, BEFORE)
+    part = flight.query("20 <= time <= 23.2").iloc[::2]
+    after = BEFORE + expected_information(part, uav, REGRESSORS, NOISE.loc[["Cm"]])
+    row = found.errors.loc["Cm_elevator"]
+    assert row["found"] == pytest.approx(after.std.loc["Cm", "elevator"], rel=0.05)
+    assert row["model"] == pytest.approx(0.05, rel=1e-6)  # 1 / sqrt(400)
+    assert row["expected"] == 0.02
+    assert found.remaining["model"] == pytest.approx(1.0)
+
+
+def test_limits_that_were_left_are_named(plan, uav):
+    """The first leaves a limit of its response in the pause after it, the second one of its regressors."""
+    flight = flown([("doublet", 20.0, 1.0), ("doublet", 30.0, 1.0)])
+    flight.loc[flight["time"].between(22, 22.2), "alpha"] = 0.3
+    flight.loc[flight["time"].between(32, 32.1), "elevator"] = 0.6
+    left = compare_with_plan(plan, flight, uav, NOISE, BEFORE).manoeuvres["left"]
+    assert left.tolist() == ["alpha", "growth of elevator"]
+
+
+def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
+    flight = flown([("doublet", 20.0, 1.0)])
+    other = Aircraft(mass=12, inertia=uav.inertia, wing_area=1.3, span=3.0, chord=0.55, name="other")
+    with pytest.raises(ValueError, match=r"with a span of 2\.6, but the model is of 'other' with 3"):
+        compare_with_plan(plan, flight, other, NOISE, BEFORE)
+    with pytest.raises(ValueError, match="judge a model with the regressors"):
+        compare_with_plan(plan, flight, uav, NOISE, Information(np.eye(2)[None], ("Cm",), ("alpha",)))
+    with pytest.raises(ValueError, match=r"without a manoeuvre of the plan: .* expected at least 0\.85"):
+        compare_with_plan(plan, flown([]), uav, NOISE, BEFORE)
+    with pytest.raises(ValueError, match="rudder"):
+        compare_with_plan(plan, flight.drop(columns="rudder"), uav, NOISE, BEFORE)
+    with pytest.raises(FileNotFoundError, match="as the plan, but there is no such file"):
+        read_plan(tmp_path / "nowhere.json")
+    for content in ("{}", "no plan"):
+        (tmp_path / "plan.json").write_text(content)
+        with pytest.raises(ValueError, match=r"expected the plan.json that python -m skdgp plan writes"):
+            read_plan(tmp_path / "plan.json")
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    assert read_plan(tmp_path / "plan.json") == plan

@@ -1,0 +1,121 @@
+"""The flight card: whole, self-contained, and true to its plan."""
+
+import re
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.design import Envelope, Information, Plan, Wavetrain, doublet, orthogonal_multisines, wavetrain
+from skdgp.design._envelope import QUANTITIES
+from skdgp.dynamics import Aerodynamics, Aircraft, trim
+from skdgp.report import _page, write_flight_card
+
+NAMES = ("alpha", "q_hat", "elevator", "rudder")
+PAUSE = 2.0
+
+
+@pytest.fixture(scope="module")
+def plan():
+    """Return a plan of two kinds of manoeuvres, one of them flown twice, whose numbers are all known."""
+    aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55, name="<uav>")
+
+    def linear(X):
+        alpha, q, elevator, rudder = X.T
+        lift = 0.3 + 4.5 * alpha
+        moment = 0.02 - 0.6 * alpha - 9 * q - elevator
+        return np.stack([-0.02 * lift, 0 * q, -lift, 0 * q, moment, -0.06 * rudder], axis=-1)
+
+    pulse = {"elevator": doublet(0.5, np.deg2rad(4.0))}
+    sines = dict(orthogonal_multisines({"elevator": 0.05, "rudder": 0.05}, 5.0, (0.4, 2.0), n_starts=1))
+    train = wavetrain([pulse, sines, pulse], pause=PAUSE)
+    rows = pd.DataFrame({
+        "train": 0, "airspeed": 20.0, "start": [2.0, 5.0, 12.0], "name": ["pulse", "sines", "pulse"],
+        "duration": [1.0, 5.0, 1.0], "scale": [1.0, 0.5, 1.0], "risk": [0.03, 0.016, 0.03], "gain": [0.5, 0.2, 0.1],
+    })  # fmt: skip
+    time = np.arange(0.0, 3.0, 0.04)
+    one = pd.DataFrame({name: 0.01 * np.sin(time) for name in ("alpha", "beta", "phi", "q", "elevator", "rudder")})
+    one = one.assign(time=time, airspeed=20.0, altitude=100.0, az=-9.80665)
+    for k, name in enumerate(QUANTITIES):
+        one = one.assign(**{f"{name}_low": -1.0 - k, f"{name}_high": 1.0 + k})
+    limits = pd.DataFrame(Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(Aerodynamics(linear, NAMES))).T
+    limits.columns = ["low", "high"]
+    limits.loc["growth of alpha"] = [-0.05, 0.3]
+    before = Information(np.stack([np.eye(5) * 4.0]), ("Cm",), NAMES)
+    parts = tuple(Information(np.stack([np.diag(d)]), ("Cm",), NAMES)
+                  for d in ([0, 60, 0, 0, 0], [0, 0, 12, 0, 0], [0, 36, 0, 0, 0]))  # fmt: skip
+    return Plan(
+        (train,), (trim(Aerodynamics(linear, NAMES), aircraft, 20.0, altitude=100.0),), ("Cm_alpha", "Cm_q"), before,
+        sum(parts, before), rows, pd.DataFrame(), pd.concat([one.assign(flight=k) for k in range(3)]), parts, limits,
+        aircraft,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def html(plan, tmp_path_factory):
+    path = tmp_path_factory.mktemp("card") / "card.html"
+    assert write_flight_card(path, plan, full={"elevator": np.deg2rad(20.0)}) == path
+    return path.read_text(encoding="utf-8")
+
+
+def words_of(html):
+    """Return what a reader sees."""
+    shown = re.sub(r"<(style|title)>.*?</\1>|<[^>]*>", " ", html, flags=re.DOTALL)
+    return " ".join(unescape(shown).split())
+
+
+def test_it_needs_nothing_else(html):
+    assert "<script" not in html
+    assert set(re.findall(r'(?:src|href)="(.)', html)) <= {"#"}
+    assert "<uav>: next flight" in words_of(html)
+    assert "<uav>" not in html
+
+
+def test_steps_are_the_inputs(html):
+    """4 degrees are a fifth of 20."""
+    words = words_of(html)
+    assert "nose down 0.00 0.50 +4.0" in words
+    assert re.search(r"nose up 0\.50 0\.50 −4\.0 \S+ −20 ", words)
+    assert "By hand, or by the autopilot." in words
+    assert "By the autopilot: sums of sines up to 1.8 Hz, which" in words
+
+
+def test_limits_are_the_narrower_and_in_degrees(html):
+    words = words_of(html)
+    assert f"alpha deg {np.rad2deg(-0.05):.1f} {np.rad2deg(0.2):.1f} ".replace("-", "−") in words
+    assert "altitude m 60 – " in words
+    assert "load factor g – – −3.0 3.0" in words
+
+
+def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):
+    """Both pulses: 4 + 60 + 36 = 25 times 4, so a fifth of the error; the sines: 4 + 12 = 4 times 4, a half."""
+    words = words_of(html)
+    assert len(re.findall('<section class="flight">', html)) == 2
+    assert "No. 1, 3 of the order, at 2.0 s, 12.0 s." in words
+    assert "Errors it leaves, by itself: 20 % of that of C m alpha ." in words
+    assert "Errors it leaves, by itself: 50 % of that of C m q ." in words
+    assert re.search(r"m alpha 500 100 20 ", words)  # thousandths
+
+
+def test_without_posterior_or_matplotlib_it_says_so(plan, tmp_path, monkeypatch):
+    def absent(who):
+        raise ImportError
+
+    monkeypatch.setattr(_page, "check_matplotlib", absent)
+    bare = plan.flight[[name for name in plan.flight if not name.endswith(("_low", "_high"))]]
+    write_flight_card(
+        tmp_path / "card.html", replace(plan, flight=bare, manoeuvres=plan.manoeuvres.assign(risk=np.nan))
+    )
+    words = words_of((tmp_path / "card.html").read_text(encoding="utf-8"))
+    assert "of the mean of the model" in words
+    assert "No pictures: they need matplotlib" in words
+    with pytest.raises(FileNotFoundError):
+        write_flight_card(tmp_path / "nowhere" / "card.html", plan)
+
+
+def test_inputs_are_found_by_manoeuvre(plan):
+    assert set(plan.inputs(1)) == {"elevator", "rudder"}
+    rebuilt = Wavetrain({"elevator": {2.0: plan.inputs(0)["elevator"]}})
+    assert rebuilt("elevator", 2.25) == pytest.approx(np.deg2rad(4.0))

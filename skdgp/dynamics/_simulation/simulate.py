@@ -178,7 +178,7 @@ def simulate(
     clock = Clock.of(dt, duration, tables_of(controls, wind))
     warn_of_clocks(starts, controls, wind, clock.dt)
     air = wind_schedule(wind, clock, len(starts))
-    commands = control_schedule(controls, clock, _is_control(motion), len(starts), hold=hold)
+    commands = control_schedule(controls, clock, is_control(motion), len(starts), hold=hold)
     states = initial_states(starts, lambda at: air(0, at))
     turbulence = _turbulence(gusts, motion, n_paths)
     drifting = motion.aerodynamics.drift if drift and n_paths is not None else None
@@ -444,7 +444,7 @@ def _std_along(record: Record, motion: Motion, start: Mapping[str, float], drift
     ])  # fmt: skip
 
 
-def _is_control(motion: Motion) -> Callable[[str], bool]:
+def is_control(motion: Motion) -> Callable[[str], bool]:
     """Return the function that finds the controls among the columns of a table, which may be a whole log."""
     if callable(motion.thrust):
         return lambda name: (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)

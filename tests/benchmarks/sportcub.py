@@ -105,7 +105,9 @@ METHODS = {
     "joint": Method('skdgp, structure="joint"', structured("joint")),
     "additive": Method('skdgp, structure="additive"', structured("additive")),
     "pipeline": Method("**skdgp pipeline**", bands=True),
-    "output_error": Method("**skdgp pipeline, then output error**", bands=True, output_error=True),
+    "output_error": Method(
+        'skdgp, structure="trend", then output error', structured("trend"), bands=True, output_error=True
+    ),
 }
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import eigen_root
@@ -31,8 +32,10 @@ from skdgp.dynamics._simulation.simulate import fly_record, is_control
 from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 
-SCALES = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Factors of the prior covariance that are tried: a posterior of correlated residuals is too sure."""
+SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Factors of the prior covariance that are tried; the first is so small that it shows the direction alone."""
+CONFIDENCE = 0.9
+"""Of Student's one-sided test that a correction predicts flights left out better."""
 SUPPORT = 60
 """Points of the flights at which the affine part of the posterior is taken."""
 SURE = 1e-6
@@ -56,9 +59,9 @@ class OutputError(NamedTuple):
     prior_scale: float
     """Factor of the prior covariance; 0 where there is no correction."""
     held_out: pd.Series
-    """Squared errors of states held out, over their number, by factor; 0: without a correction."""
+    """Mean squared errors of states held out, white, by factor; 0: without a correction."""
     loss: tuple[float, float]
-    """Squared errors of all states, over their number, before and after."""
+    """Mean squared errors of all states, white, before and after."""
 
 
 def fit_output_error(
@@ -85,8 +88,9 @@ def fit_output_error(
     by Gauss-Newton steps: r are the recorded less the simulated states of a segment at ``n_times`` times, C the
     covariance of both by ``noise`` and the drift, and P the prior covariance of the affine part of the model's errors.
     Slopes of the states by :math:`\theta` are differences of simulations, one path each. The factor k is the one that
-    predicts best when each flight is left out in turn (each segment of a single flight), to first order. Where no
-    correction predicts better, the model is returned as it is.
+    predicts best when each flight is left out in turn (each segment of a single flight), to first order. **The model is
+    returned as it is where a correction does not predict these better**: where Student's one-sided test of the gains of
+    a small correction (k = 0.1) does not show it with 90 % confidence.
 
     Paths of the corrected model are those of the model, with their affine part drawn anew from
     :math:`N(\theta, (\sum_s J_s^T C_s^{-1} J_s + (k P)^{-1})^{-1})`.
@@ -159,10 +163,12 @@ def fit_output_error(
     problem = _Problem(aerodynamics, aircraft, list(flights), noise, dt, n_times, random_state, wind, options)
     z = np.zeros(problem.root.shape[1])
     residuals, slopes = problem.linear(z)
-    held_out, before = _held_out(problem, residuals, slopes), float(np.mean(residuals**2))
-    scale = float(held_out.index.to_numpy()[held_out.argmin()])
-    if not scale:
-        return OutputError(aerodynamics, np.zeros(problem.shape), scale, held_out, (before, before))
+    left_out, before = _left_out(problem, residuals, slopes), float(np.mean(residuals**2))
+    held_out = left_out.mean()
+    gain = left_out[0.0] - left_out[SCALES[0]]
+    if gain.mean() <= student.ppf(CONFIDENCE, len(gain) - 1) * gain.std() / np.sqrt(len(gain)):
+        return OutputError(aerodynamics, np.zeros(problem.shape), 0.0, held_out, (before, before))
+    scale = min(SCALES, key=held_out.get)
     z, residuals, slopes = _minimum(problem, residuals, slopes, scale)
     theta = (problem.root @ z).reshape(problem.shape)
     _, H = _step(residuals, slopes, scale, z)
@@ -350,16 +356,15 @@ def _step(residuals: Array, slopes: Array, scale: float, z: Vector) -> tuple[Any
     return np.linalg.solve(H, J.T @ (r + J @ z)), H
 
 
-def _held_out(problem: _Problem, residuals: Array, slopes: Array) -> pd.Series:
-    """Return the mean squared residual of units held out in turn, by factor of the prior covariance, to first order."""
+def _left_out(problem: _Problem, residuals: Array, slopes: Array) -> pd.DataFrame:
+    """Return the mean squared residuals of units left out in turn, by factor of the prior covariance: first order."""
     units, zero = problem.units[problem.flown], np.zeros(slopes.shape[-1])
-    found = {0.0: np.sum(residuals**2)} | dict.fromkeys(SCALES, 0.0)
-    for scale in SCALES:
-        for unit in np.unique(units):
-            out = units == unit
-            z, _ = _step(residuals[~out], slopes[~out], scale, zero)
-            found[scale] += np.sum((residuals[out] - slopes[out] @ z) ** 2)
-    return pd.Series(found) / residuals.size
+    rows = []
+    for out in (units == unit for unit in np.unique(units)):
+        found = {scale: _step(residuals[~out], slopes[~out], scale, zero)[0] for scale in SCALES}
+        off = {0.0: residuals[out]} | {scale: residuals[out] - slopes[out] @ z for scale, z in found.items()}
+        rows.append({scale: float(np.mean(each**2)) for scale, each in off.items()})
+    return pd.DataFrame(rows)
 
 
 def _minimum(problem: _Problem, residuals: Array, slopes: Array, scale: float) -> tuple[Vector, Array, Array]:

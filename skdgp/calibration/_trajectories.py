@@ -41,12 +41,13 @@ class CalibratedBands:
     others are exchangeable, the expected share of its segments whose states of the group stay in their bands from
     beginning to end is at least ``level`` (as in :class:`CalibratedRegressor`).
 
-    **K flights guarantee no level above K / (K + 1).** Above it, q is Student's prediction bound of the logarithms x of
-    the largest score of each flight, with their mean and standard deviation,
+    **K flights guarantee no level above K / (K + 1).** Above it, with a warning, q is the largest score, or if larger
+    Student's prediction bound of the logarithms x of the largest score of each flight, with their mean and standard
+    deviation,
 
     .. math:: \log q = \bar{x} + t_{K - 1, level} \, s_x \sqrt{1 + 1 / K},
 
-    with a warning: exact if these are normal, no guarantee otherwise.
+    which holds the level if these are normal, without a guarantee otherwise.
 
     Parameters
     ----------
@@ -182,8 +183,9 @@ class CalibratedBands:
             stacklevel=2,
         )
         largest = np.log(self.scores.groupby(self.units).max())
-        margin = student.ppf(level, self.n_units - 1) * np.sqrt(1 + 1 / self.n_units)
-        return np.exp(largest.mean() + margin * largest.std()).fillna(np.inf).to_dict()  # infinite scores have no std
+        margin = student.ppf(level, self.n_units - 1) * np.sqrt(1 + 1 / self.n_units) * largest.std()
+        bound = np.fmax(largest.max(), largest.mean() + margin)  # without a standard deviation one is infinite
+        return {str(name): float(q) for name, q in np.exp(bound).items()}
 
     def bands(self, ensemble: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
         """Return the calibrated bands of other trajectories.

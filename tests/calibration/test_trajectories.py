@@ -63,15 +63,16 @@ def test_each_flight_counts_once(rng):
 
 
 def test_too_few_flights_say_so_and_assume_a_distribution(rng):
-    """Of lognormal scores Student's bound holds the level exactly, though few flights guarantee less."""
+    """Of lognormal scores the fallback holds the level, though few flights guarantee less; levels are in order."""
     n, level = 4, 0.95
     held = []
     for log_scores in rng.normal(1.0, 0.5, (200, n)):
         calibrated = CalibratedBands(pd.DataFrame({"rates": np.exp(log_scores)}), np.arange(n), "flight", {}, {})
         with pytest.warns(UserWarning, match=r"4 flights guarantee no more than 0.8.*Calibrate on 19.*level=0.8\."):
             q = calibrated.factors(level)["rates"]
+        assert q >= calibrated.factors(0.8)["rates"]
         held.append(norm.cdf(np.log(q), 1.0, 0.5))
-    assert np.mean(held) == pytest.approx(level, abs=4 * np.std(held) / np.sqrt(200))
+    assert level - 3 * np.std(held) / np.sqrt(200) < np.mean(held) < 0.5 + 0.5 * level
 
 
 def test_segments_of_one_flight_replace_flights(rng):

@@ -122,7 +122,9 @@ def test_what_cannot_be_fitted_is_said(model):
         ((known, GLIDER, flights, NOISE), "without a posterior"),
         ((model, GLIDER, flights[:1], NOISE), "1 segment"),
         ((model, GLIDER, [part.drop(columns="q") for part in flights], NOISE), "lacks the columns"),
+        ((model, GLIDER, [part.assign(q=np.nan) for part in flights], NOISE), "missing values"),
         ((model, GLIDER, flights, {"airspeed": 0.1}), "airspeed"),
+        ((model, GLIDER, flights, {"q": 0.0}), "expected standard deviations > 0"),
     ):
         with pytest.raises(ValueError, match=message):
             fit_output_error(*arguments, thrust=None)

@@ -166,7 +166,7 @@ def fit_output_error(
     left_out, before = _left_out(problem, residuals, slopes), float(np.mean(residuals**2))
     held_out = left_out.mean()
     gain = left_out[0.0] - left_out[SCALES[0]]
-    if gain.mean() <= student.ppf(CONFIDENCE, len(gain) - 1) * gain.std() / np.sqrt(len(gain)):
+    if len(gain) < 2 or gain.mean() <= student.ppf(CONFIDENCE, len(gain) - 1) * gain.std() / np.sqrt(len(gain)):
         return OutputError(aerodynamics, np.zeros(problem.shape), 0.0, held_out, (before, before))
     scale = min(SCALES, key=held_out.get)
     z, residuals, slopes = _minimum(problem, residuals, slopes, scale)
@@ -255,8 +255,15 @@ class _Problem:
     def __init__(self, aerodynamics, aircraft, flights, noise, dt, n_times, random_state, wind, options):
         self.noise = {name: std for name, std in checked_std(noise).items() if std > 0}
         self.names, self.aerodynamics = list(self.noise), aerodynamics
+        if not self.names or n_times < 1:
+            raise ValueError(
+                f"Got noise={dict(noise)!r} and n_times={n_times!r}, but expected standard deviations > 0 of states to "
+                "fit, by name, and at least one time."
+            )
         for flight in flights:
             check_columns(flight, ["time", *self.names], what="segment")
+            if not np.isfinite(flight[self.names].to_numpy(float)).all():
+                raise ValueError(f"Got a segment with missing values in {self.names}, but expected numbers: fill them.")
         self.motion = Motion(aerodynamics, aircraft, **options)
         self.clock = Clock.of(dt, min(float(np.ptp(flight["time"])) for flight in flights), [])
         self.steps = np.linspace(0, self.clock.n_steps, n_times + 1).round().astype(int)[1:]
@@ -299,13 +306,14 @@ class _Problem:
         self.motion.aerodynamics = model
         return fly_record(self.motion, self.commands, self.air, self.clock, states, drifts)
 
-    def _flown(self, theta: Array, **noise: Any) -> Array:
-        """Return the states (n_paths, n_segments, n_times, n_states) with corrections (n_paths, 6, 1 + d)."""
-        n = len(theta)
-        model = self.correction.paths(theta).sample(n)
-        seed = noise.get("random_state")
-        states = perturbed(self.starts, self.noise if noise else None, n, seed)
-        drift = self.aerodynamics.drift if noise else None
+    def _flown(self, theta: Array, seed: Seed = 0, *, disturbed: bool = False) -> Array:
+        """Return the states (n_paths, n_segments, n_times, n_states) with corrections (n_paths, 6, 1 + d).
+
+        ``disturbed``: by errors of the start and by drifts.
+        """
+        model = self.correction.paths(theta).sample(len(theta))
+        states = perturbed(self.starts, self.noise if disturbed else None, len(theta), seed)
+        drift = self.aerodynamics.drift if disturbed else None
         drifts = None if drift is None else drift.draw(self.clock.stages, states.shape[:-1], seed)
         found = channels(self._record(model, states, drifts).states[self.steps])
         return np.moveaxis(np.stack([found[name] for name in self.names], axis=-1), 0, 2)
@@ -319,15 +327,13 @@ class _Problem:
 
     def _whitening(self, random_state: Seed) -> Array:
         """Return W (n_segments, m, m) with W C W^T = 1, for the m states of a segment at all times."""
-        drawn = self._flown(np.zeros((N_DRIFTS, *self.shape)), random_state=random_state)
+        drawn = self._flown(np.zeros((N_DRIFTS, *self.shape)), random_state, disturbed=True)
         errors = self._off(drawn, self._flown(np.zeros((1, *self.shape)))).reshape(N_DRIFTS, len(self.starts), -1)
         found = []
         for each in np.moveaxis(errors[:, self.flown], 1, 0):
             each = each[np.isfinite(each).all(axis=1)]
-            C = each.T @ each / len(each)
-            C = KEPT * C + np.diag(
-                (1 - KEPT) * np.diag(C) + np.tile(np.square([*self.noise.values()]), len(self.steps))
-            )
+            C = KEPT * (each.T @ each) / len(each)
+            C += np.diag((1 / KEPT - 1) * np.diag(C) + np.tile(np.square([*self.noise.values()]), len(self.steps)))
             found.append(np.linalg.inv(np.linalg.cholesky(C)))
         return np.stack(found)
 

@@ -168,7 +168,7 @@ def fit_output_error(
     gain = left_out[0.0] - left_out[SCALES[0]]
     if len(gain) < 2 or gain.mean() <= student.ppf(CONFIDENCE, len(gain) - 1) * gain.std() / np.sqrt(len(gain)):
         return OutputError(aerodynamics, np.zeros(problem.shape), 0.0, held_out, (before, before))
-    scale = min(SCALES, key=held_out.get)
+    scale = min(SCALES, key=lambda k: float(held_out[k]))
     z, residuals, slopes = _minimum(problem, residuals, slopes, scale)
     theta = (problem.root @ z).reshape(problem.shape)
     _, H = _step(residuals, slopes, scale, z)

@@ -6,5 +6,6 @@ is of the same kind as the flights of the calibration.
 """
 
 from skdgp.calibration._regressor import CalibratedRegressor
+from skdgp.calibration._trajectories import CalibratedBands
 
-__all__ = ["CalibratedRegressor"]
+__all__ = ["CalibratedBands", "CalibratedRegressor"]

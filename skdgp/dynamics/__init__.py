@@ -25,6 +25,7 @@ from skdgp.dynamics._equations.inverse import aerodynamic_coefficients
 from skdgp.dynamics._equations.rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._replay.replay import replay, replay_errors
 from skdgp.dynamics._simulation.gusts import dryden_wind
+from skdgp.dynamics._simulation.output_error import OutputError, fit_output_error
 from skdgp.dynamics._simulation.simulate import simulate
 from skdgp.dynamics._simulation.simulator import Simulator
 from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_bands
@@ -39,6 +40,7 @@ __all__ = [
     "Aircraft",
     "Atmosphere",
     "LinearModel",
+    "OutputError",
     "Propeller",
     "SimulationWarning",
     "Simulator",
@@ -56,6 +58,7 @@ __all__ = [
     "euler_to_matrix",
     "euler_to_quaternion",
     "external_loads",
+    "fit_output_error",
     "gravity_in_body_axes",
     "linearize",
     "ned_to_body",

@@ -48,7 +48,7 @@ PAIRS = [("c172p", "train_latlon", "test_calm"), ("viggen_uav", "train_latlon", 
 SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
 ANGLES = ("phi", "theta", "psi")
 HORIZONS = (2.0, 10.0)
-STARTS, MARGIN, STEP = 20, 5.0, 0.025
+STARTS, MARGIN, STEP, LEVEL = 20, 5.0, 0.025, 0.95
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
@@ -92,20 +92,27 @@ def errors_of(flights, stretches):
 
 
 def coverage_of(ensemble, stretches):
-    """Return which share of the truth lies within the 95 % bands, a row for each horizon."""
-    bands = [band.reset_index(drop=True) for _, band in trajectory_bands(ensemble, 0.95, SCORED).groupby("start")]
+    """Return which share of the truth lies within the 95 % bands, a row for each horizon.
+
+    The interval score (Gneiting & Raftery 2007) is over the deviation of each state along all stretches.
+    """
+    size = pd.concat(stretches)[[*SCORED]].std()
+    bands = [band.reset_index(drop=True) for _, band in trajectory_bands(ensemble, LEVEL, SCORED).groupby("start")]
     rows = []
     for horizon in HORIZONS:
         k = round(horizon / STEP)
-        inside, width = [], []
+        inside, width, score = [], [], []
         for band, stretch in zip(bands, stretches, strict=True):
             for name in SCORED:
                 low, middle, high = (band[name + end][k] for end in ("_low", "", "_high"))
                 value = middle + _off(stretch[name][k], middle, name)
                 inside.append(low <= value <= high)
                 width.append(abs(value - middle) / (0.5 * (high - low)))
+                outside = max(low - value, 0.0, value - high)
+                score.append((high - low + 2 / (1 - LEVEL) * outside) / size[name])
         row = {"horizon": horizon, "coverage %": 100.0 * np.mean(inside)}
         row["median error / half width"] = float(np.median(width))
+        row["interval score"] = float(np.mean(score))
         row["flying %"] = 100.0 * float(np.mean([band["flying"][k] for band in bands]))
         rows.append(row)
     return rows

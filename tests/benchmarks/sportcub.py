@@ -45,6 +45,7 @@ from skdgp.dynamics import (
     SimulationWarning,
     aerodynamic_coefficients,
     euler_to_quaternion,
+    fit_output_error,
     quaternion_to_euler,
     simulate,
     trajectory_bands,
@@ -66,6 +67,9 @@ POSE = [0, 1, 2, 6, 7, 8, 9]
 """Position and quaternion among the 13 states."""
 QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
 STEP, START_POSES, DENSITY = 0.01, 21, 1.225
+NOISE = dict.fromkeys(STATES[:3], 0.005) | dict.fromkeys(STATES[3:6], 0.05)
+NOISE |= dict.fromkeys(STATES[6:9], 0.01) | dict.fromkeys(STATES[9:], 0.1)
+"""Of the states that motion capture gives, for output error."""
 
 
 class TrendAndProcesses(RegressorMixin, BaseEstimator):
@@ -86,6 +90,7 @@ class Method(NamedTuple):
     regressor: object = None
     left_out: bool = True
     bands: bool = False
+    output_error: bool = False
 
 
 def structured(structure):
@@ -100,6 +105,9 @@ METHODS = {
     "joint": Method('skdgp, structure="joint"', structured("joint")),
     "additive": Method('skdgp, structure="additive"', structured("additive")),
     "pipeline": Method("**skdgp pipeline**", bands=True),
+    "output_error": Method(
+        'skdgp, structure="trend", then output error', structured("trend"), bands=True, output_error=True
+    ),
 }
 
 
@@ -218,7 +226,7 @@ def toy():
 
 
 def learned(method, aircraft, records):
-    """Return the fitted pipeline of a method; None: hold the first state."""
+    """Return the fitted pipeline of a method, or its corrected coefficients; None: hold the first state."""
     if method == METHODS["hold"]:
         return None
     pipeline = make_identification_pipeline(aircraft, regressors=REGRESSORS, regressor=method.regressor)
@@ -226,7 +234,10 @@ def learned(method, aircraft, records):
     X, Y = (pd.concat(part, ignore_index=True) for part in (records.tables, records.coefficients))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return pipeline.set_params(**seeds).fit(X, Y)
+        pipeline.set_params(**seeds).fit(X, Y)
+        if not method.output_error:
+            return pipeline
+        return fit_output_error(pipeline, aircraft, records.tables, NOISE, thrust=None, density=DENSITY).model
 
 
 def flown(model, aircraft, records, **options):
@@ -294,7 +305,7 @@ def run(task, method, n_paths):
     model = learned(method, task.aircraft, task.train)
     result = {"cpu_seconds": time.process_time() - start}
     result["test"] = scores(predicted(model, task.aircraft, task.test), task.test_truth).tolist()
-    if model is not None:
+    if model is not None and not method.output_error:
         asked, mean = np.vstack(task.test.coefficients), np.vstack([model.predict(t) for t in task.test.tables])
         result["coefficients"] = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
     every = range(len(task.train.tables))
@@ -304,8 +315,6 @@ def run(task, method, n_paths):
         out = [predicted(models[k], task.aircraft, task.train.some([k])) for k in every]
         result["left_out"] = scores(np.concatenate(out), task.train_truth).tolist()
     if method.bands:
-        structures = [getattr(each[-1], "structure_", None) for each in (model, *models.values())]
-        result["structures"] = [str(structure) for structure in structures]
         for drift in (True, False):
             held = partial(inside, n_paths=n_paths, drift=drift)
             tables = [held(models[k], task.aircraft, task.train.some([k]), [task.train_truth[k]]) for k in every]
@@ -314,6 +323,9 @@ def run(task, method, n_paths):
                 "left out": coverage(tables),
                 "test": coverage([test]),
             }
+    if method.bands and not method.output_error:
+        structures = [getattr(each[-1], "structure_", None) for each in (model, *models.values())]
+        result["structures"] = [str(structure) for structure in structures]
         result["drift_std"] = np.sqrt(getattr(model[-1], "drift_variance_", np.zeros(6))).tolist()
         result["drift_memory"] = np.asarray(getattr(model[-1], "drift_memory_", np.zeros(6))).tolist()
     return result

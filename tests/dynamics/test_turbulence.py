@@ -163,9 +163,22 @@ class TestDrift:
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
         known = Aerodynamics(coefficients, model.regressors, turbulence=TRUE._replace(airspeed=SPEED))
         motion = SimpleNamespace(aerodynamics=known, aircraft=AIRCRAFT)
-        fast, slow = (_drift_besides_gusts(drift, motion, speed).variance for speed in (50.0, 12.0))
+        fast, slow = (_drift_besides_gusts(drift, motion, TRUE, speed).variance for speed in (50.0, 12.0))
         np.testing.assert_array_equal(fast, slow)
         assert (fast[3:] < drift.variance[3:]).all()
+
+    def test_calmer_air_disturbs_less_and_rougher_air_no_more(self, model):
+        """What gusts explain of a variance is proportional to theirs; errors of the function stay."""
+        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
+        known = Aerodynamics(coefficients, model.regressors, turbulence=TRUE._replace(airspeed=SPEED))
+        motion = SimpleNamespace(aerodynamics=known, aircraft=AIRCRAFT)
+        factors = np.array([0.0, 0.5, 1.0, 2.0])
+        left = [_drift_besides_gusts(drift, motion, TRUE.scaled(k), SPEED).variance[0] / 1e-6 for k in factors]
+        np.testing.assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
+        assert 0 < left[0] < left[2] == left[3] == 1
+        for calm in (TRUE.scaled(0.0), TRUE):  # learned in calm air, all of it is errors of the function
+            known.turbulence = TRUE.scaled(0.0)._replace(airspeed=SPEED)
+            np.testing.assert_allclose(_drift_besides_gusts(drift, motion, calm, SPEED).variance, drift.variance)
 
     def test_no_variance_is_negative(self):
         drift = Drift(np.full(6, 1e-12), np.full(6, 0.4))

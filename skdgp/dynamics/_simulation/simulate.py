@@ -49,6 +49,8 @@ SLOWEST = 1.0
 FASTEST, SPINNING = 1000.0, 60.0
 """Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
 FLYING = ""
+CALM_SHARE = 0.25
+"""Of the variance of a drift learned in gusts, in calm air: errors of the function that its posterior lacks."""
 MOST_KNOTS = 250
 """Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 
@@ -103,8 +105,9 @@ def simulate(
     gusts : Turbulence or "as flown", optional
         Turbulence in which each path meets gusts of its own, with their rates p, q, r, besides the ``wind``. A table or
         function as ``wind`` contains the velocity of the gusts: then only rates are drawn. "as flown": that of the
-        training flights. The drift loses what the rates explain of it; where the model does not know the turbulence of
-        its flights, it keeps it, and the paths spread too far.
+        training flights. The drift loses what the rates explain of it, and in calmer air than that of the training
+        flights up to three quarters of the rest of its variance; where the model does not know the turbulence of its
+        flights, it keeps all, and the paths spread too far.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
         is the uncertainty of the trajectory.
@@ -175,13 +178,13 @@ def simulate(
     clock = Clock.of(dt, duration, tables_of(controls, wind))
     warn_of_clocks(starts, controls, wind, clock.dt)
     air = wind_schedule(wind, clock, len(starts))
-    commands = control_schedule(controls, clock, _is_control(motion), len(starts), hold=hold)
+    commands = control_schedule(controls, clock, is_control(motion), len(starts), hold=hold)
     states = initial_states(starts, lambda at: air(0, at))
     turbulence = _turbulence(gusts, motion, n_paths)
     drifting = motion.aerodynamics.drift if drift and n_paths is not None else None
     if turbulence is not None:
         if drifting is not None:
-            drifting = _drift_besides_gusts(drifting, motion, float(_airspeed(states, air).mean()))
+            drifting = _drift_besides_gusts(drifting, motion, turbulence, float(_airspeed(states, air).mean()))
         air = _gusty(air, turbulence, wind, motion, clock, states, n_paths, random_state)
     if n_paths is not None:
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
@@ -246,8 +249,8 @@ def _gusty(
     return GustyAir(air, Gusts(*parts))
 
 
-def _drift_besides_gusts(drift: Drift, motion: Motion, start_speed: float) -> Drift:
-    """Return the drift without what the rates of the gusts of the training flights explain, at their airspeed."""
+def _drift_besides_gusts(drift: Drift, motion: Motion, turbulence: Turbulence, start_speed: float) -> Drift:
+    """Return the drift in some turbulence: without what rates of the gusts of the training flights explain."""
     model = motion.aerodynamics
     if model.turbulence is None:
         return drift
@@ -262,7 +265,10 @@ def _drift_besides_gusts(drift: Drift, motion: Motion, start_speed: float) -> Dr
             length = getattr(motion.aircraft, RATE_LENGTHS[rate])
             factor = 1.0 if rate == name else rate_factor(rate, length, np.array(speed))
             slopes[:, BODY_RATES.index(rate)] += gradient[:, k] * factor
-    return model.turbulence.without_rotation(drift, slopes, speed, motion.aircraft.span)
+    besides = model.turbulence.without_rotation(drift, slopes, speed, motion.aircraft.span)
+    flown, met = (np.square(part.intensity).sum() for part in (model.turbulence, turbulence))
+    share = CALM_SHARE + (1 - CALM_SHARE) * min(1.0, met / flown if flown > 0 else 1.0)
+    return besides._replace(variance=share * besides.variance)
 
 
 def _airspeed(states: Array, air: AirAt) -> Vector:
@@ -438,7 +444,7 @@ def _std_along(record: Record, motion: Motion, start: Mapping[str, float], drift
     ])  # fmt: skip
 
 
-def _is_control(motion: Motion) -> Callable[[str], bool]:
+def is_control(motion: Motion) -> Callable[[str], bool]:
     """Return the function that finds the controls among the columns of a table, which may be a whole log."""
     if callable(motion.thrust):
         return lambda name: (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)

@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
+from skdgp import DependentGPRegressor
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp.dynamics import air_velocity, stability_derivatives
 from skdgp.identification._pipeline import default_regressor
@@ -178,8 +179,18 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
     return Found(function, std, slopes, slopes_std), model.kernel_
 
 
-def slopes_of(scaler, model, subject, case):
-    """Return the derivatives at the trim with their standard deviations, (6, 11) each."""
+def trend(X, Y, subject, case):
+    """Return derivatives of the trend alone, with all products of two regressors, and their ``std_random``."""
+    scaler = StandardScaler().fit(X)
+    model = DependentGPRegressor(structure="trend", trend=PolynomialFeatures(2), optimizer=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.fit(scaler.transform(X), Y)
+    return tuple(slopes_of(scaler, model, subject, case, ("value", "std_random")))
+
+
+def slopes_of(scaler, model, subject, case, columns=("value", "std")):
+    """Return columns of the table of derivatives at the trim, (6, 11) each."""
     scaler.feature_names_in_ = np.array([NAMES[k] + HAT * (NAMES[k] in RATE_LENGTHS) for k in case.columns], object)
     at = dict(zip(NAMES, subject.trim, strict=True))
     rates = [
@@ -191,4 +202,4 @@ def slopes_of(scaler, model, subject, case):
     controls = {name: at[name] for name in CONTROLS}
     table = stability_derivatives(make_pipeline(scaler, model), subject.aircraft, state, controls, thrust=None)
     table = table[table["coefficient"].isin(COEFFICIENTS) & (table["regressor"] != "")]
-    return (widened(table[name].to_numpy().reshape(6, -1), case) for name in ("value", "std"))
+    return (widened(table[name].to_numpy().reshape(6, -1), case) for name in columns)

@@ -209,9 +209,9 @@ class _Frame:
         table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
         table["per"] = [_unit(name) for _, name in pairs]
         if "merged" in columns:
-            sources = columns["merged"]
-            columns["merged"] = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]
-            table = table.assign(**columns)
+            sources = columns.pop("merged").astype(int)
+            merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]
+            table = table.assign(**columns, merged=merged)
         return table
 
 

@@ -24,6 +24,7 @@ from skdgp._compute.tables import column_names
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference import (
     Data,
+    SlopeErrors,
     choose_kernel,
     compact,
     fit_exact,
@@ -32,6 +33,7 @@ from skdgp.inference import (
     input_noise_loading,
     output_correlation,
     residual_drift,
+    slope_errors,
 )
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
 
@@ -662,6 +664,37 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             return self._squeeze(self.posterior_.gradient(X) * self._scale[:, None])
         mean, variance = self.posterior_.gradient(X, return_variance=True)
         return self._squeeze(mean * self._scale[:, None]), self._squeeze(np.sqrt(variance) * self._scale[:, None])
+
+    def slope_errors(self, X: Matrix) -> SlopeErrors | None:
+        r"""Return errors of the slopes that the posterior does not contain, from the samples of the fit.
+
+        ``random``: errors correlated between neighbouring samples and between outputs, of a polynomial of second order,
+        :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the scatter of the slopes
+        of this model, of polynomials of first and second order, and of one of first order of the half of the samples
+        that move least. Rows must be in the order of the log.
+
+        Parameters
+        ----------
+        X : array or DataFrame (n, d)
+
+        Returns
+        -------
+        SlopeErrors or None
+            ``random`` (n, P, d, n_blocks) and ``method`` (n, P, d, n_methods): errors are sums over the last axis times
+            independent standard normal numbers. ``white`` (n, P, d): standard deviation of the first if samples were
+            independent. ``n_samples``. None if the samples are too few, or not stored (compact models).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from skdgp import DependentGPRegressor
+        >>> x = np.random.default_rng(0).normal(size=(200, 1))
+        >>> model = DependentGPRegressor(structure="trend").fit(x, 2.0 * x + np.sin(np.arange(200.0))[:, None])
+        >>> model.slope_errors(x[:1]).random.shape
+        (1, 1, 1, 20)
+        """
+        errors = slope_errors(self.posterior_, self._check_regressors(X))
+        return None if errors is None else errors.scaled(self._scale[:, None])
 
     def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
         """Return samples of the joint posterior of all outputs at X.

@@ -7,6 +7,7 @@ from skdgp.inference._fit import Fit, autocorrelation_time, fit_exact, fit_spars
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._selection import Choice, choose_kernel, held_out_errors
+from skdgp.inference._slopes import SlopeErrors, slope_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
 from skdgp.inference._terms import CentredTerm, training_inputs
@@ -21,6 +22,7 @@ __all__ = [
     "ExactPosterior",
     "Fit",
     "Optimum",
+    "SlopeErrors",
     "SparsePosterior",
     "autocorrelation_time",
     "choose_kernel",
@@ -35,5 +37,6 @@ __all__ = [
     "reach_of",
     "residual_drift",
     "shares_of",
+    "slope_errors",
     "training_inputs",
 ]

@@ -54,6 +54,8 @@ class Subject(NamedTuple):
     """Regressors `NAMES` of a trim, (11,)."""
     known: np.ndarray
     """Derivatives there, (6, 11)."""
+    speed: float
+    """Airspeed there [m/s]."""
 
 
 class Seen(NamedTuple):
@@ -79,7 +81,7 @@ def example_subject(seeds: int, duration: float) -> Subject:
     point = trim(model, BRUMBY, TRIM_SPEED, altitude=TRIM_ALTITUDE)
     at = Motion(model, BRUMBY).at(point.state, point.controls).regressors
     slopes = np.column_stack([brumby_derivatives(at), np.zeros(6)])  # none by throttle
-    return Subject("example", BRUMBY, logs, test, np.append(at, point.controls["throttle"]), slopes)
+    return Subject("example", BRUMBY, logs, test, np.append(at, point.controls["throttle"]), slopes, TRIM_SPEED)
 
 
 def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -> Log:
@@ -151,7 +153,7 @@ def c172p_subject(seeds: int, duration: float) -> Subject:
     felt[:, ROTATION] -= np.concatenate([log.gust for log in flown.values()])
     truth, at = np.concatenate([log.truth for log in flown.values()]), test.exact.mean(axis=0)
     known = np.linalg.lstsq(np.column_stack([np.ones(len(felt)), felt - at]), truth, rcond=None)[0][1:].T
-    return Subject("c172p", aircraft, logs, test, at, known)
+    return Subject("c172p", aircraft, logs, test, at, known, float(test.table["airspeed_true"].mean()))
 
 
 def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, Aircraft]:

@@ -6,13 +6,18 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from _study_flights import NAMES, ROTATION, SLOPES
+from _study_flights import NAMES, ROTATION, SLOPES, TRIM_ALTITUDE
 from scipy.ndimage import uniform_filter1d
+from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
+from skdgp import DependentGPRegressor
+from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
+from skdgp.dynamics import air_velocity, stability_derivatives
 from skdgp.identification._pipeline import default_regressor
 from skdgp.inference import autocorrelation_time
 
+CONTROLS = NAMES[-4:]
 RATE = 40  # Hz, of the logs
 EVERY = 10  # rows of the test flight per row that is scored
 BINS = 60  # of the noise spectrum, evenly spread over the logarithm of frequency
@@ -170,8 +175,31 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
         model.posterior_ = model.posterior_.with_noise(known / model._scale**2)
     exact = {"include_input_noise": False}
     function, std = model.predict(scaler.transform(asked_of(subject, case)), return_std=True, **exact)
-    slopes, slopes_std = (
-        part[0] / scaler.scale_
-        for part in model.predict_gradient(scaler.transform(subject.trim[None, case.columns]), return_std=True)
-    )
-    return Found(function, std, widened(slopes, case), widened(slopes_std, case)), model.kernel_
+    slopes, slopes_std = slopes_of(scaler, model, subject, case)
+    return Found(function, std, slopes, slopes_std), model.kernel_
+
+
+def trend(X, Y, subject, case):
+    """Return derivatives of the trend alone, with all products of two regressors, and their ``std_random``."""
+    scaler = StandardScaler().fit(X)
+    model = DependentGPRegressor(structure="trend", trend=PolynomialFeatures(2), optimizer=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.fit(scaler.transform(X), Y)
+    return tuple(slopes_of(scaler, model, subject, case, ("value", "std_random")))
+
+
+def slopes_of(scaler, model, subject, case, columns=("value", "std")):
+    """Return columns of the table of derivatives at the trim, (6, 11) each."""
+    scaler.feature_names_in_ = np.array([NAMES[k] + HAT * (NAMES[k] in RATE_LENGTHS) for k in case.columns], object)
+    at = dict(zip(NAMES, subject.trim, strict=True))
+    rates = [
+        at[name] / rate_factor(name, getattr(subject.aircraft, RATE_LENGTHS[name]), subject.speed) for name in "pqr"
+    ]
+    attitude = [np.cos(at["alpha"] / 2), 0.0, np.sin(at["alpha"] / 2), 0.0]
+    velocity = air_velocity(subject.speed, at["alpha"], at["beta"])
+    state = np.concatenate([[0.0, 0.0, -TRIM_ALTITUDE], velocity, attitude, rates])
+    controls = {name: at[name] for name in CONTROLS}
+    table = stability_derivatives(make_pipeline(scaler, model), subject.aircraft, state, controls, thrust=None)
+    table = table[table["coefficient"].isin(COEFFICIENTS) & (table["regressor"] != "")]
+    return (widened(table[name].to_numpy().reshape(6, -1), case) for name in columns)

@@ -28,7 +28,7 @@ import joblib
 import numpy as np
 from _common import finish, parser_of
 from _study_flights import NAMES
-from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process, weighted
+from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process, trend, weighted
 from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp._flight.channels import COEFFICIENTS
@@ -259,8 +259,33 @@ def coverage_table(results):
                 | {"of those shown, %": float(100 * np.mean(shown))}
                 | {"scatter over stated std": float(np.median(scatter / stated)) if len(error) > 1 else None}
                 | {"bias over stated std": float(np.median(bias / stated))}
+                | {"rms error over stated std": float(np.sqrt(np.mean((error / std) ** 2)))}
                 | {"derivatives": int(matters.sum()), "seeds": len(error)}
             )
+    return rows
+
+
+def scatter_table(subject, folder, n_flights, jobs):
+    """Return the scatter of derivatives over many flights, each in other gusts, over their ``std_random``.
+
+    The model is the trend of second order, which is learned in a second.
+    """
+
+    def one(air, seed):
+        return trend(*LOGGED.table(flights.seen(subject.logs[air][seed], subject.aircraft, seed)), subject, LOGGED)
+
+    rows = []
+    for air in ("light", "moderate"):
+        tasks = [(folder, f"{subject.name}-{air}-{k}-trend", partial(one, air, k)) for k in range(n_flights)]
+        found = joblib.Parallel(n_jobs=jobs)(joblib.delayed(kept)(*task) for task in tasks)
+        values, std = (np.array(part) for part in zip(*found, strict=True)) if found else (np.zeros((0, 6, 11)),) * 2
+        if len(values) > 1:
+            matters = (np.abs(subject.known) > 0) & (std[0] > 0)
+            ratio = (values.std(axis=0, ddof=1) / np.sqrt(np.mean(std**2, axis=0)))[matters]
+            shares = dict(zip(("5 %", "median", "95 %"), np.quantile(ratio, [0.05, 0.5, 0.95]), strict=True))
+            rows.append({"air": air, "flights": len(values), "derivatives": int(matters.sum())})
+            rows[-1] |= {f"scatter over std_random, {name}": float(value) for name, value in shares.items()}
+            rows[-1] |= {"in root mean square": float(np.sqrt(np.mean(ratio**2)))}
     return rows
 
 
@@ -355,6 +380,9 @@ def main(words=None):
     parser.add_argument("--aircraft", default="example", choices=["example", "c172p"])
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
     parser.add_argument("--processes", type=int, default=4, help="seeds of them that dependent processes learn")
+    parser.add_argument(
+        "--trends", type=int, default=0, help="flights in light and in moderate air that a trend learns"
+    )
     parser.add_argument("--duration", type=float, default=180.0, help="of each flight [s]")
     parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further fit of a process begins")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1")
@@ -362,10 +390,12 @@ def main(words=None):
     options.max_iter = 60
     if options.smoke:
         options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
+        options.trends = 1
     folder = options.out / "study" if options.out and not options.smoke else None
     name = options.aircraft
-    make = partial(getattr(flights, f"{name}_subject"), options.seeds, options.duration)
-    subject = kept(folder, f"{name}-{options.seeds}", make)
+    flown = max(options.seeds, options.trends)
+    make = partial(getattr(flights, f"{name}_subject"), flown, options.duration)
+    subject = kept(folder, f"{name}-{flown}", make)
     results, seen = study(subject, options, folder)
     parts = [row for method in ("default", "least squares") for row in parts_table(results, method)]
     finish(
@@ -377,6 +407,7 @@ def main(words=None):
         derivatives=derivative_table(results),
         amplitudes=amplitude_table(subject, seen),
         coverage=coverage_table(results),
+        scatter=scatter_table(subject, folder, options.trends, options.jobs),
     )
 
 

@@ -6,7 +6,15 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
-from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, stability_derivatives, trim
+from skdgp.dynamics import (
+    Aerodynamics,
+    air_velocity,
+    as_aerodynamics,
+    euler_to_quaternion,
+    linearize,
+    stability_derivatives,
+    trim,
+)
 from skdgp.dynamics._equations.motion import Motion
 
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
@@ -144,8 +152,18 @@ class TestDeviations:
         mean, std = model.predict_gradient(pd.DataFrame(at, columns=X.columns), return_std=True)
         rows = [f"{c}_{name}" for c in COEFFICIENTS for name in ("alpha", "q", "elevator")]
         assert table.loc[rows, "value"].to_numpy() == pytest.approx(mean.ravel())
-        ratio = table.loc[rows, "std"].to_numpy() / std.ravel()
+        ratio = table.loc[rows, "std_posterior"].to_numpy() / std.ravel()
         assert ratio == pytest.approx(np.ones(18), abs=5 / np.sqrt(2 * n_paths))
+        parts = table[["std_posterior", "std_random", "std_method", "std_merged"]]
+        assert (parts.loc[rows, :"std_method"] > 0).all(axis=None)
+        assert table["std"].to_numpy() == pytest.approx(np.sqrt((parts**2).sum(axis=1)).to_numpy())
+        assert table.loc[rows, "n_effective"].between(1, 60).all()
+        held = table.loc[["Cm_q", "Cm_elevator", "CL_alpha", "CL"], "merged"].tolist()
+        assert held == ["Cm_alpha_dot", "Cm_alpha_dot", "CL_alpha_dot", ""]
+        lost = linearize(model, BRUMBY, state, CONTROLS, n_paths=100).std.A.loc["q", "q"]
+        plain = as_aerodynamics(model)
+        plain.slope_errors = None
+        assert lost > 1.2 * linearize(plain, BRUMBY, state, CONTROLS, n_paths=100).std.A.loc["q", "q"]
 
 
 class TestSweep:

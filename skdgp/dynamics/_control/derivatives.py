@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
+from skdgp.dynamics._control.slope_errors import LAGS, lag_of
 from skdgp.dynamics._control.trim import Trim
 from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
@@ -22,6 +23,8 @@ ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
 """Rates about the x and the z axis, which turn with the axes."""
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
+PARTS = ("std_posterior", "std_random", "std_method", "std_merged")
+"""Columns whose squares add up to that of ``std``."""
 NORMAL_95 = 1.959963984540054
 
 
@@ -74,6 +77,17 @@ def stability_derivatives(
         A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``), with columns
         ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``, ``regressor``, and ``per``, the unit of
         the regressor. Several points have an outer level ``point``, and columns ``airspeed``, ``alpha``, ``beta``.
+        Of a model learned from flights, ``std`` is the root of the sum of the squares of
+
+        - ``std_posterior``: over functions drawn from the posterior,
+        - ``std_random``: errors correlated between samples and between outputs, estimated block by block,
+        - ``std_method``: scatter of the slopes of this model and of polynomials of the same samples, which shows
+          curvature and slopes that gusts flatten,
+        - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative.
+
+        ``n_effective`` is the number of independent samples that would determine the slope as well. Without stored
+        samples (compact models) ``std_random``, ``std_method`` and ``n_effective`` are missing. A model by formula has
+        no such parts.
 
     Raises
     ------
@@ -84,7 +98,9 @@ def stability_derivatives(
     -----
     A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went together in the flights:
     its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot, its Cn_r between Cn_r and Cn_r - Cn_beta_dot cos(alpha), its
-    Cn_p between Cn_p and Cn_p + Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1; docs/control.md).
+    Cn_p between Cn_p and Cn_p + Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1; docs/control.md). With
+    them, gusts leave open which share is theirs. ``std_merged`` is for derivatives by alpha_dot of 0 +- .4 times those
+    by q, as of a tail in the downwash, and by beta_dot of 0 +- .2 times those by r.
 
     Examples
     --------
@@ -112,18 +128,35 @@ def stability_derivatives(
     values = frame(now.coefficients, motion.aerodynamics.gradient(X))
     if not np.isfinite(values).all():
         raise ValueError("Got coefficients or slopes that are not finite: the model is not defined there.")
-    std = None
+    parts: dict[str, Array] = {}
     if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
-        drawn = motion.aerodynamics.sample(n_paths, random_state)
-        each = np.broadcast_to(X, (n_paths, *X.shape))
-        std = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
-    tables = [frame.table(values[k], None if std is None else std[k]) for k in range(len(states))]
+        parts = _deviations(motion, now, frame, n_paths, random_state)
+    tables = [frame.table(values[k], {name: part[k] for name, part in parts.items()}) for k in range(len(states))]
     if single:
         return tables[0]
     for k, table in enumerate(tables):
         for place, name in enumerate(("airspeed", "alpha", "beta")):
             table.insert(place, name, float(getattr(now, name)[k]))
     return pd.concat(tables, keys=range(len(tables)), names=["point", None])
+
+
+def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed) -> dict[str, Array]:
+    """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
+    X, model = now.regressors, motion.aerodynamics
+    drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
+    posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
+    if model.slope_errors is None:
+        return {"std_posterior": posterior}
+    lag = frame.errors(lag_of(motion, now, model.gradient(X)).errors, apart=True)
+    source = np.where(lag.any(axis=0), 1 + lag.argmax(axis=0), 0)
+    parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
+    errors = model.slope_errors(X)
+    if errors is None:
+        return parts
+    random, white = (frame.errors(part) for part in (errors.random, errors.white[..., None] * np.eye(6)[:, None]))
+    share = np.divide(white, random, out=np.full_like(white, np.nan), where=random > 0) ** 2
+    parts |= {"std_random": random, "std_method": frame.errors(errors.method)}
+    return parts | {"n_effective": errors.n_samples * np.minimum(share, 1.0)}
 
 
 class _Frame:
@@ -158,17 +191,27 @@ class _Frame:
                     S[..., x], S[..., z] = cos * about_x + sin * about_z, cos * about_z - sin * about_x
         return np.concatenate([C, S], axis=-1)
 
-    def table(self, values: Array, std: Array | None) -> pd.DataFrame:
-        """Return the table of one point, of values and deviations (rows, 1 + columns)."""
+    def errors(self, errors: Array, apart: bool = False) -> Array:
+        """Return the standard deviation (n, rows, 1 + columns) of errors of slopes (n, 6, d, k), or those of each."""
+        parts = np.abs([self(np.zeros(part.shape[:2]), part) for part in np.moveaxis(errors, -1, 0)])
+        return parts if apart else np.sqrt(np.sum(parts**2, axis=0))
+
+    def table(self, values: Array, parts: dict[str, Array]) -> pd.DataFrame:
+        """Return the table of one point, of values and parts of their deviations (rows, 1 + columns)."""
         names = ["", *self.columns]
         pairs = [(row, name) for row in self.rows for name in names]
         table = pd.DataFrame({"value": values.ravel()}, index=[f"{row}_{name}".rstrip("_") for row, name in pairs])
-        if std is not None:
-            table["std"] = std.ravel()
+        columns = {name: part.ravel() for name, part in parts.items()}
+        if columns:
+            table["std"] = np.sqrt(sum(columns[name] ** 2 for name in PARTS if name in columns))
             table["lower"] = table["value"] - NORMAL_95 * table["std"]
             table["upper"] = table["value"] + NORMAL_95 * table["std"]
         table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
         table["per"] = [_unit(name) for _, name in pairs]
+        if "merged" in columns:
+            sources = columns.pop("merged").astype(int)
+            merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]
+            table = table.assign(**columns, merged=merged)
         return table
 
 
@@ -215,6 +258,12 @@ def _scale(motion: Motion, k: int, airspeed: Array) -> np.ndarray:
     length, model_length = (getattr(owner, LENGTHS[name]) for owner in (motion.aircraft, motion.aerodynamics))
     factor = rate_factor(name, model_length or length, airspeed) if HAT in full else 1.0
     return factor / rate_factor(name, length, airspeed)
+
+
+def _merged(row: str, name: str, source: int) -> str:
+    """Return the derivative that a derivative may hold a share of, by 0 for none or the number of a lag."""
+    lag = ["", *LAGS][source]
+    return f"{row}_{LAGS[lag] if name == lag else lag}" if lag else ""
 
 
 def _unit(name: str) -> str:

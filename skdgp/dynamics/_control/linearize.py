@@ -18,6 +18,7 @@ from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import cross_matrix, euler_per_rotation, quaternion_rate, quaternion_to_euler
+from skdgp.dynamics._control.slope_errors import Lag, draw_errors, lag_of
 from skdgp.dynamics._equations.error_covariance import ERRORS
 from skdgp.dynamics._equations.motion import Air, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
@@ -34,6 +35,8 @@ LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 """States of the modes along and across the plane of symmetry."""
 TURN, SPIN = slice(6, 9), slice(9, 12)
 """Places in `ERRORS`."""
+ANGLES = slice(1, 3)
+"""Places of alpha and beta in `OUTPUTS`."""
 POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
 """Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of themselves."""
 WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
@@ -63,6 +66,7 @@ def jacobian(
     *,
     inputs: Sequence[str] = (),
     air: Air | None = None,
+    lag: Lag | None = None,
 ) -> Jacobian:
     r"""Return the derivatives of an aircraft's motion at states (..., 13).
 
@@ -73,7 +77,7 @@ def jacobian(
 
     with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some 1e-10. ``controls``
     are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate by. Where the aerodynamics are paths,
-    these are the first axis of ``state``.
+    these are the first axis of ``state``. A ``lag`` adds coefficients by alpha_dot and beta_dot, to first order.
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls, air)
@@ -85,9 +89,17 @@ def jacobian(
     if motion.is_implicit:
         gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
         change = gain @ change
-    rate, output = F[..., :n] + F[..., n:] @ change, H[..., :n] + H[..., n:] @ change
-    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -cross_matrix(state[..., RATES]), np.eye(3)
+    if lag is not None:
+        rate = _error_rate(F[..., :n] + F[..., n:] @ change, state)
+        change = change + gain @ lag.slopes @ (lag.missing * (H[..., ANGLES, :12] @ rate) - lag.relation @ G[..., :n])
+    rate, output = _error_rate(F[..., :n] + F[..., n:] @ change, state), H[..., :n] + H[..., n:] @ change
     return Jacobian(rate[..., :12], rate[..., 12:], F[..., n:] @ gain, output[..., :12], output[..., 12:], instant)
+
+
+def _error_rate(rate: Array, state: Array) -> Array:
+    """Return the derivatives of error_dot (..., 12, n) with those of the attitude, which are exact."""
+    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -cross_matrix(state[..., RATES]), np.eye(3)
+    return rate
 
 
 def check_settled(instant: Instant) -> None:
@@ -378,11 +390,9 @@ def linearize(
     chosen = list(states), chosen_inputs, chosen_outputs
     paths = None
     if check_paths(n_paths):
-        drawn = copy.copy(motion)
-        drawn.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
-        paths = _matrices(drawn, np.broadcast_to(state, (n_paths, 13)), controls, *chosen)
+        paths = _matrices(*_drawn(motion, state, controls, n_paths, random_state), controls, *chosen)
     names = _block_names(*chosen)
-    blocks = zip(_matrices(motion, state, controls, *chosen), names, strict=True)
+    blocks = zip(_matrices(motion, state, None, controls, *chosen), names, strict=True)
     tables = [pd.DataFrame(values, index=rows, columns=columns) for values, (rows, columns) in blocks]
     A, B, C, D = tables
     return LinearModel(A, B, C, D, state, controls, paths)
@@ -418,10 +428,31 @@ def flight_point(motion: Motion, point: Any, controls: Mapping | None) -> tuple[
     return state, {name: float(value) for name, value in motion.mixed(controls).items()}
 
 
+def _drawn(
+    motion: Motion, state: Array, controls: Mapping, n_paths: int, random_state: Seed
+) -> tuple[Motion, Array, Lag | None]:
+    """Return the motion of functions drawn from the posterior, its states, and what alpha_dot and beta_dot change."""
+    model, drawn, lag = motion.aerodynamics, copy.copy(motion), None
+    drawn.aerodynamics = model.sample(n_paths, random_state)
+    if model.slope_errors is not None:
+        now = motion.at(state, controls)
+        lag = lag_of(motion, now, model.gradient(now.regressors))
+        added, lag = draw_errors(model.slope_errors(now.regressors[None]), lag, n_paths, random_state)
+        slopes: Any = drawn.aerodynamics._gradient
+        drawn.aerodynamics._gradient = lambda X: slopes(X) + added[:, None]
+    return drawn, np.broadcast_to(state, (n_paths, 13)), lag
+
+
 def _matrices(
-    motion: Motion, state: Array, controls: Mapping, states: list[str], inputs: list[str], outputs: list[str]
+    motion: Motion,
+    state: Array,
+    lag: Lag | None,
+    controls: Mapping,
+    states: list[str],
+    inputs: list[str],
+    outputs: list[str],
 ) -> Matrices:
-    found = jacobian(motion, state, controls, inputs=inputs)
+    found = jacobian(motion, state, controls, inputs=inputs, lag=lag)
     check_settled(found.instant)
     if not np.isfinite(found.state).all():
         raise ValueError("Got slopes of the model that are not finite at this point: it is not defined there.")

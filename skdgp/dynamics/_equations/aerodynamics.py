@@ -127,6 +127,8 @@ class Aerodynamics:
     """
 
     turbulence: Any = None  # of models of earlier versions
+    slope_errors: Callable | None = None
+    """Regressors (n, d) to errors of the slopes that the paths do not contain, see ``DependentGPRegressor``."""
 
     def __init__(
         self,
@@ -296,7 +298,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
     mixing = None
     if splitter is not None:
         mixing = Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
-    return Aerodynamics(
+    aerodynamics = Aerodynamics(
         chain.mean,
         list(names),
         gradient=chain.slopes if chain.has_slopes else None,
@@ -309,6 +311,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         chord=None if rates is None else rates.chord,
         mixing=mixing,
     )
+    aerodynamics.slope_errors = chain.slope_errors if chain.can_sample else None
+    return aerodynamics
 
 
 class _Chain:
@@ -335,6 +339,12 @@ class _Chain:
     def slopes(self, X: Array) -> Array:
         """Return their slopes (n, 6, d)."""
         return self.regressor.predict_gradient((X - self.shift) / self.scale)[:, self.order] / self.scale
+
+    def slope_errors(self, X: Array) -> Any:
+        """Return the errors of the slopes (n, 6, d) that the posterior does not contain, None where none are known."""
+        errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "slope_errors", lambda X: None)
+        found = errors((X - self.shift) / self.scale)
+        return None if found is None else found.take(self.order).scaled(1.0 / self.scale)
 
     def covariance(self, X: Array) -> Array:
         """Return the joint posterior covariance (6 n, 6 n)."""

@@ -1,0 +1,128 @@
+r"""Slopes of polynomials of the same samples, whose errors are estimated block by block.
+
+A posterior states the scatter of its slopes for the noise and the widths that were learned. It does not contain that
+errors of neighbouring samples and of different outputs are correlated, nor what the widths hide: gusts flatten slopes
+where the motion is small, and curvature bends those of a simple function. Polynomials of first and second order of all
+samples, and of first order of the quiet half of them, err in other ways, so their differences show this.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.linalg import column_scale
+from skdgp._compute.typing import Array, Matrix
+from skdgp.inference._compact import observed_values
+
+BLOCKS = 60  # of the log, which are independent of each other
+BLOCK_ROWS = 10  # fewest samples in a block
+FEWEST = 5  # samples for each weight of a polynomial
+QUIET = 0.5  # share of the samples
+
+
+class SlopeErrors(NamedTuple):
+    """Errors of slopes at points (n, d): sums of the last axis times independent standard normal numbers."""
+
+    random: Array
+    """What other noise would change, correlated between samples and between outputs, (n, P, d, n_blocks)."""
+    method: Array
+    """What other methods find: their scatter about their mean, (n, P, d, n_methods)."""
+    white: Array
+    """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
+    n_samples: int
+
+    def scaled(self, factor: Array) -> SlopeErrors:
+        """Return the errors of slopes times ``factor``, which broadcasts to (n, P, d)."""
+        factor = np.asarray(factor)
+        random, method = (part * factor[..., None] for part in (self.random, self.method))
+        return SlopeErrors(random, method, self.white * factor, self.n_samples)
+
+    def take(self, outputs: Any) -> SlopeErrors:
+        """Return those of some outputs."""
+        return SlopeErrors(self.random[:, outputs], self.method[:, outputs], self.white[:, outputs], self.n_samples)
+
+
+def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
+    r"""Return the errors of the slopes of a posterior at X (n, d), or None without samples enough.
+
+    The polynomial of highest order has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
+    and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
+    whatever the correlation within a block and between outputs (Liang & Zeger 1986).
+    """
+    if getattr(posterior, "shares", ()) is None:
+        return None
+    data = observed_values(posterior)
+    parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]
+    if any(part is None for part in parts):
+        return None
+    n_blocks = max(part[1].shape[-1] for part in parts)
+    random = [np.pad(part[1], [(0, 0), (0, 0), (0, n_blocks - part[1].shape[-1])]) for part in parts]
+    slopes = np.stack([posterior.gradient(X), *_common([part[0] for part in parts])], axis=-1)
+    method = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
+    white, n_samples = np.stack([part[2] for part in parts], axis=1), max(map(len, data.y))
+    return SlopeErrors(np.stack(random, axis=1), method, white, n_samples)
+
+
+def _common(slopes):
+    """Return the slopes of each method that all outputs have, (n, P, d) each."""
+    return [np.stack(of_outputs, axis=1) for of_outputs in zip(*slopes, strict=False)]
+
+
+def _of_output(x, y, X):
+    """Return the slopes (n, d) by each polynomial, the error (n, d, n_blocks) of the last, and its white std."""
+    n, d = x.shape
+    if n < FEWEST * (d + 1) / QUIET:
+        return None
+    centre, scale = x.mean(axis=0), column_scale(x)
+    z, at = (x - centre) / scale, (X - centre) / scale
+    distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(d, d), hermitian=True), z)
+    quiet = distance <= np.quantile(distance, QUIET)
+    fits = [_Polynomial(_line, z[quiet], y[quiet]), _Polynomial(_line, z, y)]
+    if n >= FEWEST * (1 + d + d * (d + 1) // 2):
+        fits.append(_Polynomial(_parabola, z, y))
+    error, white = fits[-1].error(at)
+    return [fit.slopes(at) / scale for fit in fits], error / scale[:, None], white / scale
+
+
+class _Polynomial:
+    """Least squares in a basis, from sums over blocks of consecutive samples."""
+
+    def __init__(self, basis: Any, z: Matrix, y: Array) -> None:
+        self.basis, self.n = basis, len(y)
+        blocks = np.array_split(np.arange(len(y)), int(np.clip(len(y) // BLOCK_ROWS, 2, BLOCKS)))
+        sums = [(Q.T @ Q, Q.T @ y[rows], y[rows] @ y[rows]) for rows in blocks for Q in [basis(z[rows])]]
+        self.outer, self.inner, square = (np.array(part) for part in zip(*sums, strict=True))
+        self.inverse = np.linalg.pinv(self.outer.sum(axis=0), hermitian=True)
+        self.weights = self.inverse @ self.inner.sum(axis=0)
+        left = square.sum() - self.weights @ self.inner.sum(axis=0)
+        self.variance = max(float(left), 0.0) / max(self.n - len(self.weights), 1)
+
+    def slopes(self, at: Matrix) -> Array:
+        """Return the slopes (n, d) at points (n, d)."""
+        return _slopes_of(self.basis, at) @ self.weights
+
+    def error(self, at: Matrix) -> tuple[Array, Array]:
+        """Return the error of the slopes (n, d, n_blocks), and its deviation (n, d) if samples were independent."""
+        D, n_blocks = _slopes_of(self.basis, at) @ self.inverse, len(self.inner)
+        scores = self.inner - self.outer @ self.weights
+        error = D @ scores.T * np.sqrt(n_blocks / (n_blocks - 1))
+        return error, np.sqrt(self.variance * np.einsum("nkp,pq,nkq->nk", D, self.outer.sum(axis=0), D))
+
+
+def _line(z):
+    return np.column_stack([np.ones(len(z)), z])
+
+
+def _parabola(z):
+    first, second = np.triu_indices(z.shape[1])
+    return np.column_stack([_line(z), z[:, first] * z[:, second]])
+
+
+def _slopes_of(basis, at):
+    """Return d basis / d z at points (n, d), (n, d, p): differences, which are exact up to second order."""
+    d = at.shape[1]
+    steps = np.eye(d)
+    change = [basis(at + step) - basis(at - step) for step in steps]
+    return 0.5 * np.stack(change, axis=1)

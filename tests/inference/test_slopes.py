@@ -1,0 +1,81 @@
+"""Errors of slopes by blocks: the scatter over many logs, and none of the method where the function is straight."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import slope_errors
+from skdgp.inference._slopes import _line, _parabola, _Polynomial
+
+AT = np.array([[0.3, -0.2]])
+
+
+def wandering(rng, shape, memory):
+    rho = np.exp(-1 / memory) if memory else 0.0
+    return lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(size=shape), axis=0)
+
+
+@pytest.mark.parametrize("memory", [0, 5])
+def test_are_the_scatter_over_many_logs(memory):
+    """Blocks of 40 samples hold the memory of regressors and errors; white deviations are too small by its factor."""
+    rng, found, stated, white = np.random.default_rng(0), [], [], []
+    for _ in range(120):
+        x, noise = wandering(rng, (2400, 2), memory), wandering(rng, 2400, memory)
+        fit = _Polynomial(_parabola, x, x @ [1.0, 2.0] + x[:, 0] ** 2 + noise)
+        error, alone = fit.error(AT)
+        found.append(fit.slopes(AT)[0])
+        stated.append(np.sum(error[0] ** 2, axis=-1))
+        white.append(alone[0])
+    ratio = np.std(found, axis=0) / np.sqrt(np.mean(stated, axis=0))
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.13)
+    inflation = np.sqrt(1 + 2 / np.expm1(2 / memory)) if memory else 1.0  # of products with rho^2 for each sample
+    assert np.std(found, axis=0) / np.mean(white, axis=0) == pytest.approx(inflation * np.ones(2), rel=0.25)
+
+
+def test_are_of_the_polynomial():
+    x = np.random.default_rng(1).normal(size=(400, 2))
+    y = 1.0 + x @ [2.0, -1.0] + 0.5 * x[:, 0] * x[:, 1] - x[:, 1] ** 2
+    assert _Polynomial(_parabola, x, y).slopes(AT)[0] == pytest.approx([2 + 0.5 * -0.2, -1 + 0.5 * 0.3 + 2 * 0.2])
+    assert _Polynomial(_line, x, x @ [2.0, -1.0]).slopes(AT)[0] == pytest.approx([2.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def log():
+    rng = np.random.default_rng(2)
+    x = rng.normal(size=(300, 2)) * [1.0, 10.0] + [0.0, 5.0]
+    common = 0.1 * wandering(rng, 300, 5)
+    line = x @ np.array([[1.0, 2.0], [0.1, -0.3]])
+    return x, line + common[:, None], line + 1e-6 * rng.normal(size=(300, 2))
+
+
+@pytest.fixture(scope="module")
+def model(log):
+    return DependentGPRegressor(structure="trend").fit(log[0], log[1])
+
+
+def test_outputs_err_together(log, model):
+    """Both outputs have the same error, so the difference of their slopes has none."""
+    errors = model.slope_errors(log[0][:2])
+    assert errors.random.shape[:3] == (2, 2, 2)
+    assert errors.random[:, 0] == pytest.approx(errors.random[:, 1], abs=1e-6)
+    assert errors.n_samples == 300
+    assert (errors.white > 0).all()
+
+
+def test_of_a_straight_line_all_methods_agree(log):
+    model = DependentGPRegressor(structure="trend").fit(log[0], log[2])
+    assert np.abs(model.slope_errors(log[0][:1]).method).max() < 1e-5
+
+
+def test_exact_and_sparse_inference_keep_the_same_samples(log, model):
+    sparse = DependentGPRegressor(structure="trend", inference="sparse").fit(log[0], log[1])
+    same = model.slope_errors(log[0][:1]).random
+    assert sparse.slope_errors(log[0][:1]).random == pytest.approx(same, abs=1e-9)
+
+
+def test_none_without_samples_enough(log, model):
+    few = DependentGPRegressor(structure="trend").fit(log[0][:20], log[1][:20])
+    assert few.slope_errors(log[0][:1]) is None
+    compact = DependentGPRegressor(n_latent=1, optimizer=None).fit(log[0][:60], log[1][:60]).compact(40)
+    assert slope_errors(compact.posterior_, AT) is None

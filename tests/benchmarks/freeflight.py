@@ -8,6 +8,9 @@ make_identification_pipeline; "least squares": the same pipeline with LinearRegr
 the true coefficients, open loop in time, integrated from the same starts. Errors are medians of the absolute errors
 over the starts; bands are those of an ensemble of posterior functions, and their coverage counts v_north ... r.
 
+Output error: the model corrected by 16 segments of 3 s of its training flight, wind and states as its pipeline
+reconstructs them; errors of the means over those without a correction, a geometric mean over the states.
+
 Replay: the pipeline's coefficients at the measured regressors, integrated from the measured state every 2 s and 10 s.
 
 --models keeps fitted pipelines there and takes those that are there.
@@ -27,19 +30,24 @@ from _common import finish, parser_of
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, WIND
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aircraft,
     SimulationWarning,
     Turbulence,
     aerodynamic_coefficients,
+    air_velocity,
+    body_to_ned,
+    euler_to_quaternion,
+    fit_output_error,
     replay,
     replay_errors,
     simulate,
     trajectory_bands,
     trim,
 )
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.identification import predict_flight
 from skdgp.io import read_flight
 from skdgp.model_selection import thin_targets
@@ -49,6 +57,9 @@ SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
 ANGLES = ("phi", "theta", "psi")
 HORIZONS = (2.0, 10.0)
 STARTS, MARGIN, STEP, LEVEL = 20, 5.0, 0.025, 0.95
+SEGMENTS, SEGMENT = 16, 3.0
+NOISE = dict.fromkeys(EARTH_VELOCITY, 0.1) | dict.fromkeys([*EULER, "p", "q", "r"], 0.004)
+"""Of reconstructed states, for output error."""
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
@@ -150,6 +161,38 @@ def airs(aircraft, flight):
     }
 
 
+def segments(model, log):
+    """Return stretches of the flights of a log, with states and wind as the first steps of the pipeline make them."""
+    for _, step in model.steps[:3]:
+        log = step.transform(log)
+    air = air_velocity(*log[[*AIR_DATA]].to_numpy().T)
+    air = body_to_ned(euler_to_quaternion(*log[[*EULER]].to_numpy().T), air)
+    log = log.assign(**dict(zip(WIND, (log[[*EARTH_VELOCITY]].to_numpy() - air).T, strict=True)))
+    flights = [part for _, part in log.groupby("flight", sort=False)] if "flight" in log else [log]
+    found = []
+    for flight in flights:
+        first, last = flight["time"].iloc[[0, -1]] + [MARGIN, -MARGIN - SEGMENT]
+        for start in np.linspace(first, last, SEGMENTS // len(flights)):
+            part = flight[flight["time"].between(start, start + SEGMENT + 2 * STEP)].reset_index(drop=True)
+            found.append(part.drop(columns=["airspeed", "u", "v", "w"], errors="ignore"))
+    return found
+
+
+def corrected(name, model, aircraft, log, flight):
+    """Return the row of output error of one test flight."""
+    parts = segments(model, log)
+    gravity = float(flight["gravity_true"].mean())
+    wind = [part[["time", *WIND]] for part in parts]
+    found = fit_output_error(model, aircraft, parts, NOISE, dt=2 * STEP, wind=wind, gravity=gravity)
+    stretches = windows(truth_of(flight))
+    before, after = (
+        pd.DataFrame(errors_of(_parts(flown_free(each, aircraft, stretches)), stretches)).set_index("horizon")
+        for each in (model, found.model)
+    )
+    ratio = np.exp(np.log(after / before).mean(axis=1))
+    return {"flight": name, "factor of the prior": found.prior_scale} | {f"{h:g} s": float(ratio[h]) for h in HORIZONS}
+
+
 def replayed(name, model, aircraft, flight):
     """Return the paper's test: medians of v_E, p, r over restarts, against measurement and truth."""
     mean, std = predict_flight(model, flight)
@@ -225,7 +268,7 @@ def main(words=None):
     options = parser.parse_args(words)
     if options.data is None and not options.smoke:
         parser.error("the folder of the shared data is needed")
-    errors, coverage, air, replays = [], [], [], []
+    errors, coverage, air, replays, refined = [], [], [], [], []
     for airframe, train, test in [] if options.smoke else PAIRS:
         folder = options.data / "flights"
         aircraft = Aircraft.from_json(folder / f"{airframe}.json")
@@ -240,6 +283,7 @@ def main(words=None):
         found = free(f"{airframe} {test}", models, aircraft, flight, options.paths)
         errors, coverage, air = errors + found[0], coverage + found[1], air + found[2]
         replays += replayed(f"{airframe} {test}", models["ours"], aircraft, flight)
+        refined.append(corrected(f"{airframe} {test}", models["ours"], aircraft, log, flight))
     example = load_example_flights()
     log, aircraft = example.train, example.aircraft
     if options.smoke:
@@ -249,8 +293,19 @@ def main(words=None):
     else:
         fit = partial(fitted, make_identification_pipeline(aircraft), log, aircraft)
         model = learned(options.models, "example", fit)
+        flight = example.test.assign(gravity_true=STANDARD_GRAVITY)
+        refined.append(corrected("example", model, aircraft, log, flight))
     times = timed(model, aircraft, 3, 0.2) if options.smoke else timed(model, aircraft, options.paths)
-    finish(options, "freeflight", errors=errors, coverage=coverage, air=air, replay=replays, times=times)
+    finish(
+        options,
+        "freeflight",
+        errors=errors,
+        coverage=coverage,
+        air=air,
+        output_error=refined,
+        replay=replays,
+        times=times,
+    )
 
 
 if __name__ == "__main__":

@@ -60,20 +60,29 @@ class Envelope:
                 "a risk between 0 and 1."
             )
 
-    def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
-        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
+    def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
+        """Return the lowest and the highest value of each channel of `channels`."""
+        found = {name: getattr(self, name) for name in ("alpha", "beta", "airspeed", "load_factor")}
+        found |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
+        if model.limits is not None and np.isfinite(self.growth):
+            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
+            for name, low, high in zip(model.regressors, model.limits[0] - grown, model.limits[1] + grown, strict=True):
+                found[f"growth of {name}"] = (low, high)
+        return found
+
+    def channels(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
+        """Return what is limited, along one simulated flight."""
         values = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
         values |= {
             "load_factor": -flight["az"].to_numpy(float) / STANDARD_GRAVITY,
             "bank": flight["phi"].to_numpy(float),
         }
-        bounds = {name: getattr(self, name) for name in values}
-        bounds |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
-        found = {name: (values[name] < low) | (values[name] > high) for name, (low, high) in bounds.items()}
-        if model.limits is not None and np.isfinite(self.growth):
-            X = regressors_of(flight, aircraft, model.regressors)
-            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
-            for k, name in enumerate(model.regressors):
-                outside = (X[:, k] < model.limits[0, k] - grown[k]) | (X[:, k] > model.limits[1, k] + grown[k])
-                found[f"growth of {name}"] = outside
-        return pd.DataFrame(found | {"ended": flight["ended"].to_numpy() != ""})
+        X = regressors_of(flight, aircraft, model.regressors)
+        values |= {f"growth of {name}": column for name, column in zip(model.regressors, X.T, strict=True)}
+        return pd.DataFrame(values)[[*self.bounds(model)]]
+
+    def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
+        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
+        low, high = np.array([*self.bounds(model).values()]).T
+        values = self.channels(flight, aircraft, model)
+        return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")

@@ -146,8 +146,7 @@ def expected_information(
          alpha  elevator
     Cm  0.0025    0.0025
     """
-    if not isinstance(noise, pd.DataFrame):
-        noise = pd.DataFrame({"white": dict(noise), "drift": 0.0, "memory": 1.0})
+    noise = noise_table(noise)
     check_columns(noise, ("white", "drift", "memory"), what="noise")
     table = check_table(flight)
     check_columns(table, ["time"])
@@ -169,8 +168,8 @@ def expected_information(
         X = np.column_stack([np.ones(len(part)), regressors_of(part, aircraft, regressors)])
         if not np.isfinite(X).all():
             raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
-        whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
-        fisher += np.einsum("npa,npb->pab", whitened, whitened)
+        scaled = whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
+        fisher += np.einsum("npa,npb->pab", scaled, scaled)
     return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))
 
 
@@ -221,6 +220,13 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     )
 
 
+def noise_table(noise: Mapping[str, float] | pd.DataFrame) -> pd.DataFrame:
+    """Return noise as a table; standard deviations by name are of white noise."""
+    if isinstance(noise, pd.DataFrame):
+        return noise
+    return pd.DataFrame({"white": dict(noise), "drift": 0.0, "memory": 1.0})
+
+
 def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
     """Return the regressors (n, d) of one flight."""
     time, columns = flight["time"].to_numpy(float), []
@@ -240,7 +246,7 @@ def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]
     return np.stack(columns, axis=-1)
 
 
-def _whitened(X: Matrix, time: Array, white: Array, drift: Array, memory: Array) -> Array:
+def whitened(X: Matrix, time: Array, white: Array, drift: Array, memory: Array) -> Array:
     """Return V_i^(-1/2) X for the noise of each coefficient, (n, P, columns): scaled innovations of a Kalman filter."""
     found = np.empty((len(X), len(white), X.shape[1]))
     mean, variance = np.zeros((len(white), X.shape[1])), drift

@@ -168,8 +168,8 @@ def expected_information(
         X = np.column_stack([np.ones(len(part)), regressors_of(part, aircraft, regressors)])
         if not np.isfinite(X).all():
             raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
-        scaled = whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
-        fisher += np.einsum("npa,npb->pab", scaled, scaled)
+        whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
+        fisher += np.einsum("npa,npb->pab", whitened, whitened)
     return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))
 
 
@@ -246,7 +246,7 @@ def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]
     return np.stack(columns, axis=-1)
 
 
-def whitened(X: Matrix, time: Array, white: Array, drift: Array, memory: Array) -> Array:
+def _whitened(X: Matrix, time: Array, white: Array, drift: Array, memory: Array) -> Array:
     """Return V_i^(-1/2) X for the noise of each coefficient, (n, P, columns): scaled innovations of a Kalman filter."""
     found = np.empty((len(X), len(white), X.shape[1]))
     mean, variance = np.zeros((len(white), X.shape[1])), drift

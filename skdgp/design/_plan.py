@@ -15,7 +15,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
-from skdgp._compute.typing import Array, Matrix, Seed
+from skdgp._compute.typing import Matrix, Seed
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
@@ -29,7 +29,6 @@ from skdgp.design._information import (
     regressors_of,
 )
 from skdgp.design._multisines import orthogonal_multisines
-from skdgp.design._refine import Response, best_levels, gain_of
 from skdgp.design._signals import Limits, Signal, Steps, doublet, three_two_one_one
 from skdgp.design._wavetrain import Wavetrain, wavetrain
 from skdgp.dynamics import (
@@ -53,10 +52,6 @@ MULTISINES = (5.0, 10.0)
 MOST_TONES = 8
 STARTS = 2
 """Searches for the phases of a multisine."""
-REFINED = (5.0, 10.0)
-"""Durations of steps of all axes, whose levels are refined [s]."""
-SLOTS = 5.0
-"""Samples of the autopilot in the shortest of them, at least."""
 MARGIN = 1.5
 """Standard deviations, by gusts and posterior, that are left to the envelope where a scale is predicted."""
 SHRINK, LEAST = 0.85, 0.2
@@ -136,11 +131,10 @@ def plan(
 ) -> Plan:
     r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
 
-    The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`),
-    and steps of all axes at once, whose levels gradient ascent has found for the goal. Each is simulated from a trim
-    with the mean of the model. Its information (`expected_information`) adds to what is known. Manoeuvres are chosen
-    one by one for the largest reduction per second of the mean logarithm of the standard errors of the goal; then each
-    is exchanged while that helps.
+    The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
+    Each is simulated from a trim with the mean of the model. Its information (`expected_information`) adds to what is
+    known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the standard
+    errors of the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
     envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large as limits
@@ -221,7 +215,7 @@ def plan(
     >>> found = plan(Aerodynamics(linear, names), aircraft, airspeeds=20.0, seconds=16.0, axes=["elevator"],
     ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, noise={"Cm": 0.004})
     >>> found.manoeuvres["name"].tolist()
-    ['elevator steps 10 s']
+    ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
     planner = _Planner(
         as_aerodynamics(model), model, aircraft, envelope or Envelope(), pause, rate, n_paths, gusts, thrust,
@@ -319,7 +313,6 @@ class _Planner:
             )
         peaks = [np.einsum("pdd->pd", one.information.fisher) for one in library.values()]
         self.vague = VAGUE * np.stack([np.diag(row) for row in np.max(peaks, axis=0)])
-        library |= {one.name: one for at in range(len(self.trims)) for one in self._refined(at, bands)}
         return self._plan_of(*self._searched(library))
 
     def _check_paths(self) -> None:
@@ -370,9 +363,7 @@ class _Planner:
             )
         return float(room)
 
-    def _flown_by(
-        self, at: int, several: Sequence[Mapping[str, Signal]], whole: bool = False, **options: Any
-    ) -> list[pd.DataFrame]:
+    def _flown_by(self, at: int, several: Sequence[Mapping[str, Signal]], **options: Any) -> list[pd.DataFrame]:
         """Return the simulated flights of manoeuvres from a trim, each with the pause after it."""
         point = self.trims[at]
         trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
@@ -384,12 +375,12 @@ class _Planner:
             **options,
         )  # fmt: skip
         parts = [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
-        ends = [longest if whole else train.duration + self.pause + 1e-6 for train in trains]
+        ends = [train.duration + self.pause + 1e-6 for train in trains]
         return [part[part["time"] <= end].reset_index(drop=True) for part, end in zip(parts, ends, strict=True)]
 
     def _checked_hold(self, at: int) -> _Hold:
         """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
-        longest = max((*MULTISINES, *REFINED, self.pause))
+        longest = max((*MULTISINES, self.pause))
         still = {self.axes[0]: Steps([longest], [0.0])}
         flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], **self._draws())[0]
         risk, causes = self._risk_of(paths[paths["time"] <= self.pause + 1e-6])
@@ -459,53 +450,6 @@ class _Planner:
         notify(f"planning: {self._label(at)}library", 0, 0.0)
         return self._made(at, dict(self._inputs(self._bands(at, bands))))
 
-    def _refined(self, at: int, bands: pd.DataFrame | None) -> list[_Manoeuvre]:
-        """Return steps of all axes at once, refined for what the goal lacks."""
-        if not REFINED:
-            return []
-        widths = self._bands(at, bands)["three_two_one_one_width"]
-        limits = [self.limits[axis] for axis in self.axes]
-        slot = max(widths.min(), SLOTS / self.rate, *(2.0 * one.amplitude / one.rate for one in limits))
-        every = int(np.ceil(slot / STEP))
-        slot, hold = every * STEP, self.holds[at]
-        room = np.maximum(np.minimum(hold.low, hold.high), 1e-9)
-        small = [{axis: Steps([slot], [0.1 * limit.amplitude])} for axis, limit in zip(self.axes, limits, strict=True)]
-        still = {self.axes[0]: Steps([max(REFINED)], [0.0])}
-        _, *flights = self._flown_by(at, [still, *small], whole=True)
-        regressors = self.aerodynamics.regressors
-        X = regressors_of(hold.flight, self.aircraft, regressors)
-        pulses, channels = [], []
-        for flight, limit in zip(flights, limits, strict=True):
-            if (flight["ended"] != "").any():
-                return []
-            unit = 0.1 * limit.amplitude
-            pulses.append((regressors_of(flight, self.aircraft, regressors) - X) / unit)
-            channels.append((self._channels(flight) - hold.centre) / unit / room)
-        made = {}
-        for duration in REFINED:
-            seconds = duration + self.pause
-            if seconds + self.pause > self.seconds:
-                continue
-            notify(f"planning: {self._label(at)}{'+'.join(self.axes)} steps {duration:g} s", 0, 0.0)
-            n, n_slots = round(seconds / STEP) + 1, int(duration / slot)
-            repeats = max(1.0, (self.seconds - self.pause) / seconds)
-
-            def gain(fisher: Array, repeats: float = repeats) -> tuple[float, Array]:
-                value, slope = gain_of(self.before.fisher + self.vague + repeats * fisher, self.goal)
-                return value, repeats * slope
-
-            response = Response(X[:n], np.array(pulses)[:, :n], np.array(channels)[:, :n], every)
-            levels = best_levels(
-                response, n_slots, np.array([one.amplitude for one in limits]), gain, self.noise,
-                hold.flight["time"].to_numpy(float)[:n], self.seed,
-            )  # fmt: skip
-            signals = {}
-            for axis, limit, row in zip(self.axes, limits, levels, strict=True):
-                signal = Steps([slot] * n_slots, row.tolist(), limit.rate)
-                signals[axis] = signal.scaled(min(1.0, limit.rms / signal.rms))
-            made[f"{'+'.join(self.axes)} steps {duration:g} s"] = signals
-        return self._made(at, made)
-
     def _inputs(self, bands: pd.DataFrame) -> Iterator[tuple[str, dict[str, Signal]]]:
         """Yield names and inputs of the library, as large as the limits allow."""
         for axis in self.axes:
@@ -557,7 +501,9 @@ class _Planner:
         fisher = self.before.fisher + self.vague
         for one in chosen:
             fisher = fisher + one.information.fisher
-        return gain_of(fisher, self.goal)[0]
+        scale = np.sqrt(np.einsum("pdd->pd", fisher))
+        inverse = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])
+        return float(-np.mean([0.5 * np.log(inverse[i, k, k]) - np.log(scale[i, k]) for i, k in self.goal]))
 
     def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
         flights = len({one.at for one in chosen})

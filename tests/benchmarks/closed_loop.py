@@ -18,8 +18,8 @@ fitted by least squares to the first flight and the first seconds of the second,
     derivatives   at the trim, each times the range of its regressor over that of its coefficient, geometric mean of the
                   sizes, against the same trend fitted to the exact data of a flight in calm air
     function      NRMSE on that flight, mean over the coefficients
-    ratio         seconds of the plan until its error is that of the best classical input after all its time, over the
-                  seconds of that input until then
+    ratio         seconds of the plan until its error is that of a classical input after all its time, over the seconds
+                  of that input until then; median over the seeds, inf if the plan does not get there
 
 An aircraft of JSBSim needs the jsbsim wheel. Each seed is kept under OUT/closed_loop and not done again.
 """
@@ -231,24 +231,20 @@ def reached(curve: np.ndarray, column: int, error: float) -> float:
 
 
 def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
-    """Return the seconds of the plan to the error of the best classical input after half and all of its time."""
+    """Return the median seconds of the plan to the last error of each classical input, over those of that input."""
+    kinds = [kind for kind in every[0] if kind not in ("plan", "explored")]
     rows = []
-    for (column, what), share in itertools.product(((1, "derivatives"), (2, "function")), (0.5, 1.0)):
-        ratios, best = [], []
-        for found in every:
-            others = {kind: curve for kind, curve in found.items() if kind not in ("plan", "explored")}
-            last = round(share * (len(found["plan"]) - 1))
-            kind = min(others, key=lambda kind: others[kind][last, column])
-            error = others[kind][last, column]
-            ratios.append(reached(found["plan"], column, error) / reached(others[kind], column, error))
-            best.append(kind)
-        low, middle, high = np.quantile(ratios, [0.25, 0.5, 0.75], method="nearest")
-        rows.append({
-            "aircraft": name, "error of": what, "of the best after": f"{found['plan'][last, 0]:.0f} s",
-            "median ratio": float(middle), "quartiles": f"{low:.2f} to {high:.2f}",
-            "not reached": int(np.isinf(ratios).sum()), "most often best": max(best, key=best.count),
-            "seeds": len(ratios),
-        })  # fmt: skip
+    for column, what in ((1, "derivatives"), (2, "function")):
+        row: dict[str, Any] = {"aircraft": name, "error of": what}
+        best = [min(kinds, key=lambda kind: found[kind][-1, column]) for found in every]
+        for label, chosen in [*((kind, [kind] * len(every)) for kind in kinds), ("the best of them", best)]:
+            ratios = []
+            for found, kind in zip(every, chosen, strict=True):
+                error = found[kind][-1, column]
+                seconds = [max(CUTS, reached(found[flown], column, error)) for flown in ("plan", kind)]
+                ratios.append(seconds[0] / seconds[1])
+            row[f"over {label}"] = float(np.quantile(ratios, 0.5, method="nearest"))
+        rows.append(row | {"seeds": len(every)})
     return rows
 
 

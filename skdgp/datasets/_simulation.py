@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from skdgp._compute.typing import Array
@@ -35,11 +37,16 @@ def brumby_motion() -> Motion:
 
 
 def fly_plans(
-    plans: tuple[FlightPlan, ...], duration: float, turbulence: float, rng: np.random.Generator
+    plans: tuple[FlightPlan, ...],
+    duration: float,
+    turbulence: float,
+    rng: np.random.Generator,
+    controls_of: Callable = FlightControls,
 ) -> tuple[Record, Instant]:
     """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
 
-    ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
+    ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it. ``controls_of`` makes the
+    controls from the plans, the times and the step.
     """
     time: np.ndarray = np.arange(round((SETTLING + duration) / STEP)) * STEP - SETTLING
     heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
@@ -48,7 +55,7 @@ def fly_plans(
     gusts = dryden_gusts(2 * len(time) + 1, 0.5 * STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng)
     wind = np.array([plan.wind for plan in plans])
     air = GustyAir(lambda stage, state: Air(wind), gusts)
-    motion, controls = brumby_motion(), FlightControls(plans, time, STEP)
+    motion, controls = brumby_motion(), controls_of(plans, time, STEP)
     record = fly_record(motion, controls, air, Clock(STEP, len(time) - 1), _initial_states(controls, wind))
     log = slice(round(SETTLING / STEP), None)
     record = record.rows(log)

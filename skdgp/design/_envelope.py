@@ -70,19 +70,14 @@ class Envelope:
         if model.limits is not None and np.isfinite(self.growth):
             grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
             for name, low, high in zip(model.regressors, model.limits[0] - grown, model.limits[1] + grown, strict=True):
-                found[f"growth of {name}"] = (low, high)
+                found[GROWTH + name] = (low, high)
         return found
 
     def channels(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
         """Return what is limited, along one simulated flight."""
-        values = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
-        values |= {
-            "load_factor": -flight["az"].to_numpy(float) / STANDARD_GRAVITY,
-            "bank": flight["phi"].to_numpy(float),
-        }
         X = regressors_of(flight, aircraft, model.regressors)
-        values |= {f"growth of {name}": column for name, column in zip(model.regressors, X.T, strict=True)}
-        return pd.DataFrame(values)[[*self.bounds(model)]]
+        growth = pd.DataFrame(X, flight.index, [GROWTH + name for name in model.regressors])
+        return pd.concat([quantities(flight), growth], axis=1)[[*self.bounds(model)]]
 
     def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
         """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""

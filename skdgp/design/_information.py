@@ -146,8 +146,7 @@ def expected_information(
          alpha  elevator
     Cm  0.0025    0.0025
     """
-    if not isinstance(noise, pd.DataFrame):
-        noise = pd.DataFrame({"white": dict(noise), "drift": 0.0, "memory": 1.0})
+    noise = noise_table(noise)
     check_columns(noise, ("white", "drift", "memory"), what="noise")
     table = check_table(flight)
     check_columns(table, ["time"])
@@ -219,6 +218,13 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
         },
         index=list(regressor.output_names_),
     )
+
+
+def noise_table(noise: Mapping[str, float] | pd.DataFrame) -> pd.DataFrame:
+    """Return noise as a table; standard deviations by name are of white noise."""
+    if isinstance(noise, pd.DataFrame):
+        return noise
+    return pd.DataFrame({"white": dict(noise), "drift": 0.0, "memory": 1.0})
 
 
 def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:

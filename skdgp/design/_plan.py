@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
-from skdgp._compute.typing import Seed
+from skdgp._compute.typing import Matrix, Seed
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
@@ -24,11 +24,12 @@ from skdgp.design._information import (
     Information,
     coefficient_noise,
     expected_information,
+    noise_table,
     posterior_information,
     regressors_of,
 )
 from skdgp.design._multisines import orthogonal_multisines
-from skdgp.design._signals import Limits, Signal, doublet, three_two_one_one
+from skdgp.design._signals import Limits, Signal, Steps, doublet, three_two_one_one
 from skdgp.design._wavetrain import Wavetrain, wavetrain
 from skdgp.dynamics import (
     Aerodynamics,
@@ -51,8 +52,10 @@ MULTISINES = (5.0, 10.0)
 MOST_TONES = 8
 STARTS = 2
 """Searches for the phases of a multisine."""
-SCALES = (1.0, 0.7, 0.5, 0.35, 0.25)
-"""By which a manoeuvre is made smaller until it is safe."""
+MARGIN = 1.5
+"""Standard deviations, by gusts and posterior, that are left to the envelope where a scale is predicted."""
+SHRINK, LEAST = 0.85, 0.2
+"""Factor by which a manoeuvre is made smaller until it is safe, and the least scale."""
 VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
 
@@ -185,9 +188,9 @@ def plan(
     errors of the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
-    envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre above the allowed risk
-    is made smaller, or left out, and the choice is made again. Controls are open loop during a manoeuvre; the pilot or
-    the autopilot returns to the trim in the pause after it.
+    envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large as limits
+    and allowed risk let it be, or left out, and the choice is made again. Controls are open loop during a manoeuvre;
+    the pilot or the autopilot returns to the trim in the pause after it.
 
     Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
 
@@ -292,6 +295,25 @@ class _Manoeuvre:
     """None: not checked."""
 
 
+class _Hold(NamedTuple):
+    """Trimmed flight of the mean, and the room that the envelope leaves around it."""
+
+    flight: pd.DataFrame
+    centre: Matrix
+    """Channels of the envelope, (n, c)."""
+    low: Matrix
+    """Below it, and above."""
+    high: Matrix
+
+    def room(self, values: Matrix) -> float:
+        """Return the factor by which the deviation of channels (m, c) from trimmed flight fits into the room."""
+        n = min(len(values), len(self.centre))
+        moved = values[:n] - self.centre[:n]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factors = np.where(moved > 0, self.high[:n], self.low[:n]) / np.abs(moved)
+        return float(np.nanmin(factors))
+
+
 @dataclass
 class _Planner:
     """What the steps of a search share."""
@@ -319,8 +341,8 @@ class _Planner:
                     stacklevel=4,
                 )
         self._check_paths()
-        self.seconds, self.noise, self.axes = float(seconds), noise, list(axes)
-        self.coefficients = list(map(str, noise.index if isinstance(noise, pd.DataFrame) else noise))
+        self.seconds, self.noise, self.axes = float(seconds), noise_table(noise), list(axes)
+        self.coefficients = list(map(str, self.noise.index))
         self.goal = self._checked_goal(goal)
         notify("planning: trims", 0, 0.0)
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
@@ -332,9 +354,9 @@ class _Planner:
         for point in self.trims:
             check_names(self.axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(limits)
-        holds = [self._checked_hold(point) for point in self.trims]
-        self.before = self._known(known, holds)
-        library = {one.name: one for one in self._library(bands)}
+        self.holds = [self._checked_hold(at) for at in range(len(self.trims))]
+        self.before = self._known(known, [hold.flight for hold in self.holds])
+        library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
         if not library:
             raise ValueError(
                 f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:g} s is that short and can be "
@@ -392,39 +414,60 @@ class _Planner:
             )
         return float(room)
 
-    def _flown_by(self, at: int, inputs: Mapping[str, Signal], **options: Any) -> pd.DataFrame:
-        """Return the simulated flight of a manoeuvre and the pause after it."""
-        point, train = self.trims[at], Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
-        table = train.table(self.rate, trim=point.controls, pause=self.pause)
-        duration = STEP * np.floor(table["time"].iloc[-1] / STEP + 1e-6)
-        return simulate(self.model, self.aircraft, point, table, STEP, duration=duration, thrust=self.thrust, **options)
+    def _flown_by(self, at: int, several: Sequence[Mapping[str, Signal]], **options: Any) -> list[pd.DataFrame]:
+        """Return the simulated flights of manoeuvres from a trim, each with the pause after it."""
+        point = self.trims[at]
+        trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
+        longest = max(train.duration for train in trains) + self.pause
+        tables = [train.table(self.rate, trim=point.controls, pause=longest - train.duration) for train in trains]
+        duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)
+        flown = simulate(
+            self.model, self.aircraft, [point] * len(tables), tables, STEP, duration=duration, thrust=self.thrust,
+            **options,
+        )  # fmt: skip
+        parts = [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
+        ends = [train.duration + self.pause + 1e-6 for train in trains]
+        return [part[part["time"] <= end].reset_index(drop=True) for part, end in zip(parts, ends, strict=True)]
 
-    def _checked_hold(self, point: Trim) -> pd.DataFrame:
+    def _checked_hold(self, at: int) -> _Hold:
         """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
-        at = self.trims.index(point)
-        risk, causes, _ = self._risk(at, {})
+        longest = max((*MULTISINES, self.pause))
+        still = {self.axes[0]: Steps([longest], [0.0])}
+        flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], **self._draws())[0]
+        risk, causes = self._risk_of(paths[paths["time"] <= self.pause + 1e-6])
         if risk > self.envelope.risk:
             raise ValueError(
-                f"Got an envelope that trimmed flight at {point.airspeed:g} m/s leaves in {risk:.0%} of cases within "
-                f"{self.pause:g} s, by {causes}, but expected at most {self.envelope.risk:.0%}: widen this limit, "
-                "choose another airspeed or altitude, or weaker gusts."
+                f"Got an envelope that trimmed flight at {self.trims[at].airspeed:g} m/s leaves in {risk:.0%} of cases "
+                f"within {self.pause:g} s, by {causes}, but expected at most {self.envelope.risk:.0%}: widen this "
+                "limit, choose another airspeed or altitude, or weaker gusts."
             )
-        return self._flown_by(at, {})
-
-    def _risk(self, at: int, inputs: Mapping[str, Signal]) -> tuple[float, str, pd.DataFrame]:
-        """Return the predicted risk that a manoeuvre leaves the envelope, the limits it leaves, and the flights."""
-        draws: dict[str, Any] = {}
+        centre = self._channels(flight)
+        margin = np.zeros_like(centre)
         if self.aerodynamics.is_uncertain:
-            draws = {"n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed}
-        flight = self._flown_by(at, inputs, **draws)
+            drawn = np.stack([self._channels(one) for _, one in paths.groupby("flight", sort=False, observed=True)])
+            margin = MARGIN * np.nanstd(drawn, axis=0)
+        bounds = np.array([*self.envelope.bounds(self.aerodynamics).values()]).T
+        low, high = (np.maximum(room - margin, LEAST * room) for room in np.abs(bounds[:, None] - centre))
+        return _Hold(flight, centre, low, high)
+
+    def _channels(self, flight: pd.DataFrame) -> Matrix:
+        return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
+
+    def _draws(self) -> dict[str, Any]:
+        if not self.aerodynamics.is_uncertain:
+            return {}
+        return {"n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed}
+
+    def _risk_of(self, flight: pd.DataFrame) -> tuple[float, str]:
+        """Return the risk that flights leave the envelope, and the limits that they leave."""
         left = self.envelope.left(flight, self.aircraft, self.aerodynamics)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
         causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
         n_left = int(by_path.any(axis=1).sum())
-        if not draws:
-            return float(n_left), causes, flight
-        return (n_left + 1) / (self.n_paths + 2), causes, flight
+        if not self.aerodynamics.is_uncertain:
+            return float(n_left), causes
+        return (n_left + 1) / (self.n_paths + 2), causes
 
     def _known(self, known: Information | None, holds: list[pd.DataFrame]) -> Information:
         """Return the information before the flight."""
@@ -437,24 +480,26 @@ class _Planner:
         at = np.mean([regressors_of(one, self.aircraft, names)[0] for one in holds], axis=0)
         return posterior_information(self.model, at, self.coefficients)
 
-    def _library(self, bands: pd.DataFrame | None) -> Iterator[_Manoeuvre]:
-        """Yield the manoeuvres that fit into the time and can be flown by the mean."""
-        for at, point in enumerate(self.trims):
-            found = bands
-            if found is None:
-                linear = linearize(self.model, self.aircraft, point, inputs=self.axes, thrust=self.thrust)
-                found = input_bands(linear)
-            label = f"{point.airspeed:g} m/s: " if len({one.airspeed for one in self.trims}) > 1 else ""
-            label += (
-                f"bank {np.rad2deg(point.phi):.0f} deg: " if len({round(one.phi, 3) for one in self.trims}) > 1 else ""
-            )
-            for name, inputs in self._inputs(found.loc[self.axes]):
-                seconds = max(signal.duration for signal in inputs.values()) + self.pause
-                if seconds + self.pause <= self.seconds:
-                    notify(f"planning: {label}{name}", 0, 0.0)
-                    made = self._made(label + name, at, inputs, seconds)
-                    if made is not None:
-                        yield made
+    def _bands(self, at: int, bands: pd.DataFrame | None) -> pd.DataFrame:
+        """Return widths and frequencies of the inputs of a trim."""
+        if bands is None:
+            linear = linearize(self.model, self.aircraft, self.trims[at], inputs=self.axes, thrust=self.thrust)
+            bands = input_bands(linear)
+        return bands.loc[self.axes]
+
+    def _label(self, at: int) -> str:
+        """Return what tells a trim from the others."""
+        point, label = self.trims[at], ""
+        if len({one.airspeed for one in self.trims}) > 1:
+            label += f"{point.airspeed:g} m/s: "
+        if len({round(one.phi, 3) for one in self.trims}) > 1:
+            label += f"bank {np.rad2deg(point.phi):.0f} deg: "
+        return label
+
+    def _library(self, at: int, bands: pd.DataFrame | None) -> list[_Manoeuvre]:
+        """Return the manoeuvres that fit into the time and can be flown by the mean."""
+        notify(f"planning: {self._label(at)}library", 0, 0.0)
+        return self._made(at, dict(self._inputs(self._bands(at, bands))))
 
     def _inputs(self, bands: pd.DataFrame) -> Iterator[tuple[str, dict[str, Signal]]]:
         """Yield names and inputs of the library, as large as the limits allow."""
@@ -478,13 +523,29 @@ class _Planner:
                     )
                     yield f"{'+'.join(group)} multisine {duration:g} s", dict(inputs)
 
-    def _made(self, name: str, at: int, inputs: dict[str, Signal], seconds: float) -> _Manoeuvre | None:
-        """Return a manoeuvre with its information, or None if the mean does not fly it to its end."""
-        flight = self._flown_by(at, inputs)
-        if (flight["ended"] != "").any():
-            return None
-        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
-        return _Manoeuvre(name, at, inputs, seconds, found, flight)
+    def _made(self, at: int, named: Mapping[str, dict[str, Signal]]) -> list[_Manoeuvre]:
+        """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
+        lasting = {name: max(one.duration for one in inputs.values()) + self.pause for name, inputs in named.items()}
+        named = {name: inputs for name, inputs in named.items() if lasting[name] + self.pause <= self.seconds}
+        scales: dict[str, float] = {}
+        for factor in (1.0, 0.5, LEAST):
+            rest = {name: _scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
+            for name, flight in self._flights(at, rest).items():
+                scales[name] = float(np.clip(factor * self.holds[at].room(self._channels(flight)), LEAST, 1.0))
+        found = []
+        scaled = {name: _scaled(named[name], scale) for name, scale in scales.items()}
+        for name, flight in self._flights(at, scaled).items():
+            information = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+            label = self._label(at) + name
+            found.append(_Manoeuvre(label, at, scaled[name], lasting[name], information, flight, scales[name]))
+        return found
+
+    def _flights(self, at: int, named: Mapping[str, Mapping[str, Signal]]) -> dict[str, pd.DataFrame]:
+        """Return the flights of those manoeuvres that the mean flies to their end."""
+        if not named:
+            return {}
+        flown = zip(named, self._flown_by(at, [*named.values()]), strict=True)
+        return {name: flight for name, flight in flown if (flight["ended"] == "").all()}
 
     def _gain(self, chosen: Sequence[_Manoeuvre]) -> float:
         """Return the mean of minus the logarithm of the standard errors of the goal."""
@@ -543,24 +604,37 @@ class _Planner:
         if not chosen:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
-                f"{SCALES[-1]:.0%} of the limits; the last one by {causes}: widen this limit, allow more growth "
+                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow more growth "
                 "or risk, plan for weaker gusts, or fly another airspeed or altitude."
             )
         return chosen, library
 
     def _safe(self, one: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
-        """Return a manoeuvre that is made smaller until it is safe, or None and the limits that it leaves."""
-        causes = ""
-        for scale in SCALES:
-            inputs = {axis: signal.scaled(scale) for axis, signal in one.inputs.items()}
-            risk, causes, paths = self._risk(one.at, inputs)
+        """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
+        scale, best = one.scale, 0.0
+        while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
+            inputs = _scaled(one.inputs, scale / one.scale)
+            paths = self._flown_by(one.at, [inputs], **self._draws())[0]
+            risk, causes = self._risk_of(paths)
             if risk <= self.envelope.risk:
-                made = self._made(one.name, one.at, inputs, one.seconds)
-                if made is not None and self.aerodynamics.is_uncertain:
-                    return replace(made, scale=scale, risk=risk, flight=with_band(made.flight, paths)), causes
-                if made is not None:
-                    return replace(made, scale=scale, risk=np.nan), causes
-        return None, causes
+                best, best_risk, best_paths = scale, risk, paths
+                if scale < one.scale or scale == 1.0:
+                    break
+                scale = min(1.0, scale / SHRINK)
+            elif best:
+                break
+            else:
+                scale *= SHRINK
+        if not best:
+            return None, causes
+        inputs = _scaled(one.inputs, best / one.scale)
+        flight = self._flown_by(one.at, [inputs])[0]
+        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        if not self.aerodynamics.is_uncertain:
+            best_risk = np.nan
+        else:
+            flight = with_band(flight, best_paths)
+        return replace(one, inputs=inputs, information=found, flight=flight, scale=best, risk=best_risk), causes
 
     def _plan_of(self, chosen: list[_Manoeuvre], library: dict[str, _Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres, those of one trim together."""
@@ -593,6 +667,10 @@ class _Planner:
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
         )  # fmt: skip
+
+
+def _scaled(inputs: Mapping[str, Signal], factor: float) -> dict[str, Signal]:
+    return {axis: signal.scaled(factor) for axis, signal in inputs.items()}
 
 
 def errors_of(information: Information) -> pd.Series:

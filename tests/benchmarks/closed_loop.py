@@ -1,0 +1,305 @@
+"""Closed loop: explore, learn, plan, fly, learn again; beside classical inputs in the same time.
+
+    python tests/benchmarks/closed_loop.py [--out OUT] [--seeds 10] [--aircraft example c172p t6texan2]
+
+An aircraft with known truth flies 60 s of inputs of half the limits in light turbulence. From this flight a linear
+trend is learned, and it flies 60 s more, after the same first flight and in gusts of its own:
+
+    plan          what `plan` chooses
+    doublets, 3-2-1-1
+                  of the modes' widths, one axis after another
+    Schroeder, multisine
+                  multisines of 10 s on all axes at once, with Schroeder's phases and with optimised ones
+
+All have the same limits of the axes, and each manoeuvre is as large as the check of `plan` allows in the same envelope.
+Controls are held during a manoeuvre, and an autopilot returns to the trim in the pause after it. A quadratic trend is
+fitted by least squares to the first flight and the first seconds of the second, as sensors saw them. Its errors:
+
+    derivatives   at the trim, each times the range of its regressor over that of its coefficient, geometric mean of the
+                  sizes, against the same trend fitted to the exact data of a flight in calm air
+    function      NRMSE on that flight, mean over the coefficients
+    ratio         seconds of the plan until its error is that of a classical input after all its time, over the seconds
+                  of that input until then; median over the seeds, inf if the plan does not get there
+
+An aircraft of JSBSim needs the jsbsim wheel. Each seed is kept under OUT/closed_loop and not done again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from _closed_loop_flights import AXES, PAUSE, SUBJECTS, Sortie, Subject, exploratory, sortie
+from _common import finish, parser_of
+from _study_flights import NAMES, Log
+from sklearn.preprocessing import PolynomialFeatures
+from study import kept
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._flight.channels import HAT, RATE_LENGTHS
+from skdgp.datasets._example_flights import MEASURED, measure
+from skdgp.design import (
+    Envelope,
+    _plan,
+    coefficient_noise,
+    doublet,
+    input_bands,
+    multisine,
+    orthogonal_multisines,
+    three_two_one_one,
+)
+from skdgp.dynamics import aerodynamic_coefficients, as_aerodynamics, linearize
+
+KEPT = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
+REGRESSORS = [name + HAT if name in RATE_LENGTHS else name for name in KEPT]
+COLUMNS = [NAMES.index(name) for name in KEPT]
+EXPLORED, CUTS, AIR = 60.0, 5.0, "light"
+ENVELOPE = Envelope(bank=1.0, growth=0.5)
+
+
+class Truth(NamedTuple):
+    """The flight in calm air that scores: exact regressors, coefficients, and the derivatives that they show."""
+
+    X: np.ndarray
+    Y: np.ndarray
+    slopes: np.ndarray
+
+    @classmethod
+    def of(cls, subject: Subject, seconds: float) -> Truth:
+        log = subject.fly([exploratory(subject, 0.6, 1.3)], seconds, "calm", 0)[0]
+        X, Y = log.exact[:, COLUMNS], log.truth
+        unknown = cls(X, Y, np.zeros((Y.shape[1], X.shape[1])))
+        return unknown._replace(slopes=unknown._trend(X, Y)[0])
+
+    def errors(self, X: np.ndarray, Y: np.ndarray) -> tuple[float, float]:
+        """Return the errors of derivatives and function that rows teach."""
+        slopes, function = self._trend(X, Y)
+        off = np.sqrt(np.mean((function - self.Y) ** 2, axis=0)) / self.Y.std(axis=0)
+        return float(np.exp(np.mean(np.log(np.abs(slopes - self.slopes) + 1e-12)))), float(off.mean())
+
+    def _trend(self, X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return scaled derivatives in the middle of the flight, and the function along it."""
+        middle, size, square = self.X.mean(axis=0), self.X.std(axis=0), PolynomialFeatures(2)
+        weights = np.linalg.lstsq(square.fit_transform((X - middle) / size), Y, rcond=None)[0]
+        slopes = weights[1 : 1 + len(size)].T / self.Y.std(axis=0)[:, None]
+        return slopes, square.transform((self.X - middle) / size) @ weights
+
+
+def seen(log: Log, seed: Any) -> pd.DataFrame:
+    """Return what the sensors recorded."""
+    table = pd.concat([measure(log.table, 1.0, np.random.default_rng(seed)), log.table], axis=1)
+    return table[[name for name in MEASURED if name in table]].copy()
+
+
+def rows_of(table: pd.DataFrame, subject: Subject) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return time, regressors and coefficients as the pipeline makes them."""
+    steps = make_identification_pipeline(subject.aircraft, regressors=REGRESSORS, reconstruction="passthrough")[:-2]
+    return (
+        table["time"].to_numpy(),
+        np.asarray(steps.fit_transform(table), dtype=float),
+        aerodynamic_coefficients(table, subject.aircraft).to_numpy(),
+    )
+
+
+def learned(table: pd.DataFrame, subject: Subject) -> Any:
+    """Return the trend of the exploratory flight."""
+    model = make_identification_pipeline(
+        subject.aircraft,
+        regressors=REGRESSORS,
+        reconstruction="passthrough",
+        regressor=DependentGPRegressor(structure="trend", max_iter=10),
+    )
+    return model.fit(table, aerodynamic_coefficients(table, subject.aircraft))
+
+
+def planned(model: Any, subject: Subject, seconds: float, seed: int, n_paths: int) -> tuple[Any, Any]:
+    """Return the plan and its planner, which knows what is safe."""
+    planner = _plan._Planner(
+        as_aerodynamics(model), model, subject.aircraft, ENVELOPE, PAUSE, 40.0, n_paths, "as flown", "auto", seed
+    )
+    found = planner.plan(
+        np.array([subject.airspeed]), seconds, AXES, None, subject.limits, subject.altitude, (0.0,), None,
+        coefficient_noise(model), None,
+    )  # fmt: skip
+    return found, planner
+
+
+def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
+    """Return the classical inputs, each kind as large as the limits and the envelope allow, until the time is used."""
+    bands = input_bands(linearize(planner.model, planner.aircraft, planner.trims[0], inputs=list(AXES)))
+    limits = planner.limits
+    kinds: dict[str, list[dict]] = {}
+    for name, make in (("doublets", doublet), ("3-2-1-1", three_two_one_one)):
+        widths = {axis: bands.loc[axis, f"{make.__name__}_width"] for axis in AXES}
+        kinds[name] = [{axis: make(widths[axis], limits[axis].amplitude)} for axis in AXES]
+    band = bands["lowest"].min(), bands["highest"].max()
+    kinds["multisine"] = [dict(orthogonal_multisines(limits, 10.0, band, n_tones=5, n_starts=3))]
+    kinds["Schroeder"] = [
+        {
+            axis: limits[axis].largest(multisine(10.0, one.harmonics, rms=1.0))
+            for axis, one in kinds["multisine"][0].items()
+        }
+    ]
+    found = {}
+    for name, manoeuvres in kinds.items():
+        safe = [one for one in (_safe(planner, each) for each in manoeuvres) if one]
+        found[name], used = [], PAUSE
+        for one in itertools.cycle(safe) if safe else ():
+            used += max(signal.duration for signal in one.values()) + PAUSE
+            if used > seconds:
+                break
+            found[name].append(one)
+    return found
+
+
+def _safe(planner: Any, inputs: dict) -> dict | None:
+    made = planner._made(0, {"": inputs})
+    safe = planner._safe(made[0])[0] if made else None
+    return None if safe is None else safe.inputs
+
+
+def left(log: Log, one: Sortie, model: Any, subject: Subject) -> list[bool]:
+    """Return in which manoeuvres of a flight the motion left the envelope: the controls are the pilot's trim too."""
+    true = log.table[[name for name in log.table if name.endswith("_true")]]
+    table = true.rename(columns=lambda name: name.removesuffix("_true"))
+    table = table.assign(ended="", **log.table[["time", "altitude", *AXES]])
+    out = ENVELOPE.left(table, subject.aircraft, as_aerodynamics(model))
+    out = out.drop(columns=[f"growth of {axis}" for axis in AXES]).any(axis=1).to_numpy()
+    time = table["time"].to_numpy()
+    return [bool(out[(time >= start) & (time < end)].any()) for start, end in one.busy]
+
+
+def loop(subject: Subject, seed: int, explored: float, seconds: float, n_paths: int) -> dict[str, Any]:
+    """Return what one seed flew: rows of every flight, and what was predicted."""
+    watch = time.process_time()
+    first = seen(subject.fly([exploratory(subject)], explored, AIR, [seed, 0])[0], [seed, 0])
+    model = learned(first, subject)
+    took = {"learn": time.process_time() - watch}
+    watch = time.process_time()
+    found, planner = planned(model, subject, seconds, seed, n_paths)
+    took["plan"] = time.process_time() - watch
+    kinds = {"plan": _manoeuvres(found)} | classical(planner, seconds)
+    sorties = {name: sortie(one) for name, one in kinds.items() if one}
+    logs = dict(zip(sorties, subject.fly([*sorties.values()], seconds, AIR, [seed, 1]), strict=True))
+    rows = {"explored": rows_of(first, subject)}
+    rows |= {name: rows_of(seen(log, [seed, 1, k]), subject) for k, (name, log) in enumerate(logs.items())}
+    took["all"] = time.process_time() - watch + took["learn"]
+    return {
+        "rows": rows, "took": took, "manoeuvres": found.manoeuvres, "errors": found.errors,
+        "left": {name: left(log, sorties[name], model, subject) for name, log in logs.items()},
+        "scales": {name: [max(signal.peak / subject.limits[axis] for axis, signal in one.items()) for one in each]
+                   for name, each in kinds.items()},
+    }  # fmt: skip
+
+
+def _manoeuvres(found: Any) -> list[dict]:
+    """Return the manoeuvres of a plan of one wavetrain."""
+    starts: dict[float, dict] = {}
+    for axis, start, signal in sorted(found.trains[0].events(), key=lambda event: event[1]):
+        starts.setdefault(round(start, 6), {})[axis] = signal
+    return [*starts.values()]
+
+
+# -- tables --------------------------------------------------------------------------------------------
+
+
+def curves(found: dict[str, Any], truth: Truth) -> dict[str, np.ndarray]:
+    """Return the errors of derivatives and function of each kind of flight after every `CUTS`, (n, 3) with the time."""
+    _, X0, Y0 = found["rows"]["explored"]
+    result = {}
+    for name, (clock, X, Y) in found["rows"].items():
+        cuts = [0.0] if name == "explored" else np.arange(0.0, clock[-1] + CUTS, CUTS)
+        rows = [(np.concatenate([X0, X[clock < cut]]), np.concatenate([Y0, Y[clock < cut]])) for cut in cuts]
+        result[name] = np.array([(cut, *truth.errors(*one)) for cut, one in zip(cuts, rows, strict=True)])
+    return result
+
+
+def reached(curve: np.ndarray, column: int, error: float) -> float:
+    """Return the time at which an error is reached, linear between the cuts; inf if it is not."""
+    below = np.flatnonzero(curve[:, column] <= error)
+    if not len(below):
+        return np.inf
+    k = below[0]
+    if k == 0:
+        return float(curve[0, 0])
+    (t0, e0), (t1, e1) = curve[k - 1, [0, column]], curve[k, [0, column]]
+    return float(t0 + (t1 - t0) * (e0 - error) / (e0 - e1))
+
+
+def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
+    """Return the median seconds of the plan to the last error of each classical input, over those of that input."""
+    kinds = [kind for kind in every[0] if kind not in ("plan", "explored")]
+    rows = []
+    for column, what in ((1, "derivatives"), (2, "function")):
+        row: dict[str, Any] = {"aircraft": name, "error of": what}
+        best = [min(kinds, key=lambda kind: found[kind][-1, column]) for found in every]
+        for label, chosen in [*((kind, [kind] * len(every)) for kind in kinds), ("the best of them", best)]:
+            ratios = []
+            for found, kind in zip(every, chosen, strict=True):
+                error = found[kind][-1, column]
+                seconds = [max(CUTS, reached(found[flown], column, error)) for flown in ("plan", kind)]
+                ratios.append(seconds[0] / seconds[1])
+            row[f"over {label}"] = float(np.quantile(ratios, 0.5, method="nearest"))
+        rows.append(row | {"seeds": len(every)})
+    return rows
+
+
+def error_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
+    """Return the median errors of each kind of flight after half and all of its time."""
+    rows = []
+    for kind in ("plan", *(kind for kind in every[0] if kind not in ("plan", "explored"))):
+        own = np.array([found[kind] for found in every if kind in found])
+        first = np.median([found["explored"][0] for found in every], axis=0)
+        row: dict[str, Any] = {"aircraft": name, "flight": kind}
+        for column, what in enumerate(("derivatives", "function"), start=1):
+            row[f"{what} before"] = float(first[column])
+            for k in (own.shape[1] // 4, own.shape[1] // 2, -1):
+                row[f"{what} {own[0, k, 0]:.0f} s"] = float(np.median(own[:, k, column]))
+        rows.append(row)
+    return rows
+
+
+def risk_rows(name: str, every: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the predicted and the found rate of manoeuvres of the plan that leave the envelope."""
+    predicted = np.concatenate([found["manoeuvres"]["risk"] for found in every])
+    left = np.concatenate([found["left"]["plan"] for found in every])
+    return [{
+        "aircraft": name, "allowed %": 100.0 * ENVELOPE.risk, "predicted %": float(100.0 * predicted.mean()),
+        "found %": float(100.0 * left.mean()), "manoeuvres": len(left),
+        "median planning, CPU s": float(np.median([found["took"]["plan"] for found in every])),
+    }]  # fmt: skip
+
+
+def main(words: Any = None) -> None:
+    parser = parser_of(__doc__)
+    parser.add_argument("--aircraft", nargs="+", default=["example"], choices=SUBJECTS)
+    parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the second flight")
+    parser.add_argument("--paths", type=int, default=60, help="aircraft drawn for each check of a manoeuvre")
+    options = parser.parse_args(words)
+    explored = EXPLORED
+    if options.smoke:
+        options.seeds, options.seconds, options.paths, explored = 1, 9.0, 20, 31.0
+    folder = options.out / "closed_loop" if options.out and not options.smoke else None
+    subjects = {name: SUBJECTS[name]() for name in options.aircraft}
+    flown: dict[str, list] = {name: [] for name in subjects}
+    for seed, name in itertools.product(range(options.seeds), subjects):
+        make = partial(loop, subjects[name], seed, explored, options.seconds, options.paths)
+        flown[name].append(kept(folder, f"{name}-{seed}", make))
+        print(name, seed, flown[name][-1]["took"], flush=True)
+    tables: dict[str, list] = {"ratios": [], "errors": [], "risks": []}
+    for name, every in flown.items():
+        truth = Truth.of(subjects[name], explored)
+        learning = [curves(found, truth) for found in every]
+        tables["ratios"] += ratio_rows(name, learning)
+        tables["errors"] += error_rows(name, learning)
+        tables["risks"] += risk_rows(name, every)
+    finish(options, "closed_loop", **tables)
+
+
+if __name__ == "__main__":
+    main()

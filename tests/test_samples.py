@@ -14,6 +14,8 @@ from skdgp.identification import FlightPipeline
 from skdgp.identification._samples import mirrored, without_gusts
 from skdgp.preprocessing import RegressorSelector
 
+pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+
 RATE, DAMPING, ROLL = 40.0, -0.5, 0.2
 NAMES = ["alpha", "beta", "p_hat", "elevator", "aileron"]
 
@@ -81,6 +83,16 @@ class TestGusts:
         found = without_gusts(table[["p_hat", "aileron"]].to_numpy(), Y, table["time"].to_numpy(), None)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(Y))
 
+    def test_bands_are_those_of_measured_targets(self):
+        table, Cl = rolling_flight(0, seconds=20)
+        slopes, last = [], DependentGPRegressor(structure="trend", inference="sparse", max_iter=5, random_state=0)
+        for gusty in (False, True):
+            pipeline = pipeline_of(["p_hat", "aileron"], clone(last), gusty=gusty).fit(table, Cl)
+            error = Cl.to_numpy() - pipeline.predict(table).reshape(-1, 1)
+            np.testing.assert_allclose(pipeline[-1].noise_variance_, error.var(), rtol=0.15)
+            slopes.append(pipeline[-1].predict_gradient(np.zeros((1, 2)), return_std=True)[1][0, 0, 0])
+        assert slopes[1] >= 0.8 * slopes[0]
+
     def test_thin_targets_are_refused(self):
         table, Cl = rolling_flight(0, seconds=20)
         Cl[table["time"] > 5] = np.nan
@@ -126,7 +138,7 @@ class TestSymmetry:
         table, Y = symmetric_flight(0, n=150)
         std = []
         for symmetric in (False, True):
-            last = DependentGPRegressor(structure="trend", max_iter=20, random_state=0)
+            last = DependentGPRegressor(structure="trend", max_iter=8, random_state=0)
             pipeline = pipeline_of(NAMES, last, symmetric=symmetric).fit(table, Y)
             std.append(pipeline[-1].predict_gradient(np.zeros((1, 5)), return_std=True)[1][0, 1, [0, 3]])
         np.testing.assert_allclose(std[1], std[0], rtol=0.1)

@@ -19,7 +19,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence
 from skdgp.identification._samples import mirrored, named_targets, without_gusts
-from skdgp.inference import ExactPosterior, SparsePosterior
+from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, residual_drift
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -255,6 +255,7 @@ class FlightPipeline(Pipeline):
     ((40, 2), (40, 2))
     """
 
+    steps: list[tuple[str, Any]]
     symmetric = gusty = False  # of pipelines of earlier versions
 
     def __init__(
@@ -306,8 +307,8 @@ class FlightPipeline(Pipeline):
         chosen = [k for k, (_, step) in enumerate(self.steps) if isinstance(step, RegressorSelector)]
         if not chosen or "time" not in X:
             raise ValueError(
-                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)}, but symmetric=True and gusty="
-                "True need a RegressorSelector and the column time: add them."
+                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)} for symmetric or gusty, but "
+                "expected a RegressorSelector and the column time: add them."
             )
         first, rest, (name, last) = self[: chosen[0] + 1], self[chosen[0] + 1 : -1], self.steps[-1]
         table, targets = first.fit_transform(X, y), named_targets(y).reset_index(drop=True)
@@ -325,13 +326,17 @@ class FlightPipeline(Pipeline):
             "time": np.tile(time, len(samples)),
             "flight": np.concatenate([numbers + k * (numbers.max() + 1) for k in range(len(samples))]),
         }
+        learned = Y
         if self.gusty:
-            Y = pd.DataFrame(without_gusts(Z, Y.to_numpy(float), **clock), columns=Y.columns)
+            learned = pd.DataFrame(without_gusts(Z, Y.to_numpy(float), **clock), columns=Y.columns)
         words = {key.removeprefix(f"{name}__"): np.tile(value, len(samples)) for key, value in params.items()}
         words |= {key: value for key, value in clock.items() if key in words}
-        last.fit(Z, Y, **words)
-        if self.symmetric and isinstance(last, DependentGPRegressor):
-            last.posterior_ = counted_once(last.posterior_)
+        last.fit(Z, learned, **words)
+        if isinstance(last, DependentGPRegressor):
+            factor = np.full(Y.shape[1], float(len(samples)))
+            if self.gusty:
+                factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)
+            last.posterior_ = with_more_noise(last.posterior_, factor)
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients of one or more flights at their full rate.
@@ -359,11 +364,32 @@ class FlightPipeline(Pipeline):
         return _predict(self[-1], regressors, ratio, params)
 
 
-def counted_once(posterior: Any) -> Any:
-    """Return the posterior of samples that stand in the data twice: with twice the noise."""
+def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, time: Vector, flight: Vector) -> Vector:
+    """Set noise and drift of a regressor to those of the measured targets (n, P) in place of the learned ones.
+
+    Returns
+    -------
+    ndarray (P,)
+        How much more variance the errors of measured targets have, summed over seconds: at least 1.
+    """
+    mean, factor, more = regressor.predict(X), np.ones(measured.shape[1]), np.ones(measured.shape[1])
+    for i in range(measured.shape[1]):
+        errors = [(targets - mean)[np.isfinite(targets[:, i]), i] for targets in (measured, learned)]
+        before, after = (np.array([e.var(), e.var() * autocorrelation_time(e)]) for e in errors)
+        more[i], factor[i] = np.maximum(before / after, 1.0)
+    regressor.noise_variance_ = regressor.noise_variance_ * more
+    clock = np.column_stack([time, flight])
+    _, regressor.drift_variance_, regressor.drift_memory_ = residual_drift(regressor, X, measured, clock)
+    return factor
+
+
+def with_more_noise(posterior: Any, factor: Vector) -> Any:
+    """Return the posterior with the noise of each output times a factor (P,)."""
+    noise = np.array(posterior.noise)
+    noise[: len(factor)] *= factor
     if isinstance(posterior, ExactPosterior):
-        return ExactPosterior(posterior.kernel, 2 * posterior.noise, posterior.data)
-    return SparsePosterior(posterior.kernel, posterior.features, 2 * posterior.noise, posterior.shares)
+        return ExactPosterior(posterior.kernel, noise, posterior.data)
+    return SparsePosterior(posterior.kernel, posterior.features, noise, posterior.shares)
 
 
 def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:

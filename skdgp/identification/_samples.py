@@ -36,7 +36,7 @@ def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFr
             f"Got regressors {list(regressors)} of a symmetric aircraft, but expected elevator and aileron in place of "
             "single elevons: put ElevonSplitter() before RegressorSelector."
         )
-    lateral = [name for name in regressors if name.removesuffix(HAT) in LATERAL]
+    lateral = [name for name in map(str, regressors) if name.removesuffix(HAT) in LATERAL]
     X, Y = regressors.copy(), targets.copy()
     X[lateral] = -X[lateral]
     A = np.column_stack([np.ones(len(X)), regressors[lateral]])
@@ -98,9 +98,9 @@ def without_gusts(X: Matrix, Y: Matrix, time: Any, flight: Any) -> Matrix:
         If most rows have no target.
     """
     known = np.isfinite(Y).all(axis=1)
-    if 2 * known.sum() < len(known):
+    if 2 * known.sum() < len(Y):
         raise ValueError(
-            f"Got targets in {known.sum()} of {len(known)} rows, but gusty=True needs those of most rows, as errors "
+            f"Got targets in {known.sum()} of {len(Y)} rows, but gusty=True needs those of most rows, as errors "
             "are predicted over tenths of a second: do not thin them."
         )
     segments = flight_segments(time, flight)

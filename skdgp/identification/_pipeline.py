@@ -18,6 +18,8 @@ from skdgp._flight.channels import SENSOR_GUST
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence
+from skdgp.identification._samples import mirrored, named_targets, without_gusts
+from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, residual_drift
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -41,6 +43,8 @@ def make_identification_pipeline(
     regressor: Any = None,
     memory: Any = None,
     lags: str | dict | None = None,
+    symmetric: bool = False,
+    gusty: bool = False,
 ) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
@@ -82,6 +86,9 @@ def make_identification_pipeline(
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
     lags : "auto", dict or None, default=None
         As for :class:`skdgp.preprocessing.LagCorrector`; None: no such step.
+    symmetric, gusty : bool, default=False
+        As for :class:`FlightPipeline`: the aircraft is symmetric, and the model is of the aircraft rather than of
+        flights in the same gusts.
 
     Returns
     -------
@@ -122,7 +129,7 @@ def make_identification_pipeline(
         StandardScaler(),
         default_regressor() if regressor is None else clone(regressor),
     )
-    pipeline = FlightPipeline(steps.steps, memory=memory)
+    pipeline = FlightPipeline(steps.steps, memory=memory, symmetric=symmetric, gusty=gusty)
     pipeline.set_params(flightpathreconstruction=reconstruction)
     if lags is not None:
         pipeline.steps.insert(1, ("lagcorrector", LagCorrector(lags)))
@@ -212,6 +219,22 @@ class FlightPipeline(Pipeline):
     regressors, which is larger in rougher air, see :func:`flight_regressors`. Searches, scorers and displays call
     ``predict`` and so use these standard deviations.
 
+    ``symmetric`` and ``gusty`` change the samples of the last step in ``fit``, and nothing in ``predict``. They need a
+    :class:`skdgp.preprocessing.RegressorSelector`, and targets with names or of all six coefficients.
+
+    Parameters
+    ----------
+    steps, transform_input, memory, verbose
+        As of scikit-learn's ``Pipeline``.
+    symmetric : bool, default=False
+        Whether the aircraft is symmetric about its x-z plane: it also learns from the flights as seen in a mirror, and
+        the standard deviations count each sample once. It takes half as long again.
+    gusty : bool, default=False
+        Whether the flights were in gusts and the model is for other air: simulation, derivatives, control. In gusts,
+        rates relative to the air differ from measured ones, and a flexible function learns this as curvature of the
+        aircraft. Targets of the fit lose what past errors predict of theirs (extended least squares). The function of
+        the aircraft becomes more accurate, and the prediction of flights in the same gusts less.
+
     Attributes
     ----------
     turbulence_ : Turbulence or None
@@ -231,6 +254,23 @@ class FlightPipeline(Pipeline):
     >>> mean.shape, std.shape
     ((40, 2), (40, 2))
     """
+
+    steps: list[tuple[str, Any]]
+    symmetric = gusty = False  # of pipelines of earlier versions
+
+    def __init__(
+        self,
+        steps: Any,
+        *,
+        transform_input: Any = None,
+        memory: Any = None,
+        verbose: bool = False,
+        symmetric: bool = False,
+        gusty: bool = False,
+    ) -> None:
+        super().__init__(steps, transform_input=transform_input, memory=memory, verbose=verbose)
+        self.symmetric = symmetric
+        self.gusty = gusty
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights at their full rate.
@@ -255,9 +295,48 @@ class FlightPipeline(Pipeline):
         if not get_config()["enable_metadata_routing"]:
             name = self.steps[-1][0]
             params = {f"{name}__{key}": value for key, value in clock_of(self[-1], X).items()} | params
-        super().fit(X, y, **params)
+        if self.symmetric or self.gusty:
+            self._fit_samples(X, y, params)
+        else:
+            super().fit(X, y, **params)
         self.turbulence_ = flown_turbulence(self, X)
         return self
+
+    def _fit_samples(self, X, y, params):
+        """Fit the steps up to the regressors, and the last one to samples of the aircraft."""
+        chosen = [k for k, (_, step) in enumerate(self.steps) if isinstance(step, RegressorSelector)]
+        if not chosen or "time" not in X:
+            raise ValueError(
+                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)} for symmetric or gusty, but "
+                "expected a RegressorSelector and the column time: add them."
+            )
+        first, rest, (name, last) = self[: chosen[0] + 1], self[chosen[0] + 1 : -1], self.steps[-1]
+        table, targets = first.fit_transform(X, y), named_targets(y).reset_index(drop=True)
+        regressors = [np.asarray(rest.fit_transform(table, y) if rest.steps else table)]
+        self.steps = [*first.steps, *rest.steps, (name, last)]  # a memory fits clones
+        time, flight = X["time"].to_numpy(float), np.asarray(X["flight"] if "flight" in X else np.zeros(len(X)))
+        samples = [targets]
+        if self.symmetric:
+            mirror, image = mirrored(table.reset_index(drop=True), targets)
+            regressors.append(np.asarray(rest.transform(mirror) if rest.steps else mirror))
+            samples.append(image)
+        Z, Y = np.concatenate(regressors), pd.concat(samples, ignore_index=True)
+        numbers = pd.factorize(flight)[0]
+        clock = {
+            "time": np.tile(time, len(samples)),
+            "flight": np.concatenate([numbers + k * (numbers.max() + 1) for k in range(len(samples))]),
+        }
+        learned = Y
+        if self.gusty:
+            learned = pd.DataFrame(without_gusts(Z, Y.to_numpy(float), **clock), columns=Y.columns)
+        words = {key.removeprefix(f"{name}__"): np.tile(value, len(samples)) for key, value in params.items()}
+        words |= {key: value for key, value in clock.items() if key in words}
+        last.fit(Z, learned, **words)
+        if isinstance(last, DependentGPRegressor):
+            factor = np.full(Y.shape[1], float(len(samples)))
+            if self.gusty:
+                factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)
+            last.posterior_ = with_more_noise(last.posterior_, factor)
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients of one or more flights at their full rate.
@@ -283,6 +362,35 @@ class FlightPipeline(Pipeline):
         check_is_fitted(self)
         regressors, ratio = flight_regressors(self, X)
         return _predict(self[-1], regressors, ratio, params)
+
+
+def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, time: Vector, flight: Vector) -> Vector:
+    """Set noise and drift of a regressor to those of the measured targets (n, P) in place of the learned ones.
+
+    Returns
+    -------
+    ndarray (P,)
+        How much more noise the posterior has: the root of the ratio of variances that errors have when they are summed
+        over seconds, at least 1. Extended least squares is between one of errors without memory and one of all errors.
+    """
+    mean, factor, more = regressor.predict(X), np.ones(measured.shape[1]), np.ones(measured.shape[1])
+    for i in range(measured.shape[1]):
+        errors = [(targets - mean)[np.isfinite(targets[:, i]), i] for targets in (measured, learned)]
+        before, after = (np.array([e.var(), e.var() * autocorrelation_time(e)]) for e in errors)
+        more[i], factor[i] = np.maximum(before / after, 1.0)
+    regressor.noise_variance_ = regressor.noise_variance_ * more
+    clock = np.column_stack([time, flight])
+    _, regressor.drift_variance_, regressor.drift_memory_ = residual_drift(regressor, X, measured, clock)
+    return np.sqrt(factor)
+
+
+def with_more_noise(posterior: Any, factor: Vector) -> Any:
+    """Return the posterior with the noise of each output times a factor (P,)."""
+    noise = np.array(posterior.noise)
+    noise[: len(factor)] *= factor
+    if isinstance(posterior, ExactPosterior):
+        return ExactPosterior(posterior.kernel, noise, posterior.data)
+    return SparsePosterior(posterior.kernel, posterior.features, noise, posterior.shares)
 
 
 def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:

@@ -23,8 +23,8 @@ COLUMN = 11
 def derivatives(run: Run) -> None:
     """Print stability and control derivatives and modes of the model, in level flight at each airspeed.
 
-    CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with the standard deviation over
-    functions drawn from the posterior. With -o writes derivatives.csv, modes.csv, trims.csv, derivatives.json,
+    CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with its standard deviation, whose
+    parts are in derivatives.csv. With -o writes derivatives.csv, modes.csv, trims.csv, derivatives.json,
     config.toml and, of several airspeeds, a picture derivatives.png into DIR, all or none.
 
     For example:

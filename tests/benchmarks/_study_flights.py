@@ -143,22 +143,29 @@ SOURCES = {  # property and factor to SI; forces and moments in newtons
 }
 
 
-def c172p_subject(seeds: int, duration: float) -> Subject:
+def c182_subject(seeds: int, duration: float) -> Subject:
+    """Return JSBSim's Cessna 182, for judging what was chosen on the other two."""
+    return c172p_subject(seeds, duration, "c182")
+
+
+def c172p_subject(seeds: int, duration: float, name: str = "c172p") -> Subject:
     """Return JSBSim's Cessna 172; its derivatives are those of least squares on exact regressors of all flights."""
-    test, aircraft = _c172p_log(2, "calm", 0, duration)
+    test, aircraft = _c172p_log(2, "calm", 0, duration, name)
     seeded = {air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()}
-    flown = {(air, seed): _c172p_log(1, air, seed, duration)[0] for air, all_of in seeded.items() for seed in {*all_of}}
+    flown = {
+        (air, seed): _c172p_log(1, air, seed, duration, name)[0] for air, all_of in seeded.items() for seed in {*all_of}
+    }
     logs = {air: [flown[air, seed] for seed in all_of] for air, all_of in seeded.items()}
     felt = np.concatenate([log.exact for log in flown.values()])
     felt[:, ROTATION] -= np.concatenate([log.gust for log in flown.values()])
     truth, at = np.concatenate([log.truth for log in flown.values()]), test.exact.mean(axis=0)
     known = np.linalg.lstsq(np.column_stack([np.ones(len(felt)), felt - at]), truth, rcond=None)[0][1:].T
-    return Subject("c172p", aircraft, logs, test, at, known, float(test.table["airspeed_true"].mean()))
+    return Subject(name, aircraft, logs, test, at, known, float(test.table["airspeed_true"].mean()))
 
 
-def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, Aircraft]:
+def _c172p_log(number: int, air: str, seed: int, duration: float, model: str) -> tuple[Log, Aircraft]:
     """Return a flight with the manoeuvres of a plan of the example flights, held level or in slow turns."""
-    plan, fdm = FLIGHT_PLANS[number], started("c172p", 40 * FRAMES)
+    plan, fdm = FLIGHT_PLANS[number], started(model, 40 * FRAMES)
     fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, SPEED
     fdm.run_ic()
     fdm["propulsion/set-running"] = -1
@@ -189,7 +196,7 @@ def _c172p_log(number: int, air: str, seed: int, duration: float) -> tuple[Log, 
         if k % FRAMES == FRAMES - 1:
             rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
     time, command = time[FRAMES - 1 :: FRAMES], command[FRAMES - 1 :: FRAMES]
-    aircraft, log = aircraft_of(fdm, "c172p"), time >= 0
+    aircraft, log = aircraft_of(fdm, model), time >= 0
     table = pd.DataFrame(rows, columns=[*SOURCES])[log]
     return _c172p_table(table, time[log], plan.name, command[log], aircraft), aircraft
 

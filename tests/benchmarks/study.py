@@ -377,7 +377,7 @@ def study(subject, options, folder):
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", default="example", choices=["example", "c172p"])
+    parser.add_argument("--aircraft", default="example", choices=["example", "c172p", "c182"])
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
     parser.add_argument("--processes", type=int, default=4, help="seeds of them that dependent processes learn")
     parser.add_argument(

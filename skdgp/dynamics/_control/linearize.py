@@ -341,7 +341,8 @@ def linearize(
         Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these six.
     n_paths : int
         Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and the spread of
-        the modes.
+        the modes. Slopes of a model learned from flights also get the other errors that
+        :func:`skdgp.dynamics.stability_derivatives` names.
     random_state : int, RandomState instance or None
         Of the paths.
     thrust, gravity, density

@@ -233,7 +233,8 @@ class FlightPipeline(Pipeline):
         Whether the flights were in gusts and the model is for other air: simulation, derivatives, control. In gusts,
         rates relative to the air differ from measured ones, and a flexible function learns this as curvature of the
         aircraft. Targets of the fit lose what past errors predict of theirs (extended least squares). The function of
-        the aircraft becomes more accurate, and the prediction of flights in the same gusts less.
+        the aircraft becomes more accurate, and the prediction of flights in the same gusts less. A
+        ``CalibratedRegressor`` at the end scales its bands to errors of these targets, so they are too narrow.
 
     Attributes
     ----------

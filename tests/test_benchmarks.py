@@ -31,6 +31,7 @@ SCRIPTS = (
     "rows",
     "sportcub",
     "study",
+    "closed_loop",
 )
 
 

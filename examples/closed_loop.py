@@ -8,7 +8,8 @@ Close the loop: explore, learn, plan, fly, and learn again::
 
 The truth is the example aircraft, simulated in gusts. After a gentle first flight a linear trend is learned, the next
 flight is planned for derivatives of Cl, Cm and Cn, and flown. The picture shows the planned inputs, and the derivatives
-after each flight with two standard errors, beside the truth. Needs matplotlib: pip install "skdgp[plot]".
+after each flight with two standard errors, beside the truth. What a linear trend cannot tell stays: unseen rates of the
+air, the effect of alpha_dot, curvature. Needs matplotlib: pip install "skdgp[plot]".
 """
 
 import argparse
@@ -113,14 +114,14 @@ def draw(trains, found, exact):
         for axis in AXES:
             ax.plot(time, np.rad2deg(train(axis, time)), label=axis, linewidth=0.8)
         ax.set(title=f"planned flight {k + 1}", xlabel="time [s]", ylabel="from trim [deg]")
-    ax.legend(frameon=False, fontsize="small")
+    ax.legend(frameon=False, fontsize="small", loc="upper right")
     for ax, name in zip(below.subplots(2, 4).ravel(), GOAL, strict=True):
         coefficient, _, regressor = name.partition("_")
         regressor += "_hat" * (regressor in "pqr")
         values = [slopes.loc[coefficient, regressor] for slopes, _ in found]
         ax.errorbar(range(len(found)), values, [2 * std.loc[coefficient, regressor] for _, std in found], fmt="o")
         ax.axhline(exact.loc[coefficient, regressor], color="black", linewidth=0.8)
-        ax.set(title=name, xticks=range(len(found)), xlim=(-0.5, len(found) - 0.5))
+        ax.set(title=name, xlabel="planned flights", xticks=range(len(found)), xlim=(-0.5, len(found) - 0.5))
     return figure
 
 

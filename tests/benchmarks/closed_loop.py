@@ -21,6 +21,7 @@ fitted by least squares to the first flight and the first seconds of the second,
     ratio         seconds of the plan until its error is that of a classical input after all its time, over the seconds
                   of that input until then; median over the seeds, inf if the plan does not get there
 
+Seeds whose first flight moved so little that gusts alone leave the envelope have no second flight; they are left out.
 An aircraft of JSBSim needs the jsbsim wheel. Each seed is kept under OUT/closed_loop and not done again.
 """
 
@@ -290,9 +291,13 @@ def main(words: Any = None) -> None:
     flown: dict[str, list] = {name: [] for name in subjects}
     for seed, name in itertools.product(range(options.seeds), subjects):
         make = partial(loop, subjects[name], seed, options.seconds, options.paths)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
-            flown[name].append(kept(folder, f"{name}-{seed}", make))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
+                flown[name].append(kept(folder, f"{name}-{seed}", make))
+        except ValueError as error:  # the gusts alone leave what was flown: no plan, and no other input
+            print(name, seed, error, flush=True)
+            continue
         print(name, seed, flown[name][-1]["took"], flush=True)
     truths = {name: Truth.of(subject) for name, subject in subjects.items()}
     if options.smoke:

@@ -32,6 +32,7 @@ SCRIPTS = (
     "information",
     "sportcub",
     "study",
+    "closed_loop",
 )
 
 

@@ -21,7 +21,10 @@ from matplotlib.ticker import NullLocator
 from skdgp.plotting._style import PALETTE, tidy
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-PAGES = ("benchmarks.md", "comparison.md", "control.md", "results.md", "dynamics.md", "simulation.md", "study.md")
+PAGES = (
+    *("benchmarks.md", "comparison.md", "control.md", "design.md", "results.md", "dynamics.md", "simulation.md"),
+    "study.md",
+)
 COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}
 DASHES = {"exact": "--", "one thread": "--", "150": ":"}
 COLOURS |= {"mogptk": "orange", "least": "grey"}

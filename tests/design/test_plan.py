@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from skdgp import listening
-from skdgp.design import Envelope, Information, _plan, expected_information, plan, posterior_information
-from skdgp.dynamics import Aerodynamics, Turbulence, simulate
+from skdgp.design import Envelope, Information, _plan, doublet, expected_information, plan, posterior_information
+from skdgp.dynamics import Aerodynamics, Turbulence, simulate, trim
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 # Coefficients CX ... Cn by 1 and the regressors; lift and drag are linear here.
@@ -121,6 +121,24 @@ def test_the_posterior_is_the_information_of_a_linear_model(model):
     np.testing.assert_allclose(found.std, expected, rtol=1e-3)
     constant = np.linalg.inv(found.fisher)[:, 0, 0]
     np.testing.assert_allclose(constant, (SPREAD * TABLE[:, 0]) ** 2 + 1e-8, rtol=1e-3, atol=1e-8)
+
+
+def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
+    planner = _plan._Planner(model, model, uav, Envelope(), 1.0, 50.0, 20, None, "auto", 0)
+    planner.trims, several = (
+        [trim(model, uav, 20.0)],
+        [{"elevator": doublet(0.3, 0.02)}, {"elevator": doublet(0.5, 0.01)}],
+    )
+    for beside, one in zip(planner._flown_by(0, several), several, strict=True):
+        (alone,) = planner._flown_by(0, [one])
+        np.testing.assert_allclose(beside[alone.columns.drop("flight")].select_dtypes(float),
+                                   alone.select_dtypes(float), atol=1e-9)  # fmt: skip
+
+
+def test_a_scale_fits_into_the_room_of_the_envelope():
+    hold = _plan._Hold(pd.DataFrame(), np.zeros((3, 2)), low=np.full((3, 2), 0.2), high=np.array([[0.1, np.inf]] * 3))
+    assert hold.room(np.array([[0.0, 0.0], [0.05, 9.0]])) == pytest.approx(2.0)
+    assert hold.room(np.array([[-0.8, 0.0], [0.05, 0.0]])) == pytest.approx(0.25)
 
 
 def test_ctrl_c_keeps_what_was_checked(model, uav):

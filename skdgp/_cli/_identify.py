@@ -99,6 +99,8 @@ def _learn(run, train, aircraft, test, title=None, **known):
                 samples=options.samples,
                 regressor=regressor,
                 calibrate=options.calibrate,
+                symmetric=options.symmetric,
+                gusty=options.gusty,
                 horizons=options.horizons,
                 **known,
             )
@@ -148,6 +150,8 @@ LEARNING = [
     opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
     opt.option("--latents M|auto", "latent processes that the outputs share (default: 2)", opt.at_least(0, "auto")),
     opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),
+    opt.flag("--symmetric", "the aircraft is symmetric: learn from mirrored flights, too"),
+    opt.flag("--gusty", "learn the aircraft rather than its air, of flights in gusts: to simulate or to linearise"),
     opt.option("--max-iter N", "iterations of the fit", opt.at_least(1)),
     opt.option("--restarts N", "further starting points of the fit (default: 0)", opt.at_least(0), default=0),
     opt.SEED,

@@ -12,8 +12,8 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-SMALL = 1200
-"""Smaller matrices are faster on one thread: measured on two idle cores 1.2 times at 1000, twice at 250."""
+SMALL = 2500
+"""Smaller matrices stay on one thread: two gain nothing over whole fits on idle cores, and lose much on busy ones."""
 
 
 @lru_cache(maxsize=1)

@@ -86,6 +86,8 @@ def identify(
     samples: int | str | None = None,
     regressor: DependentGPRegressor | None = None,
     calibrate: bool = False,
+    symmetric: bool = False,
+    gusty: bool = False,
     horizons: Sequence[float] = (2.0, 10.0),
     random_state: Seed = 0,
     n_jobs: int | None = None,
@@ -121,6 +123,8 @@ def identify(
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
         show that are held out in turn. It takes one more fit for each of up to 5 groups of flights.
+    symmetric, gusty
+        As of :func:`make_identification_pipeline`, not with ``calibrate``.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     random_state, n_jobs
@@ -183,6 +187,11 @@ def identify(
                 f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at least two, to hold "
                 "each out in turn: give more flights, or do not calibrate."
             )
+        if calibrate and (symmetric or gusty):
+            raise ValueError(
+                f"Got calibrate with symmetric={symmetric}, gusty={gusty}, but expected one or the other: calibration "
+                "is by measured coefficients of flights held out, in the same air."
+            )
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
@@ -205,12 +214,17 @@ def identify(
             lags=lags,
             mixer=_mixer(table),
             regressor=CalibratedRegressor(clone(regressor)) if calibrate else regressor,
+            symmetric=symmetric,
+            gusty=gusty,
         )
         began = time.monotonic()
-        groups = {"groups": table["flight"]} if calibrate else {}
-        X = pipeline[:-1].fit_transform(table, targets)
-        pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
-        pipeline.turbulence_ = flown_turbulence(pipeline, table)
+        if symmetric or gusty:
+            X = pipeline.fit(table, targets)[:-1].transform(table)
+        else:
+            groups = {"groups": table["flight"]} if calibrate else {}
+            X = pipeline[:-1].fit_transform(table, targets)
+            pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
+            pipeline.turbulence_ = flown_turbulence(pipeline, table)
         seconds = time.monotonic() - began
 
         fit = {
@@ -689,7 +703,7 @@ def _settings(pipeline, reconstruction, horizons) -> dict:
         settings["calibrate"] = True
     if "lagcorrector" in pipeline.named_steps:
         settings["lags"] = pipeline["lagcorrector"].lags
-    return settings
+    return settings | {name: True for name in ("symmetric", "gusty") if getattr(pipeline, name)}
 
 
 def _reconstruction(pipeline) -> str | None:

@@ -371,8 +371,8 @@ def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, 
     Returns
     -------
     ndarray (P,)
-        How much more noise the posterior has: the root of the ratio of variances that errors have when they are summed
-        over seconds, at least 1. Extended least squares is between one of errors without memory and one of all errors.
+        How much more noise the posterior has: the ratio of variances that errors have when they are summed over
+        seconds, at least 1.
     """
     mean, factor, more = regressor.predict(X), np.ones(measured.shape[1]), np.ones(measured.shape[1])
     for i in range(measured.shape[1]):
@@ -382,7 +382,7 @@ def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, 
     regressor.noise_variance_ = regressor.noise_variance_ * more
     clock = np.column_stack([time, flight])
     _, regressor.drift_variance_, regressor.drift_memory_ = residual_drift(regressor, X, measured, clock)
-    return np.sqrt(factor)
+    return factor
 
 
 def with_more_noise(posterior: Any, factor: Vector) -> Any:

@@ -187,10 +187,10 @@ def plan(
     known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the standard
     errors of the goal; then each is exchanged while that helps.
 
-    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own, which move it during
-    the pause before. If K of N leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of
-    succession). A manoeuvre is as large as limits and allowed risk let it be, or left out, and the choice is made
-    again. Controls are open loop; the pilot or the autopilot returns to the trim in the pause after a manoeuvre.
+    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
+    envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large as limits
+    and allowed risk let it be, or left out, and the choice is made again. Controls are open loop during a manoeuvre;
+    the pilot or the autopilot returns to the trim in the pause after it.
 
     Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
 
@@ -414,15 +414,10 @@ class _Planner:
             )
         return float(room)
 
-    def _flown_by(
-        self, at: int, several: Sequence[Mapping[str, Signal]], lead: float = 0.0, **options: Any
-    ) -> list[pd.DataFrame]:
-        """Return the simulated flights of manoeuvres from a trim, each with the pause after it.
-
-        ``lead`` seconds before them are flown too: at their start, aircraft in gusts are near the trim, not at it.
-        """
-        point, lead = self.trims[at], STEP * round(lead / STEP)
-        trains = [Wavetrain({axis: {lead: signal} for axis, signal in inputs.items()}) for inputs in several]
+    def _flown_by(self, at: int, several: Sequence[Mapping[str, Signal]], **options: Any) -> list[pd.DataFrame]:
+        """Return the simulated flights of manoeuvres from a trim, each with the pause after it."""
+        point = self.trims[at]
+        trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
         longest = max(train.duration for train in trains) + self.pause
         tables = [train.table(self.rate, trim=point.controls, pause=longest - train.duration) for train in trains]
         duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)
@@ -430,12 +425,9 @@ class _Planner:
             self.model, self.aircraft, [point] * len(tables), tables, STEP, duration=duration, thrust=self.thrust,
             **options,
         )  # fmt: skip
-        flown = flown.assign(time=flown["time"] - lead)
         parts = [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
-        ends = [train.duration - lead + self.pause + 1e-6 for train in trains]
-        return [
-            part[part["time"].between(-1e-6, end)].reset_index(drop=True) for part, end in zip(parts, ends, strict=True)
-        ]
+        ends = [train.duration + self.pause + 1e-6 for train in trains]
+        return [part[part["time"] <= end].reset_index(drop=True) for part, end in zip(parts, ends, strict=True)]
 
     def _checked_hold(self, at: int) -> _Hold:
         """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
@@ -622,7 +614,7 @@ class _Planner:
         scale, best = one.scale, 0.0
         while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
             inputs = _scaled(one.inputs, scale / one.scale)
-            paths = self._flown_by(one.at, [inputs], lead=self.pause, **self._draws())[0]
+            paths = self._flown_by(one.at, [inputs], **self._draws())[0]
             risk, causes = self._risk_of(paths)
             if risk <= self.envelope.risk:
                 best, best_risk, best_paths = scale, risk, paths

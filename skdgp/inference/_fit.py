@@ -13,7 +13,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
-from skdgp._compute.threads import thread_map
+from skdgp._compute.threads import one_blas_thread, threads_for
 from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
@@ -359,16 +359,17 @@ def _learn(
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
         objective = Objective(kernel, data, len(noise), held_out)
-        best = maximize(
-            objective,
-            theta,
-            theta_bounds(kernel, bounds),
-            optimizer=optimizer,
-            max_iter=max_iter,
-            name=name,
-            stop=stop,
-            held_out_error=None if held_out is None else objective.held_out_error,
-        )
+        with threads_for(data.n_values):
+            best = maximize(
+                objective,
+                theta,
+                theta_bounds(kernel, bounds),
+                optimizer=optimizer,
+                max_iter=max_iter,
+                name=name,
+                stop=stop,
+                held_out_error=None if held_out is None else objective.held_out_error,
+            )
         theta, noise = np.split(best.theta, [-len(noise)])
         return kernel.clone_with_theta(theta), np.exp(noise), best
 
@@ -504,6 +505,7 @@ class _SingleFit:
         return self.optimize(start, theta, max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter), name)
 
 
+@one_blas_thread()  # and one after another: two threads gain nothing on small matrices
 def fit_singles(
     kernel: Any,
     noise: Vector,
@@ -524,16 +526,14 @@ def fit_singles(
     search = partial(maximize, optimizer=optimizer, stop=stop)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
     outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
-    tasks = [(output, width_factor) for output in outputs for width_factor in WIDTH_FACTORS]
-    trials = thread_map(lambda task: task[0].try_width(kernel, task[1], max_iter), tasks, stop)
+    trials = [output.try_width(kernel, factor, max_iter) for output in outputs for factor in WIDTH_FACTORS]
     n = len(WIDTH_FACTORS)
     best = [max(trials[k : k + n], key=lambda trial: trial[1].value) for k in range(0, len(trials), n)]
 
-    def refine(task):
-        output, (single, optimum) = task
-        return output.optimize(single, optimum.theta, 1, min(SINGLE_ITERATIONS, 2 * max_iter))
-
-    refined = thread_map(refine, zip(outputs, best, strict=True), stop)
+    most = min(SINGLE_ITERATIONS, 2 * max_iter)
+    refined = [
+        output.optimize(single, optimum.theta, 1, most) for output, (single, optimum) in zip(outputs, best, strict=True)
+    ]
     k = len(noise) // Y.shape[1]  # noise parameters of each output
     return Singles(
         [single.clone_with_theta(optimum.theta[:-k]) for single, optimum in refined],

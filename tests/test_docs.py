@@ -144,7 +144,7 @@ class TestNotation:
 
 def test_limits_on_the_page_are_those_of_the_code():
     from skdgp._compute.linalg import JITTER_FIRST, JITTER_LAST
-    from skdgp._regressor import EXACT_LIMIT
+    from skdgp._regressor._estimator import EXACT_LIMIT
 
     text = (ROOT / "docs" / "inference.md").read_text(encoding="utf-8")
     assert f"Above {EXACT_LIMIT} observed values" in text

@@ -146,7 +146,6 @@ def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) 
         f"Compacting to {n_inducing} inducing variables changes mean or standard deviation of an output by "
         f"{change:.2g} of its standard deviation (root mean square){excess}. Raise n_inducing; compaction_ has the "
         "change of each output.",
-        UserWarning,
         stacklevel=3,
     )
 

@@ -117,8 +117,8 @@ def ids(path):
     return str(path.relative_to(ROOT))
 
 
-def test_each_way_of_crossing_a_wall_is_seen():
-    """The test of the walls is itself tested."""
+def test_each_kind_of_import_is_found():
+    """The tests below depend on it."""
     code = """
 from .._flight.smoothing import smooth
 from . import _frames

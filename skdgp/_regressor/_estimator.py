@@ -18,24 +18,7 @@ from skdgp._compute.parallel import check_n_jobs, fit_map
 from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp._regressor._checks import (
-    X_RANGE,
-    Y_RANGE,
-    check_clock,
-    check_compaction,
-    check_magnitudes,
-    check_observed,
-    check_same_targets,
-    check_targets,
-    input_root,
-    standardize,
-    warn_of_compaction,
-    warn_of_constant_regressors,
-    warn_of_indices,
-    warn_of_inducing,
-    warn_of_samples,
-    warn_of_search,
-)
+from skdgp._regressor import _checks
 from skdgp.inference import (
     Data,
     SlopeErrors,
@@ -319,16 +302,16 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_n_jobs(self.n_jobs)
         task, index = FitTask(self, X, y), getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
-        warn_of_indices(index, y)
-        Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
-        clock = check_clock(time, flight, len(X))
+        _checks.warn_of_indices(index, y)
+        Y, self.output_names_, self._single = _checks.check_targets(y, len(X), type(self).__name__)
+        clock = _checks.check_clock(time, flight, len(X))
         used = np.isfinite(Y).any(axis=1)
         X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
-        check_observed(Y, self.output_names_)
-        check_magnitudes(X, self._regressor_names(), "regressors", *X_RANGE)
-        check_magnitudes(Y, self.output_names_, "targets", *Y_RANGE)
-        warn_of_constant_regressors(X, self._regressor_names())
-        warn_of_samples(X, Y, self.output_names_)
+        _checks.check_observed(Y, self.output_names_)
+        _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
+        _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
+        _checks.warn_of_constant_regressors(X, self._regressor_names())
+        _checks.warn_of_samples(X, Y, self.output_names_)
         n_values = int(np.isfinite(Y).sum())
         self.inference_ = (
             self.inference if self.inference != "auto" else "exact" if n_values <= EXACT_LIMIT else "sparse"
@@ -336,11 +319,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if self.inference_ == "exact":
             check_memory(n_values, "Exact inference on", FIT_REMEDY)
         else:
-            warn_of_inducing(self.n_inducing, len(X))
-        Z, self._center, self._scale = standardize(Y, self.trend is not None, self.normalize_y)
+            _checks.warn_of_inducing(self.n_inducing, len(X))
+        Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None, self.normalize_y)
         modelled = clock if self.drift == "likelihood" else None
         best = task.run(self._search, X, Z, modelled, None if clock is None else clock[:, 1])
-        warn_of_search(best, self.max_iter)
+        _checks.warn_of_search(best, self.max_iter)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
@@ -360,7 +343,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def _search(self, X, Z, clock, flights):
         """Return the best fit over the starting points."""
         search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
-        root = input_root(self.input_noise, X, self._regressor_names())
+        root = _checks.input_root(self.input_noise, X, self._regressor_names())
         options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root, "clock": clock}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
         inputs = X if clock is None else np.column_stack([X, clock])
@@ -491,11 +474,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             return self.fit(X, y, time, flight)
         index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        warn_of_indices(index, y)
-        Y, names, _ = check_targets(y, len(X), type(self).__name__)
-        check_same_targets(names, self.output_names_)
-        check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
-        check_magnitudes(Y, self.output_names_, "targets", 0.0, Y_RANGE[1])
+        _checks.warn_of_indices(index, y)
+        Y, names, _ = _checks.check_targets(y, len(X), type(self).__name__)
+        _checks.check_same_targets(names, self.output_names_)
+        _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
+        _checks.check_magnitudes(Y, self.output_names_, "targets", 0.0, _checks.Y_RANGE[1])
         loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
         clock, drift = self._update_clock(time, flight, len(X))
         data = Data.from_table(X, (Y - self._center) / self._scale, loading, clock, drift)
@@ -510,7 +493,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """Return the clock of further samples, or None for white noise, and the drift of the fit."""
         if self._n_flights == 0:
             return None, (None, None)
-        clock = check_clock(time, flight, n)
+        clock = _checks.check_clock(time, flight, n)
         if clock is None:  # a separate flight for each sample
             clock = np.column_stack([np.zeros(n), np.arange(n)])
         clock[:, 1] += self._n_flights
@@ -568,10 +551,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         (True, True)
         """
         check_is_fitted(self)
-        check_compaction(n_inducing, tolerance, max_iter)
+        _checks.check_compaction(n_inducing, tolerance, max_iter)
         allow = partial(check_memory, what="A compact model of", remedy="Use fewer n_inducing.", n_matrices=8)
         posterior, compaction = compact(self.posterior_, n_inducing, tolerance, max_iter, random_state, allow)
-        warn_of_compaction(tolerance, compaction.change, compaction.n_inducing)
+        _checks.warn_of_compaction(tolerance, compaction.change, compaction.n_inducing)
         small = clone(self)
         vars(small).update({name: value for name, value in vars(self).items() if name not in self.get_params(False)})
         small.posterior_, small.compaction_, small.inference_ = posterior, compaction, "compact"
@@ -858,7 +841,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             return X
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        check_magnitudes(X, self._regressor_names(), "regressors", 0.0, X_RANGE[1])
+        _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
         return X
 
     def _regressor_names(self) -> list[str]:
@@ -875,7 +858,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             and X.shape[1] == getattr(self, "n_features_in_", None)
             and hasattr(self, "posterior_")
             and not hasattr(self, "feature_names_in_")
-            and float(np.abs(X).max()) <= X_RANGE[1]
+            and float(np.abs(X).max()) <= _checks.X_RANGE[1]
         )
 
     def _squeeze(self, values):

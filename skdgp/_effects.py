@@ -138,7 +138,8 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     check_is_fitted(regressor)
     if n_grid < 2:
         raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2 points for each curve.")
-    rows = _samples(regressor, before, X)
+    rows = samples_of(regressor, before, X)
+    rows = rows[:: -(-len(rows) // MAX_ROWS)]
     units = pd.DataFrame(in_units(rows, scalers), columns=names)
     posterior, scale = regressor.posterior_, regressor._scale
     terms = {
@@ -188,15 +189,13 @@ def split_model(model):
     return regressor, model[:-1], scalers, names
 
 
-def _samples(regressor, before, X):
-    """Return at most MAX_ROWS samples, (n, d), as the regressor sees them."""
+def samples_of(regressor, before, X):
+    """Return samples X or, without them, those of the fit, (n, d), as the regressor sees them."""
     if X is not None:
-        rows = regressor._check_regressors(X if before is None else before.transform(X))
-    elif regressor.inference_ == "compact":
-        raise ValueError("Got a compact model, which holds no samples. Give X, samples to compute the effects over.")
-    else:
-        rows = training_inputs(regressor.posterior_)
-    return rows[:: -(-len(rows) // MAX_ROWS)]
+        return regressor._check_regressors(X if before is None else before.transform(X))
+    if regressor.inference_ == "compact":
+        raise ValueError("Got a compact model, which holds no samples. Give X, samples of the flown envelope.")
+    return training_inputs(regressor.posterior_)
 
 
 def in_units(rows, scalers):

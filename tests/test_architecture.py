@@ -1,4 +1,4 @@
-"""The walls of the house: who may import whom, what is public, what stays optional."""
+"""Imports between folders, public names, and dependencies that stay optional."""
 
 import ast
 import importlib
@@ -63,27 +63,45 @@ def dotted(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@cache
+def nodes(code):
+    """Every node of some code, and whether it runs later, in a function."""
+    found, open_ = [], [(ast.parse(code), False)]
+    while open_:
+        node, later = open_.pop()
+        found.append((node, later))
+        later = later or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        open_ += [(child, later) for child in ast.iter_child_nodes(node)]
+    return found
+
+
 def imports_in(code, package):
     """Every import of some code that stands in a package, relative ones resolved."""
-    tree = ast.parse(code)
-    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
-    later = {id(node) for function in functions for node in ast.walk(function)}
     found = []
-    for node in ast.walk(tree):
-        at_once = id(node) not in later
+    for node, later in nodes(code):
         if isinstance(node, ast.Import):
-            found += [Import(alias.name, (), at_once, node.lineno) for alias in node.names]
+            found += [Import(alias.name, (), not later, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             module = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-            found.append(Import(module, tuple(alias.name for alias in node.names), at_once, node.lineno))
+            found.append(Import(module, tuple(alias.name for alias in node.names), not later, node.lineno))
     return found
+
+
+@cache
+def text(path):
+    return path.read_text(encoding="utf-8")
+
+
+def offenders(rule, paths=MODULES):
+    """What a rule finds wrong, by file."""
+    return {ids(path): found for path in paths if (found := rule(path))}
 
 
 @cache
 def imports(path):
     """Every import of a file."""
     package = dotted(path) if path.name == "__init__.py" else dotted(path.parent / "__init__.py")
-    return imports_in(path.read_text(encoding="utf-8"), package)
+    return imports_in(text(path), package)
 
 
 def own_imports(path):
@@ -99,8 +117,8 @@ def ids(path):
     return str(path.relative_to(ROOT))
 
 
-def test_each_way_of_crossing_a_wall_is_seen():
-    """The test of the walls is itself tested."""
+def test_each_kind_of_import_is_found():
+    """The tests below depend on it."""
     code = """
 from .._flight.smoothing import smooth
 from . import _frames
@@ -117,21 +135,19 @@ def test_every_part_has_a_floor():
     assert {part_of(path) for path in MODULES} == set(FLOOR)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
-def test_imports_go_downward(path):
-    own = part_of(path)
-    for part, item in own_imports(path):
-        if own == part:
-            continue
-        where = f"{ids(path)}:{item.line}, on floor {FLOOR[own]},"
-        assert FLOOR[part] < FLOOR[own], f"{where} imports {item.module} of floor {FLOOR[part]}"
+def test_imports_go_downward():
+    def upward(path):
+        own = part_of(path)
+        return [item for part, item in own_imports(path) if part != own and FLOOR[part] >= FLOOR[own]]
+
+    assert not offenders(upward)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
-def test_nothing_inside_imports_the_package_root(path):
-    for part, item in own_imports(path):
-        assert part in FLOOR, f"{ids(path)}:{item.line} imports {part!r} from the package root"
-        assert part != "__init__"
+def test_nothing_inside_imports_the_package_root():
+    def from_root(path):
+        return [item for part, item in own_imports(path) if part not in FLOOR or part == "__init__"]
+
+    assert not offenders(from_root)
 
 
 def test_no_module_imports_itself_in_a_circle():
@@ -158,32 +174,31 @@ def test_no_module_imports_itself_in_a_circle():
         visit(module)
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if part_of(p) in LEARNING], ids=ids)
-def test_the_learning_half_knows_nothing_of_aircraft(path):
-    assert not {part for part, _ in own_imports(path)} & AIRCRAFT
+@pytest.mark.parametrize(("half", "other"), [(LEARNING, AIRCRAFT), (AIRCRAFT, LEARNING)])
+def test_neither_half_imports_the_other(half, other):
+    paths = [path for path in MODULES if part_of(path) in half]
+    assert not offenders(lambda path: {part for part, _ in own_imports(path)} & other, paths)
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if part_of(p) in AIRCRAFT], ids=ids)
-def test_the_aircraft_half_knows_nothing_of_learning(path):
-    assert not {part for part, _ in own_imports(path)} & LEARNING
+def test_inference_knows_kernels_by_their_contract_alone():
+    def beyond(path):
+        return {name for part, item in own_imports(path) if part == "kernels" for name in item.names}
+
+    paths = [path for path in MODULES if part_of(path) == "inference"]
+    assert not offenders(lambda path: beyond(path) - {"MultiOutputKernel"}, paths)
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if part_of(p) == "inference"], ids=ids)
-def test_inference_knows_kernels_by_their_contract_alone(path):
-    for part, item in own_imports(path):
-        if part == "kernels":
-            assert set(item.names) <= {"MultiOutputKernel"}
-
-
-@pytest.mark.parametrize("path", MODULES, ids=ids)
-def test_nothing_but_the_dependencies_is_imported(path):
+def test_nothing_but_the_dependencies_is_imported():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     required = {re.match(r"[\w-]+", line)[0] for line in project["dependencies"]}
     required = {"sklearn" if name == "scikit-learn" else name for name in required}
     allowed = set(sys.stdlib_module_names) | required | {"skdgp"}
-    for item in imports(path):
-        root = item.module.split(".")[0]
-        assert root in (allowed if item.at_once else allowed | EXTRAS), f"{ids(path)}:{item.line} imports {item.module}"
+
+    def others(path):
+        roots = {(item.module.split(".")[0], item.at_once) for item in imports(path)}
+        return {root for root, at_once in roots if root not in (allowed if at_once else allowed | EXTRAS)}
+
+    assert not offenders(others)
 
 
 COMPAT = PACKAGE / "_compute" / "sklearn_compat.py"
@@ -198,12 +213,12 @@ def is_private(name):
 @cache
 def defined_here():
     """Return every private name that the package itself defines or assigns."""
-    nodes = [node for path in MODULES for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
-    named = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    stored = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
-    own = [n for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)]
+    every = [node for path in MODULES for node, _ in nodes(text(path))]
+    named = {node.name for node in every if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    stored = {node.id for node in every if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    own = [n for n in every if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)]
     stored |= {node.attr for node in own if isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")}
-    calls = [n for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Attribute)]
+    calls = [n for n in every if isinstance(n, ast.Call) and isinstance(n.func, ast.Attribute)]
     frozen = {n.args[1].value for n in calls if n.func.attr == "__setattr__" and isinstance(n.args[1], ast.Constant)}
     return named | stored | frozen | DOCUMENTED
 
@@ -214,17 +229,16 @@ def private_names(code):
     for item in imports_in(code, "skdgp"):
         if item.module.split(".")[0] in WATCHED:
             found |= {part: item.line for part in (*item.module.split("."), *item.names) if is_private(part)}
-    for node in ast.walk(ast.parse(code)):
+    for node, _ in nodes(code):
         if isinstance(node, ast.Attribute) and is_private(node.attr) and node.attr not in defined_here():
             found[node.attr] = node.lineno
     return found
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
-def test_private_names_of_other_packages_stand_in_one_file(path):
-    if path != COMPAT:
-        found = private_names(path.read_text(encoding="utf-8"))
-        assert not found, f"{ids(path)} uses {found}: import them from skdgp._compute.sklearn_compat"
+def test_private_names_of_other_packages_stand_in_one_file():
+    """Import them from skdgp._compute.sklearn_compat."""
+    others = [path for path in MODULES if path != COMPAT]
+    assert not offenders(lambda path: private_names(text(path)), others)
 
 
 @pytest.mark.parametrize(
@@ -255,9 +269,8 @@ def test_extras_are_not_loaded_by_the_package():
     assert not set(ast.literal_eval(loaded)) & EXTRAS
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
-def test_a_file_says_what_it_is(path):
-    assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), f"{ids(path)} does not say what it is"
+def test_every_file_has_a_docstring():
+    assert not offenders(lambda path: not ast.get_docstring(ast.parse(text(path))))
 
 
 PUBLIC = [p for p in MODULES if not any(n.startswith("_") for n in dotted(p).split(".")[1:])]
@@ -275,19 +288,18 @@ def test_public_modules_say_what_is_public(path):
             assert inspect.getdoc(obj), f"{dotted(path)}.{name} has no docstring"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
-def test_no_assert_and_no_print_stand_in_for_errors(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert not [node.lineno for node in ast.walk(tree) if isinstance(node, ast.Assert)]
-    if part_of(path) != "_cli":
-        calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
-        assert not [node.lineno for node in calls if node.func.id == "print"]
+def test_no_assert_and_no_print_stand_in_for_errors():
+    def lines(path):
+        calls = [n for n, _ in nodes(text(path)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
+        printed = [node.lineno for node in calls if node.func.id == "print" and part_of(path) != "_cli"]
+        return printed + [node.lineno for node, _ in nodes(text(path)) if isinstance(node, ast.Assert)]
+
+    assert not offenders(lines)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
-def test_no_global_random_state_is_touched(path):
-    text = path.read_text(encoding="utf-8")
-    assert not re.search(r"np\.random\.(seed|rand|randn|normal|uniform|choice|shuffle|permutation)\b", text)
+def test_no_global_random_state_is_touched():
+    pattern = re.compile(r"np\.random\.(seed|rand|randn|normal|uniform|choice|shuffle|permutation)\b")
+    assert not offenders(lambda path: pattern.findall(text(path)))
 
 
 @pytest.mark.parametrize("old", MOVED)

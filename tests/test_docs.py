@@ -15,7 +15,7 @@ RUN_ELSEWHERE = {
     "export.md": "export/portable/test_command.py",  # its code reads a model, which that test lays ready
     "identification.md": "cli/test_identify.py",  # its code reads logs, which that test lays ready
     "autopilot_logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
-    "scaling.md": "test_dask.py",  # its code needs dask.distributed
+    "scaling.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
 UNJUDGED = {"command_line.md", "ten_minutes.md"}  # what their models have learned matters little: short fits do
 PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
@@ -144,7 +144,7 @@ class TestNotation:
 
 def test_limits_on_the_page_are_those_of_the_code():
     from skdgp._compute.linalg import JITTER_FIRST, JITTER_LAST
-    from skdgp._regressor import EXACT_LIMIT
+    from skdgp._regressor._estimator import EXACT_LIMIT
 
     text = (ROOT / "docs" / "inference.md").read_text(encoding="utf-8")
     assert f"Above {EXACT_LIMIT} observed values" in text

@@ -75,7 +75,7 @@ class TestScikitLearnContract:
     def test_no_estimator_of_the_package_goes_unchecked(self):
         """Who is found here is held to check_estimator here, in tests/preprocessing or in tests/calibration.
 
-        A pipeline has no estimator of its own to check: tests/test_flight_pipeline.py.
+        A pipeline has no estimator of its own to check: tests/identification/test_flight_pipeline.py.
         """
         found = set()
         for module in pkgutil.walk_packages(skdgp.__path__, "skdgp."):

@@ -10,7 +10,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.utils._param_validation import InvalidParameterError
 
-from skdgp import DependentGPRegressor, _regressor
+from skdgp import DependentGPRegressor
 from skdgp._compute import linalg
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -376,7 +376,7 @@ class TestMemory:
 
     def test_auto_chooses_by_the_number_of_values(self, X, Y, monkeypatch):
         assert quick().fit(X, Y).inference_ == "exact"
-        monkeypatch.setattr(_regressor, "EXACT_LIMIT", 59)
+        monkeypatch.setattr("skdgp._regressor._estimator.EXACT_LIMIT", 59)
         assert quick(n_inducing=5).fit(X, Y).inference_ == "sparse"
         Y[0] = np.nan
         assert quick(n_inducing=5).fit(X, Y).inference_ == "exact"

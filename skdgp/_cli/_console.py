@@ -18,7 +18,7 @@ PERIOD = 0.2  # seconds between two states of the progress line, so that a termi
 
 
 class Console:
-    """What a command shows; a context manager, which removes the progress line at its end."""
+    """Output of a command; a context manager, which removes the progress line at its end."""
 
     def __init__(self, stream=None):
         self.stream = sys.stderr if stream is None else stream

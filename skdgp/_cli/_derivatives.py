@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, Writer, picture_writers, table_writer, text_writer
+from skdgp._cli._output import Run, picture_writers, table_writer
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model, thrust_of_model
+from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
-from skdgp.identification._model_file import json_text
 from skdgp.plotting import DerivativeDisplay
 
 DEGREE = np.pi / 180
@@ -61,7 +61,6 @@ def _warn_of_beyond(trims: list[Trim]) -> None:
             names = [f"{name} {value:.3g} ({low:.3g} to {high:.3g})" for name, (value, low, high) in one.beyond.items()]
             warnings.warn(
                 f"The trim at {one.airspeed:g} m/s is beyond what the model was learned from: {', '.join(names)}.",
-                UserWarning,
                 stacklevel=2,
             )
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, Writer
+from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model
 from skdgp.export import FORMATS, export_model, load_portable
@@ -50,7 +51,7 @@ def export(run: Run) -> None:
         sizes = {name: path.stat().st_size for name, path in files.items()}
         for name in files:
             (Path(options.output) / name).parent.mkdir(parents=True, exist_ok=True)
-        run.write({name: _mover(path) for name, path in files.items()})
+        run.write({name: partial(shutil.copyfile, path) for name, path in files.items()})
     numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
     run.print(_text(options.output, numbers), numbers)
 
@@ -64,10 +65,6 @@ def _read(options):
             "Got --aircraft with a portable model, but expected model.joblib: a portable model has its own."
         )
     return load_portable(options.model)
-
-
-def _mover(path: Path) -> Writer:
-    return lambda target: shutil.copyfile(path, target)
 
 
 def _text(folder, numbers) -> str:

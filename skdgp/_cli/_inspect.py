@@ -10,7 +10,7 @@ import pandas as pd
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
-from skdgp._compute.files import write_atomically
+from skdgp._compute.files import text_writer, write_atomically
 from skdgp.io import inspect_log, read_flight, servo_template
 from skdgp.preprocessing import LagCorrector
 
@@ -37,7 +37,7 @@ def inspect(run: Run) -> None:
             raise FileExistsError(
                 f"Got {str(path)!r} for the servo template, but it is there already: name another file."
             )
-        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_atomically(path, text_writer(text))
     run.console.stage("estimating lags")
     lags, why = _lags(options) if summary.flights else (None, "there is no flight")
     lines = ["", "  lags              " + (f"not estimated: {why}" if lags is None else "seconds, positive where late")]

@@ -37,7 +37,7 @@ OPTIONS = {
     "regressors.": "--regressors",
     "max_kb=": "--max-kb",
 }
-"""How the command line writes what remedies of the library name."""
+"""Options of the command line for the parameters that error messages of the library name."""
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 

@@ -17,18 +17,13 @@ import pandas as pd
 
 from skdgp._cli._console import Console
 from skdgp._cli._parser import Command
-from skdgp.identification._model_file import json_text, write_together
-
-Writer = Callable[[Path], object]
+from skdgp._compute.files import Writer, json_text, text_writer, write_together
 
 
 class OutputFolder:
     """A folder made for outputs, and removed again if nothing was written into it.
 
-    Raises
-    ------
-    OSError
-        At the beginning of the ``with`` block, if it cannot be made or written to.
+    The ``with`` block begins with an OSError if the folder cannot be made or written to.
     """
 
     def __init__(self, path):
@@ -111,11 +106,6 @@ class Run:
         self.console.print(json_text(numbers).rstrip() if self.options.json else text)
 
 
-def text_writer(text: str) -> Writer:
-    """Return what writes the text."""
-    return lambda path: path.write_text(text, encoding="utf-8")
-
-
 def table_writer(table: pd.DataFrame, suffix: str) -> Writer:
     """Return what writes a table as ".csv" or ".parquet", every digit of it."""
     if suffix == ".parquet":
@@ -132,7 +122,7 @@ def check_writable(suffix: str) -> None:
 def picture_writers(name: str, draw: Callable, *data) -> dict[str, Writer]:
     """Return what writes the picture that ``draw`` of a display makes; nothing, and a warning, without matplotlib."""
     if find_spec("matplotlib") is None:
-        warnings.warn('No picture: it needs pip install "skdgp[plot]".', UserWarning, stacklevel=2)
+        warnings.warn('No picture: it needs pip install "skdgp[plot]".', stacklevel=2)
         return {}
     from matplotlib.figure import Figure
 

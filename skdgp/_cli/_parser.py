@@ -53,12 +53,8 @@ class Command:
     def parse(self, words: list[str]) -> argparse.Namespace:
         """Return the options of a command line; those that it lacks are the ones of ``--config``.
 
-        Raises
-        ------
-        SystemExit
-            2, after a message, if the usage is wrong; 0 after ``--help``.
-        ValueError, OSError
-            If the configuration cannot be read or holds what the command does not know.
+        Raises SystemExit as argparse does, and ValueError or OSError if the configuration cannot be read or holds an
+        unknown option.
         """
         parser = self.parser({})
         self._refuse_unknown(words, parser)
@@ -157,7 +153,6 @@ def _warn_of_changes(path) -> None:
         warnings.warn(
             f"{path} is not as the run wrote it, which it would no longer repeat. If you changed it, remove its last "
             "line.",
-            UserWarning,
             stacklevel=2,
         )
 
@@ -171,7 +166,6 @@ def _warn_of_versions(path, made_by) -> None:
         now = ", ".join(f"{name} {here.get(name)}" for name in COMPARED)
         warnings.warn(
             f"{path} is of a run with {', '.join(others)}, and this is {now}: the numbers may differ.",
-            UserWarning,
             stacklevel=2,
         )
 

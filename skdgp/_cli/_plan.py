@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, Writer, table_writer, text_writer
+from skdgp._cli._output import Run, table_writer
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model, thrust_of_model
+from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
 from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
 from skdgp.design import plan as plan_flight
 from skdgp.design._wavetrain import AXES
-from skdgp.identification._model_file import json_text
 from skdgp.report import write_flight_card
 
 BOTH = {"alpha": "alpha", "beta": "beta", "load_factor": "load_factor", "speeds": "airspeed"}
@@ -68,7 +68,8 @@ def plan(run: Run) -> None:
             thrust=thrust_of_model(model),
             random_state=options.seed,
         )
-    numbers = _numbers(options, found)
+    seconds = sum(train.duration + options.pause for train in found.trains)
+    numbers = {"model": options.model, "seconds": seconds, **found.to_dict()}
     files = run.write(_writers(options, found, numbers))
     run.print(_text(found, options, files), numbers)
 
@@ -101,12 +102,6 @@ def _writers(options: argparse.Namespace, found: Plan, numbers: dict) -> dict[st
         "expected.csv": table_writer(found.flight, ".csv"),
         "plan.json": text_writer(json_text(numbers)),
     }
-
-
-def _numbers(options: argparse.Namespace, found: Plan) -> dict[str, Any]:
-    """Return the plan as numbers, SI units and radians."""
-    seconds = sum(train.duration + options.pause for train in found.trains)
-    return {"model": options.model, "seconds": seconds, **found.to_dict()}
 
 
 def _text(found: Plan, options: argparse.Namespace, files: list) -> str:

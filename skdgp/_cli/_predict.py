@@ -22,13 +22,7 @@ from skdgp.identification._identify import check_identified, read_aircraft, usab
 
 
 def read_model(options) -> Bunch:
-    """Return the model that the options name, with its own aircraft or the one that they name.
-
-    Raises
-    ------
-    ValueError, OSError
-        What the reader raises; or if it is not a model of ``identify``.
-    """
+    """Return the model that the options name, with its own aircraft or theirs; raise ValueError if it is of no use."""
     model = load_model(options.model)
     check_identified(model.pipeline)
     if getattr(options, "aircraft", None) is not None:
@@ -43,7 +37,6 @@ def thrust_of_model(model: Bunch) -> str | None:
         warnings.warn(
             f"The simulation flies without the external forces {learned['external_forces']} of the flights that the "
             "model was learned from.",
-            UserWarning,
             stacklevel=2,
         )
     return None if learned.get("thrust", "auto") in (None, "none") else "auto"

@@ -10,24 +10,23 @@ import numpy as np
 import pandas as pd
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, check_writable, picture_writers, table_writer, text_writer
+from skdgp._cli._output import Run, check_writable, picture_writers, table_writer
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model, thrust_of_model
+from skdgp._compute.files import json_text, text_writer
+from skdgp._flight.channels import AIR_DATA, EULER, RATES, WIND
 from skdgp._flight.checks import check_columns
 from skdgp.dynamics import SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.dynamics._simulation.trajectory import REASONS
 from skdgp.identification._flights import named_flights
-from skdgp.identification._model_file import json_text
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
 from skdgp.plotting._style import display_unit
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 DURATION = 10.0
-AIR = ("airspeed", "alpha", "beta")
-START = (*AIR, "phi", "theta", "psi", "p", "q", "r", "altitude")
-WIND = ("wind_north", "wind_east", "wind_down")
+START = (*AIR_DATA, *EULER, *RATES, "altitude")
 THRUST = ("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n")
 MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
 """Steps of a pipeline that estimate from sensors what the flight was."""
@@ -106,8 +105,8 @@ def _trimmed(options, model, thrust) -> Start:
     path = {"climb": climb, "turn_rate": options.turn_rate, "bank": options.bank}
     altitude = options.altitude or 0.0
     found = cast(Trim, trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path))
-    state = {name: getattr(found, name) for name in (*AIR, "phi", "theta", "altitude")}
-    state |= dict(zip(("p", "q", "r"), found.rates, strict=True))  # by the air, which the wind carries along
+    state = {name: getattr(found, name) for name in (*AIR_DATA, "phi", "theta", "altitude")}
+    state |= dict(zip(RATES, found.rates, strict=True))  # by the air, which the wind carries along
     if options.controls is None:
         return Start(state, found.controls, options.wind, options.duration or DURATION)
     table = read_flight(options.controls)

@@ -287,4 +287,4 @@ def _differences(found, facts) -> str:
 
 
 def _warn(message):
-    warnings.warn(message, UserWarning, stacklevel=2)
+    warnings.warn(message, stacklevel=2)

@@ -1,20 +1,24 @@
-"""Files: atomic writing; reading of JSON and TOML with one-line errors."""
+"""Files: writing of all or nothing, checksums; JSON and TOML with one-line errors."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import os
 import secrets
 import tomllib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TypeAlias
 
+Writer: TypeAlias = "Callable[[Path], object]"
+"""Fills a file."""
 LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
 
 
-def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], object]) -> Path:
+def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
     """Let ``write(temporary)`` fill a file beside ``path``, put it in place in one step, and return ``path``.
 
     A reader sees the old file or the complete new one. If ``write`` fails or is interrupted, the temporary file is
@@ -34,7 +38,7 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], objec
     >>> import tempfile
     >>> from pathlib import Path
     >>> folder = Path(tempfile.mkdtemp())
-    >>> written = write_atomically(folder / "a.txt", lambda temporary: temporary.write_text("whole"))
+    >>> written = write_atomically(folder / "a.txt", text_writer("whole"))
     >>> written.read_text(), [file.name for file in folder.iterdir()]
     ('whole', ['a.txt'])
     """
@@ -62,15 +66,63 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], objec
     return path
 
 
-def read_json(path: str | os.PathLike[str]) -> Any:
-    """Return the content of a JSON file.
+def write_together(
+    folder: Path, writers: dict[str, Writer], when_complete: Callable[[], object] = lambda: None
+) -> None:
+    """Write several files: all are complete beside their places before the first is put into its own.
 
-    Raises
-    ------
-    ValueError
-        If it is not UTF-8 or not JSON, names a key twice, is nested too deeply, larger than 16 MB or no regular file.
-    OSError
-        If it cannot be read.
+    ``when_complete`` is called in between.
+    """
+    if not writers:
+        when_complete()
+        return
+    (name, writer), *rest = writers.items()
+
+    def write_with_rest(temporary):
+        writer(temporary)
+        write_together(folder, dict(rest), when_complete)
+
+    write_atomically(folder / name, write_with_rest)
+
+
+def text_writer(text: str) -> Writer:
+    """Return what writes a text in UTF-8."""
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def sha256_of(file: BinaryIO, size: int) -> bytes:
+    """Return the SHA-256 of the first bytes of a file, as hexadecimal digits; leave the file where they end."""
+    found = hashlib.sha256()
+    file.seek(0)
+    while chunk := file.read(min(size, 2**20)):
+        found.update(chunk)
+        size -= len(chunk)
+    return found.hexdigest().encode()
+
+
+def plain(value: Any) -> Any:
+    """Return the value as JSON knows it: None for what is not finite, the text of what is no number, list or dict."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, str | int | float) else repr(value)
+
+
+def json_text(value: Any) -> str:
+    """Return a file of JSON."""
+    return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """Return the content of a JSON file; raise OSError if it cannot be read.
+
+    Raises ValueError if it is not UTF-8 or not JSON, names a key twice, is nested too deeply, larger than 16 MB or no
+    regular file.
     """
     return parse_json(_text(path), f"{path} is not a JSON file")
 

@@ -45,12 +45,8 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
 
     The matrix is in Fortran order too; its lower triangle is read and overwritten, so that one N x N matrix of memory
     is enough. Where a factorisation fails it is assembled again with a raised diagonal, and a JitterWarning says by how
-    much. Above the diagonal the factor holds other numbers.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If 1e-4 of the diagonal is not enough, or the matrix is not finite.
+    much. Above the diagonal the factor holds other numbers. Raises LinAlgError if 1e-4 of the diagonal is not enough,
+    or the matrix is not finite.
     """
     jitter = 0.0
     while True:

@@ -63,13 +63,6 @@ class FitTask:
     likelihood at their begin. The end of each evaluation passes ``metadata``: ``stage``, ``n_evaluations`` (of the
     whole fit) and ``log_likelihood`` (the best so far of this stage). A callback that returns True ends the search as
     Ctrl-C does.
-
-    Parameters
-    ----------
-    estimator : CallbackSupportMixin
-        Being fitted.
-    X, y
-        What it is fitted to.
     """
 
     def __init__(self, estimator: CallbackSupportMixin, X: Any, y: Any = None):

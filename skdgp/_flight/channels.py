@@ -17,7 +17,8 @@ class Channel(NamedTuple):
     meaning: str
 
 
-AIR_DATA = ("airspeed", "alpha", "beta")
+VANES = ("alpha", "beta")
+AIR_DATA = ("airspeed", *VANES)
 POSITION = ("north", "east", "down")
 BODY_VELOCITY, EARTH_VELOCITY = ("u", "v", "w"), ("v_north", "v_east", "v_down")
 """Velocity over the ground."""
@@ -26,6 +27,8 @@ EULER = ("phi", "theta", "psi")
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
+SURFACES, ELEVONS = ("elevator", "aileron", "rudder"), ("elevon_left", "elevon_right")
+ALL_SURFACES = (*SURFACES, *ELEVONS)
 
 CHANNELS = {
     "time": Channel("s", "time on the log's one clock, increasing within a flight"),

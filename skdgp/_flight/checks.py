@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
 import numpy as np
@@ -64,6 +64,13 @@ def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
     lacking = _lacking(needed, names)
     if lacking:
         raise ValueError(f"The {what} lack {lacking}: got {names}. docs/notation.md lists every name with its unit.")
+
+
+def check_choice(name: str, value: object, choices: Collection[str]) -> None:
+    """Raise ValueError if a parameter is none of its choices."""
+    if value not in choices:
+        *first, last = map(repr, choices)
+        raise ValueError(f"Got {name}={value!r}, but expected {', '.join(first)} or {last}.")
 
 
 def _lacking(needed: Iterable[str], have: list[str]) -> str:
@@ -264,4 +271,4 @@ def _any_finite(values: np.ndarray) -> bool:
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, UserWarning, stacklevel=5)
+    warnings.warn(text, stacklevel=5)

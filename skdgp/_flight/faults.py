@@ -15,7 +15,16 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import (
+    AIR_DATA,
+    ALL_SURFACES,
+    BODY_VELOCITY,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+    SPECIFIC_FORCE,
+)
 from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
 from skdgp._flight.clock import GAP, flight_codes, true_runs
 
@@ -23,7 +32,6 @@ SIBLINGS = (AIR_DATA[1:], RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VEL
 """Channels of one sensor: where one moves, all do."""
 SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
 """Channels that noise and motion never let stand still."""
-SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right")
 ANGLES = ("phi", "psi")
 """Angles that go round."""
 POSSIBLE = {
@@ -41,7 +49,7 @@ POSSIBLE = {
     "altitude": (-1000.0, 1e5),
     "throttle": (-0.1, 1.5),
     "propeller_speed": (-1e4, 1e4),
-    **dict.fromkeys(SURFACES, (-np.pi / 2, np.pi / 2)),
+    **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
 }
 """Outside of these nothing can have been measured."""
 RARE = 0.05
@@ -108,7 +116,7 @@ class Finding(NamedTuple):
 
     @property
     def message(self) -> str:
-        """What is wrong, and what follows from it."""
+        """Description of the fault, its place and its consequence."""
         where = f"{self.start:.6g} to {self.end:.6g} s, {len(self.rows)} samples"
         return f"{self.channel} {self.description} ({where}): {REMEDY[self.kind]}"
 
@@ -170,7 +178,7 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
             rows = spike_rows(values, angle=name in ANGLES)
             if rows.size:
                 yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
-        elif name in SURFACES:
+        elif name in ALL_SURFACES:
             for rows in saturated_rows(values, step):
                 text = f"stands at its extreme value {values[rows[0]] + 0.0:.4g} {_times(rows)}, as at a stop"
                 yield name, "saturated", rows, text

@@ -142,7 +142,6 @@ def with_air_data(table: pd.DataFrame) -> pd.DataFrame:
         warnings.warn(
             "The table has u, v, w but neither air data nor wind, so airspeed, alpha and beta are those of still air. "
             "Add wind_north, wind_east, wind_down if there was wind.",
-            UserWarning,
             stacklevel=4,
         )
     return table.assign(**dict(zip(AIR_DATA, air_data(velocity), strict=True)))
@@ -213,6 +212,17 @@ def cross_matrix(vector: ArrayLike) -> np.ndarray:
     x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    """Return angles within half a turn of zero."""
+    return np.angle(np.exp(1j * angle))
+
+
+def unwrapped_paths(angles: np.ndarray) -> np.ndarray:
+    """Return the angles (n_paths, n_times) of paths without jumps, near the first angle of the first path."""
+    first = angles[:1, :1]
+    return first + np.unwrap(wrapped(angles - first), axis=1)
 
 
 def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:

@@ -24,13 +24,16 @@ import pandas as pd
 
 from skdgp._flight.channels import (
     AIR_DATA,
+    ALL_SURFACES,
     BODY_VELOCITY,
     CHANNELS,
     EARTH_VELOCITY,
+    ELEVONS,
     EULER,
     POSITION,
     RATES,
     SPECIFIC_FORCE,
+    SURFACES,
 )
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.frames import air_velocity, euler_to_matrix
@@ -59,9 +62,7 @@ MOST = 8
 FLYING = 0.5
 """Rows slower than this share of the median airspeed do not count."""
 
-SURFACES = ("elevator", "aileron", "rudder")
-ELEVONS = ("elevon_left", "elevon_right")
-CONTROLS = frozenset((*SURFACES, *ELEVONS))
+CONTROLS = frozenset(ALL_SURFACES)
 INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))
 """Channels that only slopes, and only equalities, depend on."""
 MOTION = (*AIR_DATA[1:], *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *BODY_VELOCITY, *POSITION, "altitude")
@@ -140,12 +141,8 @@ class Relation(NamedTuple):
 def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
     """Return the channels of a flight table that contradict each other, with the most probable cause of each.
 
-    All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
-
-    Raises
-    ------
-    ValueError
-        If time does not increase within a flight.
+    All flights are judged together, and each of at least 30 s by itself if nothing is found in all. Raises ValueError
+    if time does not increase within a flight.
     """
     found = _of_flights(table, None)
     rows = flight_rows(table["flight"]) if "flight" in table and not found else {}

@@ -112,7 +112,7 @@ def _per_channel(values, time, flight, cutoff, joint, *, derivative: bool) -> np
         part = columns[np.ix_(rows, channels)]
         out[np.ix_(rows, channels)] = _per_flight(part, times[rows], codes[rows], cutoff, joint, derivative, remarks)
     for remark in sorted(remarks):
-        warnings.warn(remark, UserWarning, stacklevel=3)
+        warnings.warn(remark, stacklevel=3)
     return out.reshape(np.shape(values))
 
 

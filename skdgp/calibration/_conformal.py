@@ -57,7 +57,6 @@ def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices,
     warnings.warn(
         f"Got one flight, so {n_blocks} blocks of it replace flights: the calibration holds for further blocks of this "
         "flight, not for other flights. Give several (column flight, or groups).",
-        UserWarning,
         stacklevel=5,
     )
     gap = 2.0 if "time" in flights and cv != "prefit" else 0.0  # seconds between training and held-out rows

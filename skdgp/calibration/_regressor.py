@@ -322,7 +322,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
                 f"Got level={level:g}, but {self.n_units_.min()} {self.unit_}s guarantee no more than "
                 f"{self.max_level_.min():.3g}, so intervals are infinite: calibrate on "
                 f"{conformal.units_needed(level)} of them, or lower the level.",
-                UserWarning,
                 stacklevel=2,
             )
         mean, std = predict_with_noise(self.estimator_, _check_X(X))
@@ -353,7 +352,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than {top:.3g}: the intervals of "
             f"{names} held as often on these {self.unit_}s, without a guarantee for the next. Calibrate on "
             f"{conformal.units_needed(self.level)} {self.unit_}s or more, or set level={np.floor(100 * top) / 100:g}.",
-            UserWarning,
             stacklevel=5,
         )
 

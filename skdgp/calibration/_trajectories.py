@@ -15,6 +15,7 @@ from scipy.stats import t as student
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_codes
+from skdgp._flight.frames import wrapped
 from skdgp.calibration._conformal import ROUNDING, unit_weights, units_needed, weighted_quantile
 from skdgp.dynamics import trajectory_bands
 
@@ -142,7 +143,6 @@ class CalibratedBands:
             warnings.warn(
                 f"Got one flight, so its {len(recorded)} segments replace flights: the bands hold for further segments "
                 "of this flight, not for other flights. Give segments of several (column flight).",
-                UserWarning,
                 stacklevel=2,
             )
         return cls(scores, codes if unit == "flight" else np.arange(len(recorded)), unit, groups, noise)
@@ -179,7 +179,6 @@ class CalibratedBands:
             f"Got level={level:g}, but {self.n_units} {self.unit}s guarantee no more than {self.max_level:.3g}: the "
             f"bands assume that logarithms of their largest scores are normal. Calibrate on {units_needed(level)} "
             f"{self.unit}s or more, or set level={np.floor(100 * self.max_level) / 100:g}.",
-            UserWarning,
             stacklevel=2,
         )
         largest = np.log(self.scores.groupby(self.units).max())
@@ -248,7 +247,7 @@ def _score(band: pd.DataFrame, recorded: pd.DataFrame, time: Any, at: Any, name:
     values = np.unwrap(values[observed]) if name in EULER else values[observed]
     error = np.interp(at, time[observed], values) - band[name]
     if name in EULER:
-        error = np.angle(np.exp(1j * error))
+        error = wrapped(error)
     spread = np.where(error > 0, band[name + "_high"] - band[name], band[name] - band[name + "_low"])[1:]
     if (spread == 0).any():
         raise ValueError(

@@ -13,10 +13,11 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
 
-from skdgp._compute.files import write_atomically
+from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.export._build_up import BuildUp
+from skdgp.export._xml import add_text, write_xml
 
 STALL, BLENDING = 0.3, 50.0  # least angle of stall [rad], beyond the flights; sharpness of the change to a flat plate
 EFFICIENCY = (0.2, 3.0)  # range of Oswald's factor
@@ -63,8 +64,7 @@ def write_ardupilot(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
     aircraft = build.aircraft
     values |= {"CGOffset": [0.0, 0.0, 0.0], "mass": aircraft.mass, "inertia": aircraft.inertia.tolist()}
     values["loss"] = loss.to_dict("index")
-    text = json.dumps(values, indent=1) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomically(path, text_writer(json.dumps(values, indent=1) + "\n"))
     return loss
 
 
@@ -101,16 +101,15 @@ def write_gazebo(path: str | os.PathLike, build: BuildUp, *, link: str = "base_l
     model = SubElement(sdf, "model", name=build.aircraft.name)
     model.append(ElementTree.Comment(" root mean square loss of this reduction:\n" + loss.to_string() + "\n"))
     place = SubElement(SubElement(model, "link", name=link), "inertial")
-    _text(place, "mass", build.aircraft.mass)
+    add_text(place, "mass", build.aircraft.mass)
     inertia, J = SubElement(place, "inertia"), build.aircraft.inertia
     turned = np.diag([1.0, -1.0, -1.0]) @ J @ np.diag([1.0, -1.0, -1.0])  # x forward, y left, z up
     for k, a in enumerate("xyz"):
         for m, b in list(enumerate("xyz"))[k:]:
-            _text(inertia, f"i{a}{b}", turned[k, m])
+            add_text(inertia, f"i{a}{b}", turned[k, m])
     model.append(plugin)
     ElementTree.indent(sdf)
-    text = f'<?xml version="1.0"?>\n{ElementTree.tostring(sdf, encoding="unicode")}\n'
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_xml(path, sdf)
     return loss
 
 
@@ -132,15 +131,10 @@ def _loss(build: BuildUp, C: Matrix, fitted: Matrix) -> pd.DataFrame:
     )
 
 
-def _column(build: BuildUp, X: Matrix, name: str) -> Vector | None:
-    """Return a regressor, or None if the model lacks it."""
-    return X[:, build.regressors.index(name)] if name in build.regressors else None
-
-
 def _terms(build: BuildUp, X: Matrix, names: Sequence[str]) -> Matrix:
     """Return columns of regressors, zero where the model lacks one."""
-    found = [_column(build, X, name) for name in names]
-    return np.stack([np.zeros(len(X)) if c is None else c for c in found], axis=-1)
+    found = dict(zip(build.regressors, X.T, strict=True))
+    return np.stack([found.get(name, np.zeros(len(X))) for name in names], axis=-1)
 
 
 def _linear(columns: Matrix, y: Array) -> tuple[Array, Array]:
@@ -236,27 +230,23 @@ def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix, link: str) -> tupl
     plugin = Element("plugin", filename="gz-sim-advanced-lift-drag-system", name="gz::sim::systems::AdvancedLiftDrag")
     for name, key in GAZEBO.items():
         if name in CONSTANT:
-            _text(plugin, f"{key}0", weights[name][0])
+            add_text(plugin, f"{key}0", weights[name][0])
         if name != "CD":
-            _text(plugin, f"{key}a", weights[name][1])
-            _text(plugin, f"{key}b", weights[name][2])
+            add_text(plugin, f"{key}a", weights[name][1])
+            add_text(plugin, f"{key}b", weights[name][2])
         for rate, value in zip(GAZEBO_RATES, weights[name][3:6], strict=True):
-            _text(plugin, f"{key}{rate}", value)
+            add_text(plugin, f"{key}{rate}", value)
     for tag, value in (
         ("AR", aspect), ("mac", aircraft.chord), ("eff", efficiency), ("area", aircraft.wing_area),
         ("alpha_stall", max(STALL, 1.5 * float(alpha.max()))), ("Cema_stall", weights["Cm"][1]),
     ):  # fmt: skip
-        _text(plugin, tag, value)
+        add_text(plugin, tag, value)
     words = {"forward": "1 0 0", "upward": "0 0 1", "cp": "0 0 0", "link_name": link}
     for tag, text in (words | {"num_ctrl_surfaces": str(len(surfaces))}).items():
-        SubElement(plugin, tag).text = text
+        add_text(plugin, tag, text)
     for k, surface in enumerate(surfaces):
         place = SubElement(plugin, "control_surface")
         SubElement(place, "name").text, SubElement(place, "direction").text = surface, "1"
         for name, key in GAZEBO.items():
-            _text(place, f"{key}_ctrl", weights[name][6 + k] * np.pi / 180.0)
+            add_text(place, f"{key}_ctrl", weights[name][6 + k] * np.pi / 180.0)
     return plugin, fitted
-
-
-def _text(parent: Element, tag: str, value: float) -> None:
-    SubElement(parent, tag).text = repr(float(value))

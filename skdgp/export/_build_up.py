@@ -15,12 +15,13 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.sparse import csr_array
 from sklearn.utils import check_random_state
 
-from skdgp._compute.files import write_atomically
+from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp._effects import in_units, split_model
+from skdgp._effects import in_units, samples_of, split_model
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft, as_aerodynamics
-from skdgp.inference import ExactPosterior, training_inputs
+from skdgp.inference import ExactPosterior
 
 MAX_POINTS, MAX_TESTED = 10000, 10000  # samples of the projection; samples over which its loss is measured
 FEW_POINTS = 2500  # samples of the projection while terms are chosen, and for deviations
@@ -329,8 +330,7 @@ def build_up(
     >>> found.derivatives.loc["Cm"].round(1).to_dict(), sum(map(len, found.tables.values()))
     ({'alpha': -0.5, 'elevator': -0.6}, 0)
     """
-    if pairs not in ("all", "alpha", "none"):
-        raise ValueError(f"Got pairs={pairs!r}, but expected 'all', 'alpha' or 'none'.")
+    check_choice("pairs", pairs, ("all", "alpha", "none"))
     if not 0 < tolerance < np.inf or not max_loss > 0:
         raise ValueError(f"Got tolerance={tolerance!r}, max_loss={max_loss!r}, but expected positive fractions.")
     posterior = Posterior(model, X)
@@ -431,7 +431,7 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
     }
     aircraft = {"name": build.aircraft.name, "span": build.lengths[0], "chord": build.lengths[1]}
     values = {"aircraft": aircraft, "regressors": regressors, "coefficients": coefficients}
-    write_atomically(path, lambda temporary: temporary.write_text(json.dumps(values) + "\n", encoding="utf-8"))
+    write_atomically(path, text_writer(json.dumps(values) + "\n"))
 
 
 def _cells(X: Matrix, breakpoints: Sequence[Vector]) -> tuple[Any, Matrix]:
@@ -479,13 +479,7 @@ class Posterior:
         self.factors = np.asarray(getattr(self.last, "std_scale_", 1.0)) * self.regressor._scale
         outputs = self.regressor.output_names_
         self.order = [outputs.index(c) for c in COEFFICIENTS] if set(COEFFICIENTS) <= set(outputs) else list(range(6))
-        if X is not None:
-            rows = self.regressor._check_regressors(X if before is None else before.transform(X))
-        elif self.regressor.inference_ == "compact":
-            raise ValueError("Got a compact model, which holds no samples. Give X, samples of the flown envelope.")
-        else:
-            rows = training_inputs(self.regressor.posterior_)
-        self.samples = np.asarray(in_units(rows, self.scalers))
+        self.samples = np.asarray(in_units(samples_of(self.regressor, before, X), self.scalers))
         self.tested = self.samples[:: -(-len(self.samples) // MAX_TESTED)]
         self.limits = np.stack([self.samples.min(axis=0), self.samples.max(axis=0)])
         self.scale = self.regressor._scale[self.order]

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.checks import check_choice
 from skdgp.export._model import PortableModel, Readout
-from skdgp.export._reduce import reduced
-from skdgp.identification._model_file import write_together
+from skdgp.export._reduce import reduced_to_kb
 
 TOLERANCE = {"double": 1e-9, "float": 1e-4}
 """Of the self-test, relative to the largest value."""
@@ -66,27 +67,19 @@ def write_c(
     """
     model = sized_for_c(model, precision, max_kb)
     texts = c_files(model, precision)
-    write_together(Path(folder), {name: _writer(text) for name, text in texts.items()})
+    write_together(Path(folder), {name: text_writer(text) for name, text in texts.items()})
     return model
-
-
-def _writer(text):
-    return lambda path: path.write_text(text, encoding="utf-8")
 
 
 def sized_for_c(model: PortableModel, precision: str = "double", max_kb: float | None = None) -> PortableModel:
     """Return the model in at most ``max_kb``; errors as of :func:`write_c`."""
-    _check_precision(precision)
-    if max_kb is None:
-        return model
-    if not 0 < max_kb < np.inf:
-        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
-    return reduced(model, lambda smaller: c_bytes(smaller, precision), int(1024 * max_kb))
+    check_choice("precision", precision, TOLERANCE)
+    return reduced_to_kb(model, lambda smaller: c_bytes(smaller, precision), max_kb)
 
 
 def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
     """Return the texts of aero.h, aero.c, test_aero.c and the Makefile by name; errors as of :func:`write_c`."""
-    _check_precision(precision)
+    check_choice("precision", precision, TOLERANCE)
     size = c_bytes(model, precision)
     if size > MAX_BYTES:
         raise ValueError(
@@ -103,11 +96,6 @@ def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
 
 def _template(name: str) -> str:
     return (_TEMPLATES / name).read_text(encoding="utf-8")
-
-
-def _check_precision(precision: str) -> None:
-    if precision not in TOLERANCE:
-        raise ValueError(f"Got precision={precision!r}, but expected one of {list(TOLERANCE)}.")
 
 
 # -- tables --------------------------------------------------------------------------------------------------------

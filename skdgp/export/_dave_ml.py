@@ -13,19 +13,20 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.files import write_atomically
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._effects import split_model
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import BuildUp, Table, build_up
 from skdgp.export._model import Block, PortableModel
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced
+from skdgp.export._xml import add_text, number_text, write_xml
 
 DOCTYPE = (
     '<!DOCTYPE DAVEfunc PUBLIC "-//AIAA//DTD for Flight Dynamic Models - Functions 2.0//EN"\n'
-    '  "http://www.daveml.org/DTDs/2p0/DAVEfunc.dtd">'
+    '  "http://www.daveml.org/DTDs/2p0/DAVEfunc.dtd">\n'
 )
 NAMESPACE, MATHML = "http://daveml.org/2010/DAVEML", "http://www.w3.org/1998/Math/MathML"
 STANDARD_NAMES = {
@@ -44,7 +45,7 @@ MAX_CORRELATED = 100  # samples over which the correlation of the coefficients i
 
 
 class _Facts(NamedTuple):
-    """What both forms write: the regressors and their limits, and the model at its samples."""
+    """Content of both forms: the regressors and their limits, and the model at its samples."""
 
     aircraft: Aircraft
     regressors: tuple[str, ...]
@@ -107,8 +108,7 @@ def write_dave_ml(
     --------
     ``write_dave_ml("uav.dml", saved.pipeline, saved.aircraft)`` writes what ``load_model("model.joblib")`` returns.
     """
-    if form not in ("functions", "tables"):
-        raise ValueError(f"Got form={form!r}, but expected 'functions' or 'tables'.")
+    check_choice("form", form, ("functions", "tables"))
     if n_checks < 1:
         raise ValueError(f"Got n_checks={n_checks!r}, but expected at least one check case.")
     root = Element("DAVEfunc", xmlns=NAMESPACE)
@@ -134,8 +134,7 @@ def write_dave_ml(
         values = shown.predict(facts.samples)[:, _order(portable)]
     _add_checks(root, facts, values, n_checks, internal=build is None)
     _indent(root)
-    text = f'<?xml version="1.0"?>\n{DOCTYPE}\n{ElementTree.tostring(root, encoding="unicode")}\n'
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_xml(path, root, DOCTYPE)
     return facts.loss
 
 
@@ -213,7 +212,7 @@ def _add_header(root: Element, facts: _Facts) -> None:
 
 def _add_inputs(root: Element, facts: _Facts) -> None:
     for k, name in enumerate(facts.regressors):
-        low, high = (_number(limit) for limit in facts.limits[:, k])
+        low, high = (number_text(limit) for limit in facts.limits[:, k])
         place = SubElement(root, "variableDef", name=_name(name), varID=name, units=_unit(name))
         SubElement(place, "description").text = f"flown from {low} to {high}"
         SubElement(place, "isInput")
@@ -311,9 +310,7 @@ def _apply(operator: str, *operands: Element | str | float) -> Element:
         if isinstance(operand, Element):
             apply.append(operand)
         else:
-            SubElement(apply, "ci" if isinstance(operand, str) else "cn").text = (
-                operand if isinstance(operand, str) else _number(operand)
-            )
+            add_text(apply, "ci" if isinstance(operand, str) else "cn", operand)
     return apply
 
 
@@ -326,7 +323,7 @@ def _add_correlations(normal: Element, names: Sequence[str], k: int, correlation
     for later in names[k + 1 :]:
         SubElement(normal, "correlatesWith", varID=later)
     for j, earlier in enumerate(names[:k]):
-        SubElement(normal, "correlation", varID=earlier, corrCoef=_number(np.clip(correlation[k, j], -1.0, 1.0)))
+        SubElement(normal, "correlation", varID=earlier, corrCoef=number_text(np.clip(correlation[k, j], -1.0, 1.0)))
 
 
 # -- tables ----------------------------------------------------------------------------------------------------
@@ -357,9 +354,9 @@ def _add_constants(root: Element, build: BuildUp, name: str) -> None:
     correlation = build.correlation(name)
     for k, (variable, value, std) in enumerate(zip(names, values, stds, strict=True)):
         place = _variable(root, variable)
-        place.set("initialValue", _number(value))
+        place.set("initialValue", number_text(value))
         normal = _normal(place)
-        SubElement(normal, "bounds").text = _number(std)
+        add_text(normal, "bounds", std)
         _add_correlations(normal, names, k, correlation)
 
 
@@ -377,8 +374,8 @@ def _add_function(root: Element, name: str, table: Table) -> None:
     function = SubElement(root, "function", name=name)
     for regressor, points in zip(table.regressors, table.breakpoints, strict=True):
         place = SubElement(function, "independentVarRef", varID=regressor, extrapolate="neither")
-        place.set("min", _number(points[0]))
-        place.set("max", _number(points[-1]))
+        place.set("min", number_text(points[0]))
+        place.set("max", number_text(points[-1]))
     SubElement(function, "dependentVarRef", varID=name)
     grid = SubElement(
         SubElement(function, "functionDefn", name=f"{name}_f"), "griddedTableDef", gtID=f"{name}_g", units="nd"
@@ -406,10 +403,11 @@ def _add_checks(root: Element, facts: _Facts, values: Matrix, n_checks: int, int
             inside = SubElement(shot, "internalValues")
             for name, std in zip(COEFFICIENTS, facts.predicted_std[row], strict=True):
                 signal = SubElement(inside, "signal")
-                SubElement(signal, "varID").text, SubElement(signal, "signalValue").text = f"{name}_std", _number(std)
+                add_text(signal, "varID", f"{name}_std")
+                add_text(signal, "signalValue", std)
         outputs = _signals(SubElement(shot, "checkOutputs"), COEFFICIENTS, facts.predicted[row])
         for signal, most in zip(outputs, tolerance, strict=True):
-            SubElement(signal, "tol").text = _number(most)
+            add_text(signal, "tol", most)
 
 
 def _signals(parent: Element, names: Sequence[str], values: Array) -> list[Element]:
@@ -417,7 +415,7 @@ def _signals(parent: Element, names: Sequence[str], values: Array) -> list[Eleme
     for name, value in zip(names, values, strict=True):
         signal = SubElement(parent, "signal")
         SubElement(signal, "signalName").text, SubElement(signal, "signalUnits").text = _name(name), _unit(name)
-        SubElement(signal, "signalValue").text = _number(value)
+        add_text(signal, "signalValue", value)
         found.append(signal)
     return found
 
@@ -433,9 +431,5 @@ def _unit(name: str) -> str:
     )
 
 
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
 def _numbers(values: Array) -> str:
-    return ", ".join(map(_number, np.ravel(values)))
+    return ", ".join(map(number_text, np.ravel(values)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
@@ -13,7 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from skdgp._compute.files import LARGEST, parse_json, write_atomically
+from skdgp._compute.files import LARGEST, parse_json, sha256_of, write_atomically
 from skdgp.dynamics import Aircraft
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 
@@ -104,7 +103,8 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
         raise FileNotFoundError(f"Got {path}, but there is no such file: python -m skdgp export writes model.npz.")
     with path.open("rb") as file:
         try:
-            _check_whole(file)
+            if sha256_of(file, max(0, file.seek(0, os.SEEK_END) - DIGITS)) != file.read():
+                raise ValueError("its checksum does not fit: it was cut off or changed, or is another file")
             return _read(file)
         except Exception as error:  # a hostile archive may raise anything
             words = " ".join(str(error).split()) or type(error).__name__
@@ -137,29 +137,12 @@ def _write(path, model) -> None:
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", EPOCH), data.getbuffer())
         archive.comment = b"0" * DIGITS
     with path.open("rb+") as file:
-        digest = _digest(file)
+        digest = sha256_of(file, path.stat().st_size - DIGITS)
         file.seek(-DIGITS, os.SEEK_END)
         file.write(digest)
 
 
-def _digest(file: BinaryIO) -> bytes:
-    """Return the SHA-256 of all bytes but the last DIGITS, as hexadecimal digits."""
-    found, left = hashlib.sha256(), file.seek(0, os.SEEK_END) - DIGITS
-    file.seek(0)
-    while left > 0 and (chunk := file.read(min(left, 2**20))):
-        found.update(chunk)
-        left -= len(chunk)
-    return found.hexdigest().encode()
-
-
 # -- reading -----------------------------------------------------------------------------------------------------
-
-
-def _check_whole(file: BinaryIO) -> None:
-    digest = _digest(file)
-    file.seek(max(0, file.seek(0, os.SEEK_END) - DIGITS))
-    if file.read() != digest:
-        raise ValueError("its checksum does not fit: it was cut off or changed, or is another file")
 
 
 def _read(file: BinaryIO) -> PortableModel:

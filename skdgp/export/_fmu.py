@@ -32,6 +32,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     WIND,
 )
+from skdgp._flight.checks import check_choice
 from skdgp.dynamics._equations.motion import CONTROLS, IMPLICIT, STATES
 from skdgp.dynamics._simulation.simulate import FASTEST, SLOWEST, SPINNING
 from skdgp.dynamics._vehicle.loads import CENTRED, FORCES, MOMENTS, thrust_control
@@ -136,10 +137,8 @@ def write_fmu(
     --------
     ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
     """
-    if form not in FMU_FILES:
-        raise ValueError(f"Got form={form!r}, but expected one of {list(FMU_FILES)}.")
-    if fmi not in FMI_VERSIONS:
-        raise ValueError(f"Got fmi={fmi!r}, but expected one of {list(FMI_VERSIONS)}.")
+    check_choice("form", form, FMU_FILES)
+    check_choice("fmi", fmi, FMI_VERSIONS)
     variables = list(_aircraft(model) if form == "aircraft" else _coefficients(model))
     names = [variable.name for variable in variables]
     if twice := sorted({name for name in names if names.count(name) > 1}):

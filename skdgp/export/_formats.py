@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch
 
@@ -26,7 +25,7 @@ from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
 from skdgp.export._onnx import write_onnx
 from skdgp.export._pipeline import portable_model
-from skdgp.export._reduce import loss_of, reduced
+from skdgp.export._reduce import loss_of, reduced_to_kb
 
 MEMBER_BYTES = 300  # of an array in a file, besides its numbers
 
@@ -164,12 +163,7 @@ def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:
 
 def _sized(model: Any, max_kb: float | None) -> PortableModel:
     """Return the portable model, whose file takes at most ``max_kb``."""
-    portable = _as_portable(model)
-    if max_kb is None:
-        return portable
-    if not 0 < max_kb < np.inf:
-        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
-    return reduced(portable, _file_bytes, int(1024 * max_kb))
+    return reduced_to_kb(_as_portable(model), _file_bytes, max_kb)
 
 
 def _as_portable(model: Any) -> PortableModel:
@@ -194,4 +188,4 @@ FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
     "gazebo": _gazebo,
     "dave-ml": _dave_ml,
 }
-"""What writes each format: called with a folder, a model and the options of the format, it returns facts."""
+"""The function of each format: it writes a model into a folder, takes the options of the format, and returns facts."""

@@ -14,12 +14,13 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import check_random_state
 
-from skdgp._compute.files import write_atomically
 from skdgp._compute.typing import Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
+from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import BuildUp, build_up
 from skdgp.export._gaussians import GaussianSum, gaussian_sums
+from skdgp.export._xml import add_text, number_text, write_xml
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG = POUND_FORCE / FOOT
@@ -120,8 +121,7 @@ def write_jsbsim(
         If a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of
         Gaussian processes and a linear trend (functions, and tables that lose more than ``max_loss``).
     """
-    if form not in ("functions", "tables"):
-        raise ValueError(f"Got form={form!r}, but expected 'functions' or 'tables'.")
+    check_choice("form", form, ("functions", "tables"))
     if n_draws < 0:
         raise ValueError(f"Got n_draws={n_draws!r}, but expected a number of aircraft from 0 on.")
     if not isinstance(random_state, Integral):  # tables and functions are parts of the same draws
@@ -155,8 +155,7 @@ def _write(folder: Path, name: str, found: dict[str, BuildUp | GaussianSum], air
     path.parent.mkdir(parents=True, exist_ok=True)
     root = jsbsim_config(name, found, aircraft)
     ElementTree.indent(root, space=" ")
-    text = ElementTree.tostring(root, encoding="unicode")
-    write_atomically(path, lambda temporary: temporary.write_text(f'<?xml version="1.0"?>\n{text}\n', encoding="utf-8"))
+    write_xml(path, root)
     return path
 
 
@@ -167,7 +166,7 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
     loss = pd.concat([part.loss.loc[[coefficient]] for coefficient, part in parts.items()])
     root.append(ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in loss.to_string().splitlines())))
     header = SubElement(root, "fileheader")
-    _text(header, "description", f"{aircraft.name}, learned from flights by skdgp")
+    add_text(header, "description", f"{aircraft.name}, learned from flights by skdgp")
     _add_metrics(root, aircraft)
     _add_mass(root, aircraft)
     SubElement(root, "ground_reactions")
@@ -203,7 +202,7 @@ def _add_metrics(root: Element, aircraft: Aircraft) -> None:
     for tag, value, unit in (
         ("wingarea", aircraft.wing_area, "M2"), ("wingspan", aircraft.span, "M"), ("chord", aircraft.chord, "M"),
     ):  # fmt: skip
-        _text(metrics, tag, value, unit=unit)
+        add_text(metrics, tag, value, unit=unit)
     for place in ("AERORP", "EYEPOINT", "VRP"):
         _location(metrics, (0.0, 0.0, 0.0), name=place)
 
@@ -214,8 +213,8 @@ def _add_mass(root: Element, aircraft: Aircraft) -> None:
     mass = SubElement(root, "mass_balance", negated_crossproduct_inertia="true")
     entries = {"ixx": J[0, 0], "iyy": J[1, 1], "izz": J[2, 2], "ixy": -J[0, 1], "ixz": J[0, 2], "iyz": -J[1, 2]}
     for tag, value in entries.items():
-        _text(mass, tag, value, unit="KG*M2")
-    _text(mass, "emptywt", aircraft.mass, unit="KG")
+        add_text(mass, tag, value, unit="KG*M2")
+    add_text(mass, "emptywt", aircraft.mass, unit="KG")
     _location(mass, (0.0, 0.0, 0.0), name="CG")
 
 
@@ -224,7 +223,7 @@ def _add_thrust(root: Element, aircraft: Aircraft) -> None:
     position, direction = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)) if line is None else (line.position, line.direction)
     reactions = SubElement(root, "external_reactions")
     if propeller is not None:
-        _text(reactions, "property", "fcs/propeller_speed")
+        add_text(reactions, "property", "fcs/propeller_speed")
     force = SubElement(reactions, "force", name="thrust", frame="BODY")
     if propeller is not None:
         function = SubElement(force, "function", name="propulsion/thrust-lbs")
@@ -267,13 +266,13 @@ def _add_controls(root: Element, found: BuildUp | GaussianSum, controls: Iterabl
         largest = float(np.abs(found.limits[:, found.regressors.index(name)]).max())
         total = SubElement(channel, "summer", name=f"fcs/{name}-sum")  # JSBSim trims by the second
         for place in (command, TRIMS[name]):
-            _text(total, "input", place)
+            add_text(total, "input", place)
         scale = SubElement(channel, "aerosurface_scale", name=f"fcs/{name}-scale")
-        _text(scale, "input", f"fcs/{name}-sum")
+        add_text(scale, "input", f"fcs/{name}-sum")
         limits = SubElement(scale, "range")
-        _text(limits, "min", -largest)
-        _text(limits, "max", largest)
-        _text(scale, "output", position)
+        add_text(limits, "min", -largest)
+        add_text(limits, "max", largest)
+        add_text(scale, "output", position)
 
 
 def _rate(regressor: str) -> str | None:
@@ -313,12 +312,12 @@ def _add_tables(aerodynamics: Element, found: BuildUp, coefficient: str) -> None
     for table in found.tables[coefficient]:
         place = SubElement(total, "table", name=f"aero/table/{coefficient}/{'-'.join(table.regressors)}")
         for axis, regressor in zip(("row", "column"), table.regressors, strict=False):
-            _text(place, "independentVar", f"aero/regressor/{regressor}", lookup=axis)
+            add_text(place, "independentVar", f"aero/regressor/{regressor}", lookup=axis)
         cells = table.values if table.values.ndim == 2 else table.values[:, None]
-        lines = [" ".join(map(_number, row)) for row in np.column_stack([table.breakpoints[0], cells])]
+        lines = [" ".join(map(number_text, row)) for row in np.column_stack([table.breakpoints[0], cells])]
         if len(table.breakpoints) == 2:
-            lines.insert(0, " ".join(map(_number, table.breakpoints[1])))
-        _text(place, "tableData", "\n" + "\n".join(lines) + "\n")
+            lines.insert(0, " ".join(map(number_text, table.breakpoints[1])))
+        add_text(place, "tableData", "\n" + "\n".join(lines) + "\n")
 
 
 def _add_waves(aerodynamics: Element, found: GaussianSum, outputs: Sequence[int]) -> None:
@@ -377,26 +376,16 @@ def _product(parent: Element, *factors: float | str) -> Element:
 def _values(parent: Element, *values: float | str) -> None:
     """Append numbers and properties."""
     for value in values:
-        SubElement(parent, "p" if isinstance(value, str) else "v").text = (
-            value if isinstance(value, str) else _number(value)
-        )
-
-
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
-def _text(parent: Element, tag: str, value: Any, **attributes: str) -> None:
-    SubElement(parent, tag, attributes).text = value if isinstance(value, str) else _number(value)
+        add_text(parent, "p" if isinstance(value, str) else "v", value)
 
 
 def _location(parent: Element, place: Sequence[float], **attributes: str) -> None:
     location = SubElement(parent, "location", attributes | {"unit": "M"})
     for axis, value in zip("xyz", place, strict=True):
-        _text(location, axis, float(value))
+        add_text(location, axis, float(value))
 
 
 def _direction(parent: Element, direction: Sequence[float]) -> None:
     element = SubElement(parent, "direction")
     for axis, value in zip("xyz", direction, strict=True):
-        _text(element, axis, float(value))
+        add_text(element, axis, float(value))

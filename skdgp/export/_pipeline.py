@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack, rq
 from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.files import plain
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._equations.aerodynamics import SCALERS
+from skdgp.dynamics._equations.aerodynamics import SCALERS, standard_scaling
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
-from skdgp.identification._model_file import plain
 from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, Sum
@@ -116,12 +115,9 @@ def _inputs(pipeline):
     if scaled:
         raise ValueError(f"Got {scaled} before RegressorSelector, so regressors are not in their units. {REMEDY}")
     names = [str(name) for name in selector.regressors_]
-    shift, scale = np.zeros(len(names)), np.ones(len(names))
-    for step in steps[place + 1 :]:
-        if type(step) is not StandardScaler:
-            raise ValueError(f"Got {type(step).__name__} behind RegressorSelector, which has no form. {REMEDY}")
-        shift = shift + (0.0 if step.mean_ is None else step.mean_) * scale
-        scale = scale * (1.0 if step.scale_ is None else step.scale_)
+    shift, scale, others = standard_scaling(steps[place + 1 :], len(names))
+    if others:
+        raise ValueError(f"Got {type(others[0]).__name__} behind RegressorSelector, which has no form. {REMEDY}")
     regressors = tuple(_regressor(name, by_role.get("rates"), by_role.get("controls")) for name in names)
     low, high = (getattr(selector, name, None) for name in ("data_min_", "data_max_"))
     return regressors, shift, scale, None if low is None or high is None else (low, high)

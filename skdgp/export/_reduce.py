@@ -26,18 +26,12 @@ NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
 
 
 class Loss(NamedTuple):
-    """Change of an output by the reduction, at flown points and around them that it was not fitted to.
-
-    Attributes
-    ----------
-    mean : float
-        Root mean square change of the mean, in posterior deviations.
-    std : float
-        Root mean square of the relative change of the deviation.
-    """
+    """Change of an output by the reduction, at flown points and around them that it was not fitted to."""
 
     mean: float
+    """Root mean square change of the mean, in posterior deviations."""
     std: float
+    """Root mean square of the relative change of the deviation."""
 
 
 class _Fit(NamedTuple):
@@ -59,24 +53,8 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     The Gaussian functions of an output overlap, so that a few of them, g_S, and the trend p span the others nearly. A
     pivoted QR factorisation at flown points chooses them, as in an interpolative decomposition (Cheng et al. 2005).
     Least squares fit mean and explained root as functions of p and g_S. The output with the largest loss gets the next
-    functions, until the size is reached. ``provenance["reduction"]`` holds the loss.
-
-    Parameters
-    ----------
-    model : PortableModel
-    size : callable
-        Size of a model, such as bytes.
-    most : int
-
-    Returns
-    -------
-    PortableModel
-        The same model where it is small enough.
-
-    Raises
-    ------
-    ValueError
-        If no model is small enough.
+    functions, until the size is reached. ``provenance["reduction"]`` holds the loss. Raises ValueError if no model is
+    small enough.
     """
     if size(model) <= most:
         return model
@@ -94,6 +72,15 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
             return best
         best = trial
     return best
+
+
+def reduced_to_kb(model: PortableModel, size: Callable[[PortableModel], int], max_kb: float | None) -> PortableModel:
+    """Return the model in at most ``max_kb`` kilobytes, or as it is for None; ``size`` returns bytes."""
+    if max_kb is None:
+        return model
+    if not 0 < max_kb < np.inf:
+        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
+    return reduced(model, size, int(1024 * max_kb))
 
 
 def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:

@@ -13,7 +13,17 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array, Indices, Matrix
-from skdgp._flight.channels import COEFFICIENTS, EULER, LATERAL, LONGITUDINAL, TRUTH_SUFFIX
+from skdgp._flight.channels import (
+    BODY_VELOCITY,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    LATERAL,
+    LONGITUDINAL,
+    POSITION,
+    RATES,
+    TRUTH_SUFFIX,
+)
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.smoothing import noise_level
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
@@ -28,7 +38,7 @@ from skdgp.report import FlightResult
 
 STD_ROWS = 3000
 """Rows of a flight at which standard deviations are computed; they cost N^2 each, means only N."""
-STATES = ("north", "east", "v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
+STATES = (*POSITION[:2], *EARTH_VELOCITY, *EULER, *RATES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,16 +112,9 @@ def evaluate_flight(
 
 
 def fit_least_squares(pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Return intercept and slopes of each coefficient by least squares, on the rows where it was observed.
+    """Return intercept and slopes of each coefficient (n, 6) by least squares, on the rows where it was observed.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Fitted; its scaler says the units of the regressors.
-    regressors : ndarray (n, d)
-        As the last step gets them.
-    Y : DataFrame (n, 6)
-        NaN where not observed.
+    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler of the pipeline.
     """
     names, values = list(pipeline["regressorselector"].regressors_), _unscaled(pipeline, regressors)
     found = {}
@@ -168,7 +171,7 @@ def _scores(evaluations, reference, std) -> pd.DataFrame:
 
 
 def _replay(name, table, aircraft, mean, std, horizons, loads) -> pd.DataFrame | None:
-    velocity = ["u", "v", "w"] if {"u", "v", "w"} <= set(table.columns) else ["v_north", "v_east", "v_down"]
+    velocity = BODY_VELOCITY if set(BODY_VELOCITY) <= set(table.columns) else EARTH_VELOCITY
     lacking = [column for column in [*EULER, *velocity] if column not in table]
     if lacking:
         _warn(f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration would start.")
@@ -190,7 +193,7 @@ def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFr
 
 
 def _warn(message):
-    warnings.warn(message, UserWarning, stacklevel=5)
+    warnings.warn(message, stacklevel=5)
 
 
 def sensor_noise(table: pd.DataFrame) -> dict[str, float]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE, SURFACES
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
@@ -21,12 +22,12 @@ from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 Flights = dict[str, pd.DataFrame]
 
-MEASURED = ("airspeed", "density", "ax", "ay", "az", "p", "q", "r")
+MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
 """Columns that the coefficients follow from."""
 FORCES = (*MEASURED, "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")
 """Columns that an unknown thrust depends on."""
-MIXED = ("elevator", "aileron", "elevon_left", "elevon_right")
+MIXED = (*SURFACES[:2], *ELEVONS)
 """Elevons may stand for elevator and aileron, and the other way round."""
 
 
@@ -34,12 +35,8 @@ def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (
     """Return one table for each flight by name, of a table, a path, a dict of tables, or several tables and paths.
 
     A column ``flight`` separates several flights in a table; tables without it are ``default`` 1, 2, ... ``reading``
-    are options of ``skdgp.io.read_flight`` for logs of autopilots.
-
-    Raises
-    ------
-    ValueError, OSError
-        What the readers raise; if two flights have the same name, or a flight lacks a column that is needed.
+    are options of ``skdgp.io.read_flight`` for logs of autopilots. Raises the errors of the readers, and ValueError if
+    two flights have the same name, or a flight lacks a column that is needed.
     """
     if isinstance(flights, Mapping):
         return {name: _checked_columns(_single_flight(name, table), needed) for name, table in flights.items()}
@@ -50,7 +47,8 @@ def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (
     origin: dict[str, object] = {}
     for number, item in enumerate(items, start=1):
         path = item if isinstance(item, str | os.PathLike) else None
-        table = check_table(item) if path is None else _read(path, reading)
+        options = reading if path is not None and _is_autopilot(path) else {}
+        table = check_table(item) if path is None else read_flight(path, **options)
         for name, part in flights_of(table, f"{default} {number}").items():
             if name in found:
                 raise FlightReadError(_same_name(name, origin[name], path))
@@ -71,10 +69,6 @@ def _single_flight(name, table) -> pd.DataFrame:
     if len(parts) != 1:
         raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
     return next(iter(parts.values())).assign(flight=name)
-
-
-def _read(path, reading) -> pd.DataFrame:
-    return read_flight(path, **(reading if _is_autopilot(path) else {}))
 
 
 def _is_autopilot(path) -> bool:
@@ -138,7 +132,7 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
         for name in (str(name).removesuffix("_hat") for name in names):
             needed |= {name} if name in table else {name.removesuffix("_dot")}
         if {"elevator", "aileron"} & set(names):
-            needed |= {"elevon_left", "elevon_right"}
+            needed |= {*ELEVONS}
         found += [name for name in table.columns if name in needed and name not in found]
     return found
 
@@ -146,12 +140,8 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
 def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flights:
     """Return flights without faults, and only rows that a model can learn from or predict.
 
-    Warns of faults, of contradictions of physics, and of the rows that are left out.
-
-    Raises
-    ------
-    ValueError
-        If a flight lacks one of the columns, which the model's flights have, or no row of it is left.
+    Warns of faults, of contradictions of physics, and of the rows that are left out. Raises ValueError if a flight
+    lacks one of the columns, which the model's flights have, or no row of it is left.
     """
     for table in flights.values():
         check_columns(table, [name for name in columns if name not in MIXED])
@@ -197,7 +187,7 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
 
 
 def _warn(message, stacklevel=5):
-    warnings.warn(message, UserWarning, stacklevel=stacklevel)
+    warnings.warn(message, stacklevel=stacklevel)
 
 
 def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:

@@ -20,6 +20,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
+from skdgp._compute.files import json_text, plain, text_writer, write_together
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Seed
 from skdgp._flight.channels import COEFFICIENTS
@@ -335,10 +336,7 @@ def _flown_plan(plan: Any, pipeline: Pipeline, aircraft: Aircraft, flights: Flig
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
-    Raises
-    ------
-    ValueError
-        If the pipeline is not of `identify`, or a flight lacks a column of regressors that its training flights had.
+    Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training flights had.
     """
     check_identified(pipeline)
     regressors = pipeline["regressorselector"].regressors
@@ -412,7 +410,7 @@ class Identification:
     @cached_property
     def metrics(self) -> dict:
         """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
-        return _model_file.plain(
+        return plain(
             {
                 "format": FORMAT,
                 "created": self.created,
@@ -481,7 +479,7 @@ class Identification:
         if path.suffix == ".joblib":
             return _model_file.save_model(path, self.pipeline, self.aircraft, **self._model_facts())
         path.mkdir(parents=True, exist_ok=True)
-        _model_file.write_together(path, self.writers())
+        write_together(path, self.writers())
         return path
 
     def writers(self) -> dict[str, Callable[[Path], object]]:
@@ -489,11 +487,9 @@ class Identification:
         _announce("report")
         if find_spec("matplotlib") is None:
             _warn('No pictures in the report: they need pip install "skdgp[plot]".')
-        page = render_report(self._report_content())
-        numbers = _model_file.json_text(self.metrics)
         found = {
-            "report.html": lambda path: path.write_text(page, encoding="utf-8"),
-            "metrics.json": lambda path: path.write_text(numbers, encoding="utf-8"),
+            "report.html": text_writer(render_report(self._report_content())),
+            "metrics.json": text_writer(json_text(self.metrics)),
         }
         if self.train:
             model = _model_file.model_bunch(self.pipeline, self.aircraft, **self._model_facts())
@@ -627,7 +623,7 @@ def _announce(stage):
 
 
 def _warn(message):
-    warnings.warn(message, UserWarning, stacklevel=3)
+    warnings.warn(message, stacklevel=3)
 
 
 def _n_samples(samples, regressor, n_rows) -> int:

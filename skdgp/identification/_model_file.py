@@ -1,14 +1,11 @@
-"""Files of an identification: model with a checksum, and metrics; all are written or none."""
+"""The file of an identified model, with a checksum."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
 import os
 import platform
 import warnings
-from collections.abc import Callable
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,7 +17,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.files import write_atomically
+from skdgp._compute.files import sha256_of, write_atomically
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
@@ -84,7 +81,7 @@ def dump_model(path: Path, model: Bunch) -> None:
     closing = {"format": FORMAT, "bytes": path.stat().st_size, "created": model.created, "versions": model.versions}
     with path.open("a+b") as file:
         file.write(MAGIC + json.dumps(closing).encode().removesuffix(b"}") + CHECKSUM)
-        file.write(_checksum(file, file.tell()) + END)
+        file.write(sha256_of(file, file.tell()) + END)
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
@@ -152,43 +149,6 @@ def software_versions() -> dict[str, str]:
     return found
 
 
-def plain(value):
-    """Return the value as JSON knows it: None for what is not finite, the text of what is no number, list or dict."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if value is None or isinstance(value, str | int | float) else repr(value)
-
-
-def json_text(value) -> str:
-    """Return a file of JSON."""
-    return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"
-
-
-def write_together(
-    folder: Path, writers: dict[str, Callable[[Path], object]], when_complete: Callable[[], object] = lambda: None
-) -> None:
-    """Write several files: all are complete beside their places before the first is put into its own.
-
-    ``when_complete`` is called in between.
-    """
-    if not writers:
-        when_complete()
-        return
-    (name, writer), *rest = writers.items()
-
-    def write_with_rest(temporary):
-        writer(temporary)
-        write_together(folder, dict(rest), when_complete)
-
-    write_atomically(folder / name, write_with_rest)
-
-
 def _closing(file: BinaryIO, path) -> dict:
     """Return the file's last line, or raise ModelFileError if the file is not whole."""
     size = file.seek(0, os.SEEK_END)
@@ -200,7 +160,7 @@ def _closing(file: BinaryIO, path) -> dict:
         closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
         form, made_by = closing["format"], _in_words(closing["versions"])
         whole = closing["bytes"] == size - (len(end) - start)
-        whole &= form == UNCHECKED or _checksum(file, before) + END == end[before - size :]
+        whole &= form == UNCHECKED or sha256_of(file, before) + END == end[before - size :]
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):  # not what dump_model writes
         whole = False
     if not whole:
@@ -215,16 +175,6 @@ def _closing(file: BinaryIO, path) -> dict:
             "or install that version."
         )
     return closing
-
-
-def _checksum(file: BinaryIO, size: int) -> bytes:
-    """Return the SHA-256 of the first bytes of a file, as hexadecimal digits; leave the file where they end."""
-    found = hashlib.sha256()
-    file.seek(0)
-    while chunk := file.read(min(size, 2**20)):
-        found.update(chunk)
-        size -= len(chunk)
-    return found.hexdigest().encode()
 
 
 def _warn_of_origin(closing, path):
@@ -243,7 +193,7 @@ def _warn_of_origin(closing, path):
 
 
 def _warn(message):
-    warnings.warn(message, UserWarning, stacklevel=4)
+    warnings.warn(message, stacklevel=4)
 
 
 def _is_model(found) -> bool:

@@ -368,11 +368,8 @@ class FlightPipeline(Pipeline):
 def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, time: Vector, flight: Vector) -> Vector:
     """Set noise and drift of a regressor to those of the measured targets (n, P) in place of the learned ones.
 
-    Returns
-    -------
-    ndarray (P,)
-        How much more noise the posterior has: the ratio of variances that errors have when they are summed over
-        seconds, at least 1.
+    Returns by how much the noise of the posterior grows, (P,): the ratio of the variances of errors that are summed
+    over seconds, at least 1.
     """
     mean, factor, more = regressor.predict(X), np.ones(measured.shape[1]), np.ones(measured.shape[1])
     for i in range(measured.shape[1]):

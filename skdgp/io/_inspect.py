@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.files import plain
+from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp._flight.physics import find_contradictions
@@ -22,16 +24,14 @@ from skdgp.io._autopilot.servos import template
 from skdgp.io._errors import FlightReadError
 from skdgp.io._read import PathLike, read_flight
 
-SPECIFIC_FORCE, RATES, ATTITUDE = ("ax", "ay", "az"), ("p", "q", "r"), ("phi", "theta", "psi")
-VELOCITY = ("v_north", "v_east", "v_down")
 NEEDS = {
     "coefficients": ("airspeed", "density", *SPECIFIC_FORCE, *RATES, "thrust_x or propeller_speed"),
-    "reconstruction": (*RATES, *SPECIFIC_FORCE, *ATTITUDE, *VELOCITY, "airspeed"),
+    "reconstruction": (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed"),
     "regressors": (
         *("airspeed", *RATES, "alpha or reconstruction", "beta or reconstruction", "throttle"),
         *("elevator or elevon_left", "aileron or elevon_right", "rudder"),
     ),
-    "replay": (*ATTITUDE, "v_north or u", "v_east or v", "v_down or w"),
+    "replay": (*EULER, "v_north or u", "v_east or v", "v_down or w"),
 }
 """Columns that each step reads; any of those joined by "or" will do, or a step that gives them."""
 ADVICE = {
@@ -116,7 +116,7 @@ class LogSummary:
 
     def to_dict(self) -> dict:
         """Return everything as lists, dicts, texts and numbers, NaN as None, ready for JSON."""
-        return _plain(asdict(self))
+        return plain(asdict(self))
 
     def __str__(self) -> str:
         lines = [
@@ -317,14 +317,6 @@ def _topic(name, topic: Topic) -> TopicSummary:
 
 def _constant(column) -> bool:
     return bool(column.nunique() < 2)
-
-
-def _plain(value):
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _often(topic) -> str:

@@ -148,7 +148,7 @@ class _Reader:
         if len(head) < 3 or len(head[0][1]) != 8 or depth > DEEPEST:
             raise ValueError("a variable has no head, or is nested too deep")
         flags, _ = np.frombuffer(head[0][1], f"{self.order}u4").tolist()
-        shape, name = self._numbers(head[1]).astype(int).tolist(), _letters(head[2])
+        shape, name = self._numbers(head[1]).astype(int).tolist(), bytes(head[2][1]).decode("latin-1")
         kind, value = flags & 0xFF, None
         if kind in NUMERIC and not flags & COMPLEX:
             rest = list(islice(parts, 2))
@@ -210,7 +210,3 @@ class _Reader:
         letters = bytes(content).decode(coding, "replace")
         rows = shape[0] if shape else 0
         return [letters[row::rows].rstrip() for row in range(min(rows, len(letters)))]
-
-
-def _letters(part) -> str:
-    return bytes(part[1]).decode("latin-1")

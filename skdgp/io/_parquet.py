@@ -14,7 +14,7 @@ from skdgp.io._errors import FlightReadError, check_room, check_width, room_for
 from skdgp.io._units import base_name, check_names
 
 INDEX = "__index_level_"
-"""How pandas names an index without a name."""
+"""Begin of the name that pandas gives to an index without one."""
 
 
 def read_parquet(path: Path) -> pd.DataFrame:

@@ -228,7 +228,7 @@ def _as_numbers(table):
             values = np.where(np.isinf(values), np.nan, values)
         numbers[name] = values
     if infinite:
-        warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", UserWarning, stacklevel=4)
+        warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=4)
     return numbers
 
 
@@ -251,14 +251,13 @@ def _without_repeats(table):
     warnings.warn(
         f"{int(repeated.sum())} rows repeat the row before them exactly (first: row {int(np.argmax(repeated))}) and "
         "are dropped.",
-        UserWarning,
         stacklevel=4,
     )
     return table[~repeated].reset_index(drop=True)
 
 
 def _split_at_restarts(table):
-    """Give the parts of a flight whose clock was restarted names of their own."""
+    """Return the table with a flight of its own for each part of a flight whose clock was restarted."""
     time = table["time"].to_numpy()
     names, restarts = part_restarts(time, table["flight"].to_numpy())
     if not restarts.size:
@@ -299,7 +298,7 @@ def _hint_at_names(table):
                 hints[name] = near[0]
     if hints:
         names = ", ".join(f"{name!r} (did you mean {near!r}?)" for name, near in hints.items())
-        warnings.warn(f"Unknown columns are kept as they are: {names}.", UserWarning, stacklevel=4)
+        warnings.warn(f"Unknown columns are kept as they are: {names}.", stacklevel=4)
 
 
 def _check_distinct(named, tables):
@@ -321,4 +320,4 @@ def _warn_of_uneven_columns(named, tables):
     }
     lacking = {path: names for path, names in lacking.items() if names}
     if lacking:
-        warnings.warn(f"Files lack columns that others have; they are NaN there: {lacking}.", UserWarning, stacklevel=3)
+        warnings.warn(f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=3)

@@ -18,13 +18,14 @@ from skdgp.plotting._style import (
     axis_label,
     check_matplotlib,
     display_unit,
+    draw_curve,
     legend_of_figure,
+    mark_samples,
     scale_beside,
     symbol,
     tidy,
 )
 
-SHARES = np.linspace(0.02, 0.98, 25)  # quantiles of the samples that are marked
 N_LEVELS = 3  # contours of the standard deviation
 
 
@@ -95,7 +96,7 @@ class BuildUpDisplay(Display):
             if k == 0:
                 ax.set_ylabel(symbol(name))
             if k < len(regressors):
-                artists = *self._draw_curve(ax, name, regressors[k], z, level), None
+                artists = *self._draw_curve(ax, name, regressors[k], level), None
                 ax.set_ylim(*ranges[name])
                 ax.tick_params(labelleft=k == 0, labelbottom=name == rows[-1])
                 if name == rows[-1]:
@@ -122,22 +123,15 @@ class BuildUpDisplay(Display):
         edge = 0.08 * (high - low) or 1.0
         return low - edge, high + edge
 
-    def _draw_curve(self, ax, name, regressor, z, level):
+    def _draw_curve(self, ax, name, regressor, level):
         curve, factor = self.curves[name, regressor], display_unit(regressor)[0]
-        at, mean, std = factor * curve.at, curve.mean, curve.std
         ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
-        style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
-        band = ax.fill_between(at, mean - z * std, mean + z * std, **style)
-        (line,) = ax.plot(at, mean, color=ROLES["mean"], label="effect")
-        marks = factor * np.quantile(self.samples[regressor], SHARES)
-        ax.plot(
-            marks, np.full(len(marks), 0.03), "|", transform=ax.get_xaxis_transform(),
-            color=ROLES["measured"], markersize=4, markeredgewidth=0.5, label="samples",
-        )  # fmt: skip
+        artists = draw_curve(ax, factor * curve.at, curve.mean, curve.std, level, "effect")
+        mark_samples(ax, factor * self.samples[regressor])
         ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
         ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
         ax.locator_params(axis="y", nbins=4)
-        return line, band
+        return artists
 
     def _draw_map(self, ax, regressors, rows, columns, mean, std):
         (first, second), largest = regressors, np.abs(mean).max()

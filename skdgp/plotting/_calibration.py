@@ -10,12 +10,12 @@ from scipy.stats import norm
 
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.checks import check_choice
 from skdgp.metrics._metrics import LEVELS, check_levels, shares_inside, standardized
 from skdgp.plotting._display import (
     Display,
     Names,
     as_columns,
-    check_choice,
     check_std,
     choose,
     grid_columns,

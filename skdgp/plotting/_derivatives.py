@@ -7,11 +7,11 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.plotting._display import Display, Names, check_choice, check_level, choose
-from skdgp.plotting._style import ROLES, axis_label, display_unit, plain, symbol, tidy
+from skdgp._flight.checks import check_choice
+from skdgp.plotting._display import Display, Names, check_level, choose
+from skdgp.plotting._style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
 
 DEFAULT_DERIVATIVES = (
     "CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_r", "Cm_elevator",
@@ -76,16 +76,13 @@ class DerivativeDisplay(Display):
         derivatives : names, optional
             Derivatives to draw, default all.
         """
-        z = norm.ppf(0.5 + 0.5 * check_level(level))
+        level = check_level(level)
         chosen = choose(self.names, derivatives)
         at = self.at * display_unit(self.over)[0]
 
         def draw(ax, k):
-            values, band, known = self.values[:, k], None, None
-            if self.std is not None:
-                style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
-                band = ax.fill_between(at, values - z * self.std[:, k], values + z * self.std[:, k], **style)
-            (line,) = ax.plot(at, values, color=ROLES["mean"], label="model")
+            std, known = None if self.std is None else self.std[:, k], None
+            line, band = draw_curve(ax, at, self.values[:, k], std, level, "model")
             if self.truth is not None and np.isfinite(self.truth[:, k]).any():
                 (known,) = ax.plot(at, self.truth[:, k], "--", color=ROLES["truth"], label="known")
             ax.set_ylabel(_label(self.names[k]))

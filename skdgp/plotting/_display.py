@@ -91,13 +91,6 @@ def _divide(ax: Any, shape: tuple[int, int], subplots: dict) -> np.ndarray:
     return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
 
 
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Raise ValueError if a parameter is none of its choices."""
-    if value not in choices:
-        *first, last = map(repr, choices)
-        raise ValueError(f"Got {name}={value!r}, but expected {', '.join(first)} or {last}.")
-
-
 def check_level(level: float) -> float:
     """Return a probability strictly between 0 and 1."""
     if not 0 < level < 1:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
@@ -13,18 +12,18 @@ from skdgp._effects import Curve, effects
 from skdgp.plotting._display import Display, Names, check_level, choose
 from skdgp.plotting._style import (
     PALETTE,
-    ROLES,
     axis_label,
     check_matplotlib,
     display_unit,
+    draw_curve,
     legend_of_figure,
+    mark_samples,
     plain,
     symbol,
     tidy,
 )
 
 OTHERS = ""  # key of the column of terms of several regressors
-SHARES = np.linspace(0.02, 0.98, 25)  # quantiles of the samples that are marked
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -104,7 +103,7 @@ class EffectsDisplay(Display):
             if column == OTHERS:
                 artists = None, None, self._draw_bars(ax, i, several, z)
             else:
-                artists = *self._draw_curve(ax, i, column, z, level), None
+                artists = *self._draw_curve(ax, i, column, level), None
             if i == rows[-1]:
                 self._draw_axis(ax, column, several)
             return artists
@@ -118,16 +117,13 @@ class EffectsDisplay(Display):
             legend_of_figure(self.axes_[-1, 0])
         return self
 
-    def _draw_curve(self, ax, i, name, z, level):
+    def _draw_curve(self, ax, i, name, level):
         curve, factor = self.curves[name], display_unit(name)[0]
-        at, mean, std = factor * curve.at, curve.mean[:, i], curve.std[:, i]
-        style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
-        band = ax.fill_between(at, mean - z * std, mean + z * std, **style)
-        (line,) = ax.plot(at, mean, color=ROLES["mean"], label="effect")
+        artists = draw_curve(ax, factor * curve.at, curve.mean[:, i], curve.std[:, i], level, "effect")
         ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
         ax.ticklabel_format(axis="x", scilimits=(-2, 4), useMathText=True)  # short labels fit narrow panels
         ax.locator_params(axis="y", nbins=4)
-        return line, band
+        return artists
 
     def _draw_bars(self, ax, i, several, z):
         half = z * self.importance.loc[several].iloc[:, i].to_numpy()
@@ -141,11 +137,7 @@ class EffectsDisplay(Display):
             ax.set_xticks(range(len(several)), [plain(name.replace("_", " ")) for name in several])
             ax.tick_params(axis="x", length=0)
             return
-        at = display_unit(column)[0] * np.quantile(self.samples[column], SHARES)
-        ax.plot(
-            at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(),
-            color=ROLES["measured"], markersize=4, markeredgewidth=0.5, label="samples",
-        )  # fmt: skip
+        mark_samples(ax, display_unit(column)[0] * self.samples[column])
         ax.set_xlabel(axis_label(column).replace(" [", "\n["))
 
     @classmethod

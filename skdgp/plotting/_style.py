@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
 
 # Okabe & Ito (2008), Color Universal Design.
@@ -88,6 +90,25 @@ def tidy(ax: Any) -> None:
     ax.grid(True, linewidth=0.4, alpha=0.35)
     ax.set_axisbelow(True)
     ax.margins(x=0)
+
+
+def draw_curve(ax: Any, x: Vector, mean: Vector, std: Vector | None, level: float, label: str) -> tuple[Any, Any]:
+    """Draw a line and, where its standard deviation is known, its band; return both."""
+    band = None
+    if std is not None:
+        half = norm.ppf(0.5 + 0.5 * level) * std
+        style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
+        band = ax.fill_between(x, mean - half, mean + half, **style)
+    return ax.plot(x, mean, color=ROLES["mean"], label=label)[0], band
+
+
+def mark_samples(ax: Any, values: Vector) -> None:
+    """Mark quantiles of samples at the lower edge."""
+    at = np.quantile(values, np.linspace(0.02, 0.98, 25))
+    ax.plot(
+        at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(),
+        color=ROLES["measured"], markersize=4, markeredgewidth=0.5, label="samples",
+    )  # fmt: skip
 
 
 def scale_beside(ax: Any, artist: Any, label: str, **options: Any) -> Any:

@@ -12,6 +12,8 @@ from scipy.stats import norm
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
+from skdgp._flight.frames import unwrapped_paths
+from skdgp.dynamics._simulation.trajectory import path_quantiles
 from skdgp.plotting._display import Display, check_level
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit, tidy
 
@@ -156,12 +158,14 @@ class TrajectoryDisplay(Display):
             trajectories = trajectories[trajectories["start"] == start]
         n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
-        values = trajectories[names].to_numpy(float).reshape(n_paths, len(time), len(names))
+        values = trajectories[names].to_numpy(float, copy=True).reshape(n_paths, len(time), len(names))
+        for k in (k for k, name in enumerate(names) if name in EULER):
+            values[:, :, k] = unwrapped_paths(values[:, :, k])
         bands = [f"{name}_std" for name in names]
         beyond = (trajectories["beyond"] != "").to_numpy() if "beyond" in trajectories else None
         display = cls(
             time=time,
-            values=_unwrapped(values, names),
+            values=values,
             std=trajectories[bands].to_numpy(float) if n_paths == 1 and set(bands) <= set(trajectories) else None,
             truth=None if truth is None else _interpolated(truth, time, names),
             beyond=None if beyond is None else beyond.reshape(n_paths, -1).mean(axis=0),
@@ -179,20 +183,8 @@ def _band(values: Matrix, std: Vector | None, level: float) -> tuple[Vector | No
         return values[0] - half, values[0], values[0] + half
     if len(values) == 1:
         return None, values[0], None
-    found = np.full((3, values.shape[1]), np.nan)
-    flown = np.isfinite(values).any(axis=0)
-    found[:, flown] = np.nanquantile(values[:, flown], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0)
-    return found[0], found[1], found[2]
-
-
-def _unwrapped(values: Array, names: list[str]) -> Array:
-    """Return the paths without jumps of angles by 2 pi, near the first angle of the first path."""
-    values = values.copy()
-    for k, name in enumerate(names):
-        if name in EULER:
-            first = values[0, 0, k]
-            values[:, :, k] = first + np.unwrap(np.angle(np.exp(1j * (values[:, :, k] - first))), axis=1)
-    return values
+    low, middle, high = path_quantiles(values, level)
+    return low, middle, high
 
 
 def _interpolated(truth: pd.DataFrame, time: Vector, names: list[str]) -> Matrix:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from skdgp._flight.channels import ELEVONS
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
-ELEVONS, MIXED = ("elevon_left", "elevon_right"), ("elevator", "aileron")
+MIXED = ("elevator", "aileron")
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 
 
@@ -120,7 +121,6 @@ class ElevonSplitter(TableTransformer):
             warnings.warn(
                 f"Logged controls differ from the surfaces by up to {largest} rad; the surfaces are used. Drop the "
                 "logged columns if they are commands, or correct surfaces, controls and mixing.",
-                UserWarning,
                 stacklevel=3,
             )
         return computed

@@ -14,22 +14,18 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Indices, Matrix, Vector
-from skdgp._flight.channels import EULER
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
 from skdgp.preprocessing._path_check import decision, expected_errors
 from skdgp.preprocessing._path_equations import (
-    AIR,
     CONSTANTS,
-    FORCE,
     INERTIAL,
+    MEAN_WIND,
     NEEDED,
-    RATE,
     SENSORS,
-    SPEED,
-    WIND,
     Log,
     Path,
     air_data_rates,
@@ -41,8 +37,7 @@ from skdgp.preprocessing._path_estimate import GUSTS, NOISE, Estimate, estimate
 from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import TableTransformer, has_values, with_columns, wrapped_near
 
-WINDS = ("wind_north", "wind_east", "wind_down")
-MADE = (*AIR, "alpha_dot", "beta_dot", *RATE, *FORCE, *EULER, *SPEED, *WINDS)
+MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
 KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
 KINEMATIC_SECONDS = 120.0
 """Length of each flight [s] from which the lags of attitude and GPS are known to the millisecond."""
@@ -215,7 +210,7 @@ class FlightPathReconstruction(TableTransformer):
         self.noise_std_ = {name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()}
         self.gust_std_ = float(np.sqrt(np.average([_gust(each) ** 2 for *_, each in found], weights=samples)))
         left = np.sqrt(np.average([each.air_std**2 for *_, each in found], axis=0, weights=samples))
-        self.error_std_ = dict(zip(AIR, left.tolist(), strict=True))
+        self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
         self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(found, errors)
         self.calibration_ = _calibration(found, errors)
         if not isinstance(self.calibrate, str):
@@ -234,7 +229,7 @@ class FlightPathReconstruction(TableTransformer):
 
     def _decide(self, table: pd.DataFrame, found: Flights, lags: dict[str, float]) -> None:
         """Set whether the reconstruction is used, and why."""
-        if not all(name in table and has_values(table, name) for name in AIR):
+        if not all(name in table and has_values(table, name) for name in AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
         else:
             self.errors_ = expected_errors(table, found, self.noise_std_)
@@ -280,7 +275,7 @@ class FlightPathReconstruction(TableTransformer):
 
     def _check(self, table):
         check_columns(table, ["time", *NEEDED])
-        check_radians(table, ("theta", *RATE, "alpha", "beta"))  # roll and heading may have been unwrapped
+        check_radians(table, ("theta", *RATES, "alpha", "beta"))  # roll and heading may have been unwrapped
 
     def _estimates(
         self, table: pd.DataFrame, *, free: list[str], learn: Mapping[str, float], sensors: Mapping[str, float]
@@ -290,24 +285,22 @@ class FlightPathReconstruction(TableTransformer):
         constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
         for name, rows, log in flight_logs(table, self.gravity):
             start, noise = first_guess(log, constants), self.noise_std_ | GUSTS
-            each = estimate(log, start, noise, learn=learn, free=[*free, *WIND], gust_time=self.gust_time)
+            each = estimate(log, start, noise, learn=learn, free=[*free, *MEAN_WIND], gust_time=self.gust_time)
             if not each.converged:
                 warnings.warn(
                     f"The reconstruction of flight {name!r} did not converge: its sensors contradict one another. Look "
                     "at calibration(flight), and for wrong signs, units or clocks.",
-                    UserWarning,
                     stacklevel=4,
                 )
             found.append((name, rows, log, each))
         return found
 
     def _warn_unobservable(self):
-        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(WIND))
+        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
         if not shown.all():
             warnings.warn(
                 f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay near the prior, zero "
                 "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out of calibrate.",
-                UserWarning,
                 stacklevel=4,
             )
 
@@ -372,7 +365,7 @@ def _pooled(found: Flights, errors: list[str]) -> dict[str, float]:
 
 def _calibration(found: Flights, errors: list[str]) -> pd.DataFrame:
     """Return a row per flight and constant."""
-    names = [*errors, *WIND]
+    names = [*errors, *MEAN_WIND]
     parts = []
     for flight, _, _, each in found:
         std = np.sqrt(np.diag(each.covariance))

@@ -13,12 +13,22 @@ from scipy.interpolate import CubicSpline
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import EULER
+from skdgp._flight.channels import (
+    AIR_DATA,
+    ALL_SURFACES,
+    EARTH_VELOCITY,
+    ELEVONS,
+    EULER,
+    POSITION,
+    RATES,
+    SPECIFIC_FORCE,
+    VANES,
+)
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
-from skdgp.preprocessing._elevons import ELEVONS, MIXED
+from skdgp.preprocessing._elevons import MIXED
 from skdgp.preprocessing._flight_path import MIN_LAG, MIN_SIGNIFICANCE, kinematic_lags
-from skdgp.preprocessing._path_equations import FORCE, NEEDED, RATE, SPEED
+from skdgp.preprocessing._path_equations import NEEDED
 from skdgp.preprocessing._table import (
     WRAPPED,
     TableTransformer,
@@ -30,15 +40,13 @@ from skdgp.preprocessing._table import (
     wrapped_near,
 )
 
-VANES = ("alpha", "beta")
-SURFACES = (*MIXED, "rudder", *ELEVONS)
 GROUPS = {
-    "air": ("airspeed", *VANES),
-    "surfaces": SURFACES,
+    "air": AIR_DATA,
+    "surfaces": ALL_SURFACES,
     "attitude": EULER,
-    "gps": (*SPEED, "north", "east", "down"),
+    "gps": (*EARTH_VELOCITY, *POSITION),
 }
-CONTROLS = (*SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
+CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 MIN_EXPLAINED = 0.8  # least share of the response that the local linear model must explain
@@ -122,7 +130,7 @@ class LagCorrector(TableTransformer):
     def _fit_table(self, table):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
-            check_columns(table, [*FORCE, *RATE])
+            check_columns(table, [*SPECIFIC_FORCE, *RATES])
             self.lags_ = _lag_table({group: (*lag, *_applied(lag)) for group, lag in _estimated(table).items()})
         else:
             self.lags_ = _given(self.lags or {}, table)
@@ -225,16 +233,17 @@ class Segment:
         self.time = uniform_grid(time)[0]
         self.rate_hz = (len(time) - 1) / (time[-1] - time[0])
         self.band = BAND[0], min(BAND[1], 0.2 * self.rate_hz)
-        names = [name for name in (*FORCE, *RATE, *VANES, *SURFACES, "airspeed") if has_values(table, name)]
+        wanted = (*SPECIFIC_FORCE, *RATES, *VANES, *ALL_SURFACES, "airspeed")
+        names = [name for name in wanted if has_values(table, name)]
         values = interpolate_missing(time, numeric(table, names))
         self.splines = {name: CubicSpline(time, column) for name, column in zip(names, values.T, strict=True)}
         speed = np.ones((len(time), 1))
         if "airspeed" in names:
             speed = self._low_pass(self.channels(["airspeed"]), STEADY)
             speed = np.maximum(speed, 0.1 * np.median(speed))
-        rates = self.channels(RATE)
+        rates = self.channels(RATES)
         acceleration = CubicSpline(self.time, self._low_pass(rates, 2 * self.band[1]))(self.time, 1)
-        self.force = self.filtered(self.channels(FORCE) / speed**2)
+        self.force = self.filtered(self.channels(SPECIFIC_FORCE) / speed**2)
         self.rate = self.filtered(rates / speed)
         self.acceleration = self.filtered(acceleration / speed**2)
 
@@ -274,7 +283,7 @@ def flights_of(table: pd.DataFrame) -> Flights:
     flights = []
     for runs in runs_by_flight(time, codes):
         long = [run for run in runs if time[run][-1] - time[run][0] > SHORTEST]
-        whole = [run for run in long if all(has_values(table.iloc[run], name) for name in (*FORCE, *RATE))]
+        whole = [run for run in long if all(has_values(table.iloc[run], name) for name in (*SPECIFIC_FORCE, *RATES))]
         flights.append([Segment(time[run], table.iloc[run]) for run in whole])
     return [flight for flight in flights if flight]
 
@@ -283,10 +292,10 @@ def surface_lag(flights: Flights) -> Lag:
     """Return the lag of surfaces: angular acceleration / V^2 from surfaces, rates / V and specific force / V^2."""
 
     def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        surfaces = segment.filtered(segment.channels(segment.present(SURFACES), lag))
+        surfaces = segment.filtered(segment.channels(segment.present(ALL_SURFACES), lag))
         return segment.acceleration, np.hstack([surfaces, segment.rate, segment.force])
 
-    return _profile_estimate(flights, SURFACES, equation)
+    return _profile_estimate(flights, ALL_SURFACES, equation)
 
 
 def air_lag(flights: Flights, surfaces: float) -> Lag:
@@ -294,7 +303,7 @@ def air_lag(flights: Flights, surfaces: float) -> Lag:
 
     def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
         vanes = segment.filtered(segment.channels(segment.present(VANES), lag))
-        moved = segment.filtered(segment.channels(segment.present(SURFACES), surfaces))
+        moved = segment.filtered(segment.channels(segment.present(ALL_SURFACES), surfaces))
         return vanes, np.hstack([segment.force, segment.rate, moved])
 
     return _profile_estimate(flights, VANES, equation)

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._flight.channels import AIR_DATA
 from skdgp._flight.frames import air_data
-from skdgp.preprocessing._path_equations import AIR, MIN_AIRSPEED, Log
+from skdgp.preprocessing._path_equations import MIN_AIRSPEED, Log
 from skdgp.preprocessing._path_estimate import Estimate
 from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import numeric
@@ -53,15 +54,16 @@ def expected_errors(table: pd.DataFrame, found: Flights, noise: Mapping[str, flo
         ``residual`` (noise learned with the path), and of air data ``reconstruction`` and ``smoothing``, expected
         root mean square errors, and ``deviation`` (standard deviation of the channel).
     """
-    raw = numeric(table, AIR)
+    raw = numeric(table, AIR_DATA)
     path, slope = _path_air(raw.shape, found)
     known = np.isfinite(raw) & np.isfinite(path)
     squares = {kind: _noise_squares(kind, found) for kind in ("air", "rate", "force")}
     stds = np.sqrt(squares["air"])
-    variance = np.where([noise[name] > MAX_AIR_NOISE * std for name, std in zip(AIR, stds, strict=True)], 0.0, stds**2)
+    learned = np.array([noise[name] for name in AIR_DATA])
+    variance = np.where(learned > MAX_AIR_NOISE * stds, 0.0, stds**2)
     smoothed, smoother_slope = _smoothed(table, raw, stds)
     rows = {}
-    for row, name in enumerate(AIR):
+    for row, name in enumerate(AIR_DATA):
         here = known[:, row]
         measured = raw[here, row]
         errors = [
@@ -81,7 +83,7 @@ def decision(errors: pd.DataFrame) -> tuple[bool, str]:
     It is, unless the root mean square over airspeed, alpha and beta of expected error / standard deviation of the
     channel is more than 1.05 times that of smoothing.
     """
-    air = errors.loc[list(AIR)]
+    air = errors.loc[list(AIR_DATA)]
     weights = np.divide(1.0, air.deviation**2, out=np.zeros(len(air)), where=air.deviation.to_numpy() > 0)
     path, smoothing = (float(np.sqrt(weights @ air[name] ** 2)) for name in ("reconstruction", "smoothing"))
     used = path <= MAX_RATIO * smoothing
@@ -113,7 +115,7 @@ def _path_air(shape: tuple[int, ...], found: Flights) -> tuple[Matrix, Vector]:
         air[air[:, 0] < MIN_AIRSPEED] = np.nan
         scale = 1 + each.path.constant("airspeed_scale", "alpha_scale", "beta_scale")
         values[rows] = scale * air + [0.0, *each.path.constant("alpha_bias", "beta_bias")]
-        learned = np.array([each.noise[name] for name in AIR])
+        learned = np.array([each.noise[name] for name in AIR_DATA])
         slope += len(rows) / shape[0] * (scale * each.air_std / learned) ** 2
     return values, slope
 
@@ -134,11 +136,10 @@ def _noise_squares(kind: str, found: Flights) -> Vector:
 def _smoothed(table: pd.DataFrame, raw: Matrix, noise: Vector) -> tuple[Matrix, Vector]:
     """Return smoothed air data (n, 3), and their mean slope by their own samples."""
     probe = np.random.default_rng(0).standard_normal(raw.shape)
-    moved = table.assign(**dict(zip(AIR, (raw + PROBE * noise * probe).T, strict=True)))
+    moved = table.assign(**dict(zip(AIR_DATA, (raw + PROBE * noise * probe).T, strict=True)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of flights too short to smooth: the pipeline's smoother says it
-        before, after = (
-            numeric(FlightSmoother(columns=list(AIR), derivatives=[]).fit_transform(one), AIR) for one in (table, moved)
-        )
+        smoother = FlightSmoother(columns=list(AIR_DATA), derivatives=[])
+        before, after = (numeric(smoother.fit_transform(one), AIR_DATA) for one in (table, moved))
     response = np.nanmean((after - before) * probe, axis=0)
     return before, np.divide(response, PROBE * noise, out=np.ones(3), where=noise > 0)

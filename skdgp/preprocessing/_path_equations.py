@@ -14,14 +14,12 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import EULER
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
 from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
 from skdgp.preprocessing._table import has_values, interpolate_missing, numeric
 
-FORCE, RATE = ("ax", "ay", "az"), ("p", "q", "r")
-AIR, SPEED = ("airspeed", "alpha", "beta"), ("v_north", "v_east", "v_down")
-NEEDED = (*RATE, *FORCE, *EULER, *SPEED, "airspeed")
+NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
 """Channels that a flight table must hold; alpha and beta are optional."""
 
 VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -39,8 +37,8 @@ SENSORS = {
     "beta_scale": 0.2,
     **dict.fromkeys(("airspeed_lag", "vane_lag", "velocity_lag", "attitude_lag"), 0.1),
 }
-WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
-CONSTANTS = INERTIAL | SENSORS | WIND
+MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
+CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
 """Constants of a flight, with their prior standard deviations (SI). Measured is truth + bias, (1 + scale) truth + bias,
 or truth a lag [s] ago; wind_north and wind_east are the mean wind."""
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
@@ -116,7 +114,7 @@ class Path(NamedTuple):
 
     def wind(self) -> Matrix:
         """Return the air's velocity (n, 3), NED [m/s]."""
-        return self.gust + np.append(self.constant(*WIND), 0.0)
+        return self.gust + np.append(self.constant(*MEAN_WIND), 0.0)
 
     def air_velocity(self) -> Matrix:
         """Return the velocity relative to the air (n, 3), body axes [m/s]."""
@@ -176,9 +174,9 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) ->
     sampled = np.all(np.isfinite(angles), axis=1)
     angles[sampled] = np.unwrap(angles[sampled], axis=0)
     attitude = Rotation.from_euler("ZYX", interpolate_missing(time, angles)[:, ::-1])
-    inertial = interpolate_missing(time, numeric(table, [*FORCE, *RATE]))
-    air = numeric(table.reindex(columns=list(AIR)), AIR)
-    velocity = numeric(table, SPEED)
+    inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
+    air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
+    velocity = numeric(table, EARTH_VELOCITY)
     return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled, gravity)
 
 
@@ -199,7 +197,7 @@ def air_data_equations(path: Path) -> Equations:
     by_ned = gradient @ R.swapaxes(1, 2)
     d_state = np.concatenate([by_ned, gradient @ cross_matrix(velocity), -by_ned], axis=2)
     d_constants = np.zeros((len(R), 3, len(CONSTANTS)))
-    d_constants[:, :, [PLACE[name] for name in WIND]] = -by_ned[:, :, :2]
+    d_constants[:, :, [PLACE[name] for name in MEAN_WIND]] = -by_ned[:, :, :2]
     return Equations(np.column_stack(air_data(velocity)), d_state, None, d_constants)
 
 
@@ -256,7 +254,7 @@ def measurement_equations(path: Path, log: Log) -> Equations:
     residual[air.residual[:, 0] < MIN_AIRSPEED, 1:3] = np.nan
     d_state[:, :3] = scale[:, None] * air.d_state
     d_constants[:, :3] = scale[:, None] * air.d_constants
-    for row, name in enumerate(AIR):
+    for row, name in enumerate(AIR_DATA):
         d_constants[:, row, PLACE[f"{name}_scale"]] = air.residual[:, row]
     d_constants[:, 1, PLACE["alpha_bias"]] = d_constants[:, 2, PLACE["beta_bias"]] = 1.0
 

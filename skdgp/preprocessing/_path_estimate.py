@@ -9,9 +9,8 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import LEAST_GUST
+from skdgp._flight.channels import AIR_DATA, LEAST_GUST
 from skdgp.preprocessing._path_equations import (
-    AIR,
     CONSTANTS,
     LAGS,
     PLACE,
@@ -304,7 +303,7 @@ def _scale_gradient(path: Path, sums: Mapping[str, Sums]) -> Vector:
     likelihood adds the gradient of a determinant: trace / (1 + scale).
     """
     gradient = np.zeros(len(CONSTANTS))
-    for name in AIR:
+    for name in AIR_DATA:
         place = PLACE[f"{name}_scale"]
         gradient[place] = sums[name].trace / (1 + path.constants[place])
     return gradient

@@ -88,8 +88,8 @@ class RateNondimensionalizer(TableTransformer):
                 f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at or below zero), but "
                 "expected positive airspeed: keep the rows in flight, such as flight[flight.airspeed > 10]."
             )
-        values = dict(zip(self.rates_, numeric(table, self.rates_).T, strict=True))
-        return {name + HAT: self._scale(name, airspeed) * rate for name, rate in values.items()}
-
-    def _scale(self, name, airspeed):
-        return rate_factor(name, getattr(self, (RATE_LENGTHS | ACCELERATION_LENGTHS)[name]), airspeed)
+        lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
+        return {
+            name + HAT: rate_factor(name, getattr(self, lengths[name]), airspeed) * rate
+            for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True)
+        }

@@ -12,21 +12,17 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import HAT, TRUTH_SUFFIX
+from skdgp._flight.channels import ELEVONS, HAT, RATES, SPECIFIC_FORCE, SURFACES, TRUTH_SUFFIX, VANES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.preprocessing._elevons import ELEVONS, MIXED
+from skdgp.preprocessing._elevons import MIXED
 from skdgp.preprocessing._table import TableTransformer, numeric
 
-SURFACES = (*MIXED, "rudder")
 OPTIONAL = ("throttle", *SURFACES)
 REGRESSOR_SETS = {
-    "quasi-steady": ("alpha", "beta", "p", "q", "r", *SURFACES, "throttle"),
-    "classical": ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", *SURFACES, "throttle"),
-    "paper": (
-        *("ax", "ay", "az", "p", "q", "r", "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle"),
-        *SURFACES,
-    ),
+    "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
+    "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),
+    "paper": (*(*SPECIFIC_FORCE, *RATES, "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle", *SURFACES),),
 }
 MAKERS = dict.fromkeys(("alpha_dot", "beta_dot"), "FlightSmoother()") | dict.fromkeys(
     ("p_dot", "q_dot", "r_dot"), "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])"
@@ -146,7 +142,6 @@ class RegressorSelector(TableTransformer):
             warnings.warn(
                 f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: use them only to "
                 "score, or to measure the effect of sensor noise.",
-                UserWarning,
                 stacklevel=3,
             )
         self.regressors_ = chosen

@@ -7,20 +7,17 @@ from typing import Any
 
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
+from skdgp._flight.channels import AIR_DATA, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.smoothing import differentiate, noise_level, smooth
 from skdgp.preprocessing._table import WRAPPED, TableTransformer, numeric, unwrapped, with_columns, wrapped_near
 
-SMOOTHED = (
-    *("airspeed", "alpha", "beta", "alpha_dot", "beta_dot", "p", "q", "r", "p_dot", "q_dot", "r_dot"),
-    *("ax", "ay", "az"),
-)
-VANES = ("alpha", "beta")
+SMOOTHED = (*(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),)
 PARTNERS = {
-    "rates": ("airspeed", "p", "q", "r"),
-    "inertial": ("airspeed", "p", "q", "r", "ax", "ay", "az"),
+    "rates": ("airspeed", *RATES),
+    "inertial": ("airspeed", *RATES, *SPECIFIC_FORCE),
 }
-IN_RADIANS = ("alpha", "beta", "p", "q", "r")
+IN_RADIANS = (*VANES, *RATES)
 
 
 class FlightSmoother(TableTransformer):

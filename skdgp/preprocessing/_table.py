@@ -44,7 +44,6 @@ class TableTransformer(  # type: ignore[call-arg]
             warnings.warn(
                 f"{type(self).__name__} got a table without column names that it knows, so it passes it through "
                 "unchanged. Give a DataFrame with the names of docs/notation.md (skdgp.io.read_flight makes one).",
-                UserWarning,
                 stacklevel=2,
             )
         else:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.files import write_atomically
+from skdgp._compute.files import text_writer, write_atomically
 from skdgp._flight.channels import HAT
 from skdgp.design import FlownPlan, Plan, Steps
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
@@ -100,7 +100,7 @@ def write_flight_card(
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
     page = render_page("Flight card", title, meta, "\n".join(body), colophon, script=False)
-    return write_atomically(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    return write_atomically(path, text_writer(page))
 
 
 def flown_plan(plan: FlownPlan) -> str:

@@ -6,7 +6,7 @@ import os
 from datetime import datetime
 from pathlib import Path
 
-from skdgp._compute.files import write_atomically
+from skdgp._compute.files import text_writer, write_atomically
 from skdgp.report import _sections as sections
 from skdgp.report._card import flown_plan
 from skdgp.report._charts import thinning
@@ -50,7 +50,7 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
     '<!DOCTYPE html>'
     """
     page = render_report(content)
-    return write_atomically(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    return write_atomically(path, text_writer(page))
 
 
 def render_report(content: ReportContent) -> str:

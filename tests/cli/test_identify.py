@@ -751,7 +751,8 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
     assert _evaluation.sensor_noise(table[:2]) == {"phi": 0.0, "p": 0.0}
 
 
-def test_demo_is_honest(tmp_path, capsys):
+def test_demo_is_honest(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(_identify, "render_report", lambda content: "")  # other tests draw
     assert main(["demo", "--samples", "100", "-o", str(tmp_path)]) == 0
     assert capsys.readouterr().err == ""
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS

@@ -192,7 +192,7 @@ class TestBadInput:
             stability_derivatives(MODEL, BRUMBY, state, CONTROLS, n_paths=1)
 
     def test_axes(self, state):
-        with pytest.raises(ValueError, match=r"axes='wind'.*\['body', 'stability'\]"):
+        with pytest.raises(ValueError, match="axes='wind', but expected 'body' or 'stability'"):
             stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes="wind")
 
     def test_airspeed_zero(self, state):

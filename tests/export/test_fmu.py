@@ -439,8 +439,8 @@ def renamed(model, old, new):
 @pytest.mark.parametrize(
     ("model", "options", "message"),
     [
-        (MODELS["explicit"], {"form": "tables"}, "form='tables', but expected one of"),
-        (MODELS["explicit"], {"fmi": "1.0"}, "fmi='1.0', but expected one of"),
+        (MODELS["explicit"], {"form": "tables"}, "form='tables', but expected 'aircraft' or"),
+        (MODELS["explicit"], {"fmi": "1.0"}, "fmi='1.0', but expected '2.0' or"),
         (replace(MODELS["explicit"], outputs=tuple("abcdef")), {}, r"without \['CX'"),
         (renamed(MODELS["explicit"], "rudder", "dt"), {}, r"\['dt'\], but the FMU has other variables"),
         (renamed(MODELS["explicit"], "rudder", "time"), {"form": "coefficients"}, r"\['time'\], but the FMU"),

@@ -182,7 +182,7 @@ class TestStructure:
             if tried[-1] == begun:
                 raise KeyboardInterrupt
 
-        monkeypatch.setattr("skdgp._regressor.held_out_errors", watched)
+        monkeypatch.setattr("skdgp._regressor._estimator.held_out_errors", watched)
         model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=20, random_state=0)
         with listening(interrupt):
             model.fit(x, y)

@@ -1,4 +1,4 @@
-"""Logs of autopilots into flight tables: every channel comes back, in SI, on one clock, with the house's signs."""
+"""Logs of autopilots into flight tables: every channel comes back, in SI, on one clock, with the signs of a table."""
 
 import numpy as np
 import pandas as pd

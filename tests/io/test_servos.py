@@ -88,7 +88,7 @@ class TestTemplates:
         with pytest.raises(FlightReadError, match="measure the angle"):
             read_servos(entries)
         table = read_flight(path, servos=self.filled(template, tmp_path))
-        # More pulse pitches up, rolls right, yaws right: of these the house's sign is that of roll alone.
+        # More pulse pitches up, rolls right, yaws right: of these only roll has the sign of the flight table.
         for name, sign in (("aileron", 1), ("elevator", -1), ("rudder", -1)):
             assert (
                 np.corrcoef(table[name][20:-20], (sign * PULSE[name] * flight[name](table.time))[20:-20])[0, 1] > 0.999

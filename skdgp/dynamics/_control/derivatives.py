@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
+from skdgp._flight.checks import check_choice
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
 from skdgp.dynamics._control.slope_errors import LAGS, lag_of
 from skdgp.dynamics._control.trim import Trim
@@ -118,8 +119,7 @@ def stability_derivatives(
     >>> table.loc[["CL", "CL_alpha", "CD", "Cm_q", "Cm_elevator"], "value"].round(3).to_dict()
     {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
     """
-    if axes not in ROWS:
-        raise ValueError(f"Got axes={axes!r}, but expected one of {list(ROWS)}.")
+    check_choice("axes", axes, ROWS)
     motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
     states, controls, single = _points(motion, point, controls)
     now = motion.at(states, controls)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
@@ -22,7 +22,6 @@ from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVI
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import FORCES, MOMENTS, Thrust, thrust_control
 
-SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right")
 ENGINE = ("thrust", "throttle", "propeller_speed")
 THRUSTS = ("thrust", "propeller_speed", *FORCES, *MOMENTS)
 """Controls that give the thrust of any engine."""
@@ -267,7 +266,7 @@ class SteadyFlight:
                 self.fixed[name] = float(np.mean(self.flown[name]))
         free = [name for name in needed if name not in self.fixed]
         lacking = [name for name in free if controls is not None and name not in controls]
-        lacking += [n for n in free if n != engine and (n in ENGINE or (n in CHANNELS and n not in SURFACES))]
+        lacking += [n for n in free if n != engine and (n in ENGINE or (n in CHANNELS and n not in ALL_SURFACES))]
         if lacking:
             raise ValueError(
                 f"The trim lacks values of {lacking}, which no steady flight determines: give fixed="

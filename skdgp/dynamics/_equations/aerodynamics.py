@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -320,14 +321,7 @@ class _Chain:
 
     def __init__(self, transforms: list, regressor: Any, n_regressors: int):
         self.regressor = regressor
-        self.shift, self.scale, affine = np.zeros(n_regressors), np.ones(n_regressors), 0
-        for step in transforms:
-            if type(step) is not StandardScaler:
-                break
-            self.shift = self.shift + (0.0 if step.mean_ is None else step.mean_) * self.scale
-            self.scale = self.scale * (1.0 if step.scale_ is None else step.scale_)
-            affine += 1
-        self.others = transforms[affine:]
+        self.shift, self.scale, self.others = standard_scaling(transforms, n_regressors)
         self.order = self._order()
         self.has_slopes = not self.others and isinstance(regressor, HasGradient)
         self.can_sample = not self.others and isinstance(regressor, HasPosterior)
@@ -393,6 +387,16 @@ class _Chain:
             )
         order = [names.index(name) for name in COEFFICIENTS]
         return slice(None) if order == list(range(len(names))) else order
+
+
+def standard_scaling(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
+    """Return shift and scale of the StandardScalers that begin the steps, x = shift + scale z, and the other steps."""
+    shift, scale = np.zeros(n_regressors), np.ones(n_regressors)
+    scalers = list(takewhile(lambda step: type(step) is StandardScaler, steps))
+    for step in scalers:
+        shift = shift + (0.0 if step.mean_ is None else step.mean_) * scale
+        scale = scale * (1.0 if step.scale_ is None else step.scale_)
+    return shift, scale, steps[len(scalers) :]
 
 
 def turbulence_of(model: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import check_columns, check_flight, check_table
 from skdgp._flight.faults import NOT_MEASURED, POSSIBLE, FlightDataWarning, faults_message, find_faults, without_faults
 from skdgp._flight.smoothing import differentiate, smooth
@@ -17,9 +17,7 @@ from skdgp.dynamics._equations.rigid_body import gyroscopic_moment
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import dynamic_pressure, external_loads, propulsive_loads
 
-RATES = ["p", "q", "r"]
 RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
-SPECIFIC_FORCE = ["ax", "ay", "az"]
 NEEDED = ["airspeed", "density", *SPECIFIC_FORCE, *RATES]
 
 
@@ -94,8 +92,8 @@ def aerodynamic_coefficients(
     measured, rate_derivatives = _smoothed(flight, cutoff)
     force, moment = propulsive_loads(measured, aircraft, thrust)
     external_force, external_moment = external_loads(flight, external_forces)
-    rates = measured[RATES].to_numpy(float)
-    force = aircraft.mass * measured[SPECIFIC_FORCE].to_numpy(float) - force - external_force
+    rates = measured[list(RATES)].to_numpy(float)
+    force = aircraft.mass * measured[list(SPECIFIC_FORCE)].to_numpy(float) - force - external_force
     moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft) - moment - external_moment
     scale = dynamic_pressure(measured["airspeed"], measured["density"])[:, None] * aircraft.wing_area
     values = np.hstack([force / scale, moment / (scale * aircraft.moment_lengths)])
@@ -126,4 +124,4 @@ def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.Data
     measured = flight.assign(**dict(zip(names, smooth(raw, **clock).T, strict=True)))
     if given:
         return measured, measured[RATE_DERIVATIVES].to_numpy(float)
-    return measured, differentiate(flight[RATES].to_numpy(float), **clock)
+    return measured, differentiate(flight[list(RATES)].to_numpy(float), **clock)

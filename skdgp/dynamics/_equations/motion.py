@@ -132,7 +132,6 @@ class Motion:
             warnings.warn(
                 f"The model's rates were made non-dimensional by span {span:g} m and chord {chord:g} m, but "
                 f"{self.aircraft!r} has others: is this the aircraft that the model was learned from?",
-                UserWarning,
                 stacklevel=4,
             )
 

@@ -17,6 +17,7 @@ from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import (
     cross_matrix,
     quaternion_to_matrix,
+    wrapped,
 )
 from skdgp.dynamics._equations import rigid_body
 from skdgp.dynamics._equations.error_covariance import (
@@ -162,7 +163,8 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
         elapsed = part["elapsed"].to_numpy()
         flown, ends = elapsed > 0, np.abs(elapsed - horizon) < 0.02 * horizon
         for state in states:
-            error = np.abs(_difference(part[state].to_numpy(), flight[state + suffix].to_numpy(float), state))
+            error = part[state].to_numpy() - flight[state + suffix].to_numpy(float)
+            error = np.abs(wrapped(error) if state in EULER else error)
             row = {"state": state, "horizon": horizon, "median": _nanmedian(error[flown])}
             row["at_end"] = _nanmedian(error[ends])
             if f"{state}_std" in part:
@@ -315,11 +317,6 @@ def _error_rates(
         B[:, V] = load_factor[:, :3] / aircraft.mass
         B[:, W] = aircraft.inertia_inverse @ load_factor[:, 3:]
         yield A, B
-
-
-def _difference(values: Array, reference: Array, state: str) -> Array:
-    difference = values - reference
-    return np.angle(np.exp(1j * difference)) if state in EULER else difference
 
 
 def _nanmedian(values: Array) -> float:

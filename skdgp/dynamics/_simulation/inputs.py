@@ -100,7 +100,6 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], Air | None]) -> A
         warnings.warn(
             f"Got a start at an altitude of {-states[:, 2].max():g} m, below any land: down is positive downwards, "
             "altitude = -down.",
-            UserWarning,
             stacklevel=4,
         )
     air = air_at(states)
@@ -134,7 +133,6 @@ def _warn_of_wind(table: pd.DataFrame, states: Array, wind: Any) -> None:
         warnings.warn(
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, but x0 says "
             f"{table['airspeed'].iloc[worst]:.1f} m/s: give the wind of that flight (wind=...).",
-            UserWarning,
             stacklevel=5,
         )
 
@@ -369,7 +367,6 @@ def _warn_of_time(what: str, first: float) -> None:
     warnings.warn(
         f"Got controls that begin at time {first:g} s, but {what}: the first row of each table counts as the start. "
         "Cut them alike, table[table['time'] >= start].",
-        UserWarning,
         stacklevel=4,
     )
 

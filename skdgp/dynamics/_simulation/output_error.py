@@ -17,6 +17,7 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_codes
+from skdgp._flight.frames import wrapped
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._equations.error_covariance import checked_std
 from skdgp.dynamics._equations.motion import Motion
@@ -285,7 +286,6 @@ class _Problem:
             warnings.warn(
                 f"{np.count_nonzero(~self.flown)} of {len(flights)} segments are left out: the model does not fly them "
                 "to their end. Cut shorter ones.",
-                UserWarning,
                 stacklevel=3,
             )
         self.correction = _Correction(
@@ -322,7 +322,7 @@ class _Problem:
         """Return differences of states, those of angles on the circle."""
         off = one - other
         turns = [k for k, name in enumerate(self.names) if name in EULER]
-        off[..., turns] = np.angle(np.exp(1j * off[..., turns]))
+        off[..., turns] = wrapped(off[..., turns])
         return off
 
     def _whitening(self, random_state: Seed) -> Array:

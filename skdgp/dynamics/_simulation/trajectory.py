@@ -22,7 +22,7 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp._flight.checks import check_columns
-from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
+from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler, unwrapped_paths
 from skdgp.dynamics._equations import rigid_body
 from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
@@ -116,7 +116,7 @@ def beyond(motion: Motion, regressors: Array) -> np.ndarray:
 
 
 def warn_of(record: Any, motion: Motion) -> None:
-    """Say which trajectories ended early, and which left what the model was learned from."""
+    """Warn of trajectories that ended early, and of those that left what the model was learned from."""
     ended = [reason for reason in record.ended.ravel().tolist() if reason]
     n, dt = record.ended.size, record.time[1]
     if ended:
@@ -178,16 +178,16 @@ def trajectory_bands(
         for name in names:
             values = part[name].to_numpy(float).reshape(n_paths, -1)
             if name in EULER:
-                values = values[:1, :1] + np.unwrap(np.angle(np.exp(1j * (values - values[:1, :1]))), axis=1)
-            low, middle, high = _quantiles(values, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level])
+                values = unwrapped_paths(values)
+            low, middle, high = path_quantiles(values, level)
             band |= {name: middle, f"{name}_low": low, f"{name}_high": high}
         rows.append(pd.DataFrame(band))
     return pd.concat(rows, ignore_index=True)
 
 
-def _quantiles(values: Array, q: Sequence[float]) -> Array:
-    """Return the quantiles over the paths that still fly, (len(q), n_times); NaN where none does."""
-    found = np.full((len(q), values.shape[1]), np.nan)
+def path_quantiles(values: Array, level: float) -> Array:
+    """Return the lower edge, the median and the upper edge over the paths that still fly, (3, n_times)."""
+    found = np.full((3, values.shape[1]), np.nan)
     some = np.isfinite(values).any(axis=0)
-    found[:, some] = np.nanquantile(values[:, some], q, axis=0)
+    found[:, some] = np.nanquantile(values[:, some], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0)
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
@@ -168,7 +168,6 @@ def _inertia(value: ArrayLike) -> Array:
         warnings.warn(
             f"Principal moments of inertia {moments.round(6).tolist()} kg m^2: the largest exceeds the "
             "sum of the others, which no distribution of mass can do. Check the measurement and the signs.",
-            UserWarning,
             stacklevel=4,
         )
     inertia.setflags(write=False)
@@ -185,14 +184,11 @@ def _build(kind: type, values: Mapping, what: str) -> Any:
             near = get_close_matches(str(key), known, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}?" if near else f"known keys are {known}."
             raise ValueError(f"Got unknown key {key!r} in {what}: {hint}")
-    missing = [f.name for f in fields(kind) if f.name not in values and _is_required(f)]
+    required = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    missing = [name for name in required if name not in values]
     if missing:
         raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.")
     return kind(**values)
-
-
-def _is_required(field: Field) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
 
 
 def _plain(value: Any) -> Any:

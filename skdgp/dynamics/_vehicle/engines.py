@@ -167,7 +167,6 @@ class Propeller:
                 "The bench table holds no airspeed > 0, so it determines the static thrust only, and thrust "
                 "in flight would be overstated. Add rows measured in a wind tunnel, or give pitch=... [m] to "
                 "let the thrust fall to zero at the advance ratio pitch / diameter.",
-                UserWarning,
                 stacklevel=2,
             )
         basis = _basis(speed, airspeed, density, diameter, 0 if static else degree)

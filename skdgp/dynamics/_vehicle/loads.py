@@ -20,7 +20,7 @@ FORCES, MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m",
 THRUST_CHOICES = ("auto", "columns", "propeller", None)
 CENTRED = ThrustLine()
 Thrust: TypeAlias = "str | Callable | None"
-"""What gives the thrust in a simulation."""
+"""Sources of the thrust in a simulation."""
 
 
 def aerodynamic_loads(
@@ -216,6 +216,5 @@ def _warn_beyond_bench(propeller: Propeller, propeller_speed: Array, airspeed: A
             f"In {100 * beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds the largest one on "
             f"the bench ({propeller.max_advance_ratio:.2f}): the thrust there is an extrapolation. Measure at higher "
             "airspeed, or give thrust columns.",
-            UserWarning,
             stacklevel=4,
         )

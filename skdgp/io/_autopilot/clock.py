@@ -124,13 +124,7 @@ def gaps(time: Vector) -> list[tuple[float, float]]:
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
-    """Return the multiples of 1 / rate [s] that lie within the runs of a channel.
-
-    Raises
-    ------
-    ValueError
-        If there would be far more of them than samples.
-    """
+    """Return the multiples of 1 / rate [s] within the runs of a channel; ValueError if far more than samples."""
     step = np.diff(time)
     edges = np.flatnonzero(step > max(LONGEST_PAUSE[0], LONGEST_PAUSE[1] * np.median(step))) + 1
     starts, ends = time[np.r_[0, edges]], time[np.r_[edges, len(time)] - 1]
@@ -144,27 +138,12 @@ def uniform_clock(time: Vector, rate: float) -> Vector:
 
 
 def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix:
-    """Return channels at the times of another clock.
+    """Return channels (n, k), sampled at increasing times (n,) [s], on another clock (m,) of ``rate`` [Hz], (m, k).
 
+    Rows that are not finite count as not sampled; gaps, and rows before the first and after the last sample, are NaN.
     Each run of samples without a gap (2.5 usual steps) is taken by itself. If it is faster than the new rate it passes
     a Butterworth low-pass forwards and backwards, which has no delay (Gustafsson 1996, Determining the initial states
     in forward-backward filtering); then it is interpolated linearly.
-
-    Parameters
-    ----------
-    time : ndarray of shape (n,)
-        Increasing [s].
-    values : ndarray of shape (n, k)
-        Rows that are not finite count as not sampled.
-    clock : ndarray of shape (m,)
-        Increasing [s].
-    rate : float
-        Of the clock [Hz].
-
-    Returns
-    -------
-    ndarray of shape (m, k)
-        NaN in gaps, before the first and after the last sample.
     """
     result = np.full((len(clock), values.shape[1]), np.nan)
     known = np.isfinite(values).all(axis=1)

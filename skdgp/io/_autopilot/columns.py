@@ -9,12 +9,11 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import CHANNELS
+from skdgp._flight.channels import CHANNELS, EULER
 from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
 from skdgp.io._autopilot.clock import resample, sampling_rate, uniform_clock
 from skdgp.io._autopilot.formats import (
-    ATTITUDE,
     DENSITY,
     EQUIVALENT,
     PRESSURE,
@@ -75,7 +74,11 @@ def find_sources(log: Log, topics: dict[str, Topic], servos: dict[str, Servo]) -
             useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * impossible:.0f} % is impossible")
         else:
             candidates.setdefault(rule.columns, []).append(source)
-    found = [_preferred(sources) for columns, sources in candidates.items() if not servos.keys() & set(columns)]
+    found = [
+        next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
+        for columns, sources in candidates.items()
+        if not servos.keys() & set(columns)
+    ]
     surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
     useless += [f"{each.name} sends no pulse, so there is no {each.columns[0]}" for each in surfaces if not each.alive]
     return found + [each for each in surfaces if each.alive], list(dict.fromkeys(useless))
@@ -110,7 +113,7 @@ def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.Data
         names = source.columns
         if names == QUATERNION:
             known = values.any(axis=1, keepdims=True)  # a quaternion of zeros is no attitude
-            names, values = ATTITUDE, quaternion_to_euler(np.where(known, values, np.nan))
+            names, values = EULER, quaternion_to_euler(np.where(known, values, np.nan))
         for name, column in zip(names, values.T, strict=True):
             columns[name] = column
             origin[name] = Origin(source.name + (f" ({source.note})" if source.note else ""), source.rate)
@@ -166,11 +169,6 @@ def _surface(log, name, servo: Servo) -> Source:
     values = servo.deflection(topic[field])
     known = np.isfinite(values)
     return Source((name,), servo.channel, topic.time[known], values[known][:, None], "by the servo file")
-
-
-def _preferred(sources):
-    """Return the first source that is fast enough, or the first of all."""
-    return next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
 
 
 def _joined(fields) -> str:

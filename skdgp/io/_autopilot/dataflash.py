@@ -22,6 +22,7 @@ from skdgp.io._autopilot.formats import (
     ServoChannel,
     Topic,
     density_at,
+    from_rpm,
     instance_name,
     whole,
 )
@@ -55,10 +56,6 @@ def _attitude(degrees):
     return euler_to_quaternion(*np.deg2rad(degrees).T)
 
 
-def _rpm(values):
-    return values * (np.pi / 30)
-
-
 def _percent(values):
     return 0.01 * values
 
@@ -85,9 +82,9 @@ RULES = (
     Rule(("throttle",), "CTUN", ("ThO",), _percent),
     Rule(("throttle",), "CTUN", ("ThrOut",), _percent),
     Rule(("throttle",), "AETR", ("Thr",), _percent),
-    Rule(("propeller_speed",), "RPM", ("rpm1",), _rpm),
-    Rule(("propeller_speed",), "RPM", ("RPM",), _rpm),
-    Rule(("propeller_speed",), "ESC", ("RPM",), _rpm),
+    Rule(("propeller_speed",), "RPM", ("rpm1",), from_rpm),
+    Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm),
+    Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
 
 SERVOS = {

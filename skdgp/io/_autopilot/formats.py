@@ -14,7 +14,6 @@ from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 
 PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
-ATTITUDE = ("phi", "theta", "psi")
 QUATERNION = ("qw", "qx", "qy", "qz")
 """Columns of a rule for attitude: a quaternion, body to north-east-down, of any length."""
 EQUIVALENT = "equivalent_airspeed"
@@ -181,6 +180,11 @@ class Log:
         """Return the name of the first instance of a topic that has messages, or None."""
         instances = [key for key in self.topics if key.split("#")[0] == name and len(self.topics[key]) > 1]
         return min(instances, key=lambda key: int(key.partition("#")[2] or 0), default=None)
+
+
+def from_rpm(values: Array) -> Array:
+    """Return rad/s of revolutions per minute."""
+    return values * (np.pi / 30)
 
 
 def density_at(pressure: Array) -> Array:

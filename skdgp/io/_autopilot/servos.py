@@ -10,10 +10,11 @@ import numpy as np
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
+from skdgp._flight.channels import ALL_SURFACES
 from skdgp.io._autopilot.formats import Log
 from skdgp.io._errors import FlightReadError
 
-SURFACES = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle")
+MOVED = (*ALL_SURFACES, "throttle")
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
@@ -26,20 +27,14 @@ TEMPLATE = """\
 
 
 class Servo(NamedTuple):
-    """The channel that moves a surface, and the angles of the surface at some values of the channel.
-
-    Attributes
-    ----------
-    channel : str
-        Topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``.
-    inputs, angles : tuple of float
-        Values of the channel, increasing, and the angles [rad] of the surface there. Between them and beyond, straight
-        lines.
-    """
+    """The channel that moves a surface, and the angles of the surface at some values of the channel."""
 
     channel: str
+    """Topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``."""
     inputs: tuple[float, ...]
+    """Values of the channel, increasing."""
     angles: tuple[float, ...]
+    """Angles of the surface there [rad]; straight lines between them and beyond."""
 
     def deflection(self, values: Vector) -> Vector:
         """Return angles [rad] of values of the channel.
@@ -89,8 +84,8 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
 
 
 def _servo(name, entry) -> Servo:
-    if name not in SURFACES:
-        raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(SURFACES)}.")
+    if name not in MOVED:
+        raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
     if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
         raise FlightReadError(f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".')
     if set(entry) - KEYS:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skdgp.io._autopilot.formats import QUATERNION, Log, Rule, ServoChannel, Topic, instance_name, whole
+from skdgp.io._autopilot.formats import QUATERNION, Log, Rule, ServoChannel, Topic, from_rpm, instance_name, whole
 from skdgp.io._errors import FlightReadError
 
 HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
@@ -43,10 +43,6 @@ MAV_TYPES = {
     **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"), **dict.fromkeys(range(19, 26), "VTOL"),
 }  # fmt: skip
 VEHICLE_TYPES = {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}
-
-
-def _rpm(values):
-    return values * (np.pi / 30)
 
 
 def _xyz(name):
@@ -85,9 +81,9 @@ RULES = (
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
     Rule(("throttle",), "actuator_motors", ("control[0]",)),
-    Rule(("propeller_speed",), "rpm", ("rpm_estimate",), _rpm),
-    Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), _rpm),
-    Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), _rpm),
+    Rule(("propeller_speed",), "rpm", ("rpm_estimate",), from_rpm),
+    Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), from_rpm),
+    Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), from_rpm),
 )
 
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuator_controls_0", "actuator_controls_1")

@@ -127,7 +127,7 @@ def test_a_size_is_kept(portable_of, precision, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({"precision": "half"}, r"precision='half', but expected one of \['double', 'float'\]"),
+        ({"precision": "half"}, r"precision='half', but expected 'double' or 'float'"),
         ({"max_kb": 0}, "max_kb=0, but expected a size > 0"),
         ({"max_kb": 1}, "the smallest form of this model takes"),
     ],

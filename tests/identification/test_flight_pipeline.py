@@ -22,7 +22,10 @@ QUICK = {"n_latent": 1, "max_iter": 8, "input_noise": "learned", "random_state":
 
 @pytest.fixture(scope="module")
 def flights():
-    return load_example_flights()
+    """Return the example flights, of those to learn from the first 75 s."""
+    flights = load_example_flights()
+    flights.train = flights.train.groupby("flight", observed=True).head(3000).reset_index(drop=True)
+    return flights
 
 
 @pytest.fixture(scope="module")

@@ -272,7 +272,7 @@ def _until(condition, seconds=30):
 
 
 def test_code_of_the_page_runs():
-    page = Path(__file__).resolve().parents[1] / "docs" / "scaling.md"
+    page = Path(__file__).resolve().parents[2] / "docs" / "scaling.md"
     names = {}
     for number, block in enumerate(
         re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)

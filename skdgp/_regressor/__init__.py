@@ -1,0 +1,6 @@
+"""Dependent Gaussian processes as a scikit-learn regressor."""
+
+from skdgp._regressor._checks import check_targets
+from skdgp._regressor._estimator import DependentGPRegressor
+
+__all__ = ["DependentGPRegressor", "check_targets"]

@@ -1,0 +1,233 @@
+"""Checks of the data and parameters of DependentGPRegressor, and its warnings."""
+
+from __future__ import annotations
+
+import warnings
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.utils import check_array
+
+from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
+from skdgp._compute.tables import column_names
+
+X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
+Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish
+MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
+LARGE_CHANGE = 0.5  # change by compaction, in standard deviations, that causes a warning without a tolerance
+
+
+def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
+    """Return the targets as (n, P) with NaN where not observed, their names, and whether y is one-dimensional."""
+    if y is None:
+        raise ValueError(f"This {estimator} estimator requires y to be passed, but the target y is None.")
+    names = column_names(y)
+    Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+    if Y.ndim > 2:
+        raise ValueError(f"Got y of shape {Y.shape}, but expected (n,) or (n, P).")
+    if len(Y) != n_samples:
+        raise ValueError(
+            f"Found input variables with inconsistent numbers of samples: {[n_samples, len(Y)]}. Give y one row for "
+            "each row of X, with NaN where an output was not observed."
+        )
+    table = Y.reshape(len(Y), -1)
+    return table, names or default_names(table.shape[1]), Y.ndim == 1
+
+
+def standardize(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return centred and scaled targets, and the center and scale of each output, (P,).
+
+    The center of a constant output is its value, and its scale is the magnitude of that value, so it becomes 0 or 1
+    without rounding.
+    """
+    constant, size = constant_columns(Y), np.nanmax(np.abs(Y), axis=0)
+    Y = np.where(constant & np.isfinite(Y), Y[np.isfinite(Y).argmax(axis=0), range(Y.shape[1])], Y)
+    center = np.where(constant, np.nanmax(Y, axis=0), np.nanmean(Y, axis=0)) if centered else np.zeros(Y.shape[1])
+    scale = np.sqrt(np.nanmean((Y - center) ** 2, axis=0)) if scaled else np.ones(Y.shape[1])
+    scale = np.where(constant & scaled, np.where(size > 0, size, 1.0), scale)
+    return (Y - center) / scale, center, scale
+
+
+def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
+    """Return time and flight number of each sample, (n, 2), or None if no time is given."""
+    if time is None:
+        if flight is not None:
+            raise ValueError("Got flight without time, but expected both: the drift depends on time. Give time too.")
+        return None
+    time = check_array(time, dtype=np.float64, ensure_2d=False, input_name="time")
+    codes = np.zeros(n_samples) if flight is None else pd.factorize(np.asarray(flight))[0].astype(float)
+    for name, values in (("time", time), ("flight", codes)):
+        if values.shape != (n_samples,):
+            raise ValueError(
+                f"Got {name} of shape {values.shape}, but expected ({n_samples},): one value for each row of X."
+            )
+    if (codes < 0).any():
+        raise ValueError(f"Got {int((codes < 0).sum())} rows without a flight, but expected a label for every row.")
+    return np.column_stack([time, codes])
+
+
+def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
+    """Raise a ValueError if powers of columns of Z (n, k) overflow or vanish in double precision; NaN is ignored."""
+    size = np.nanmax(np.abs(Z), axis=0, initial=0.0)
+    extreme = (size > most) | ((size < least) & (size > 0))
+    if extreme.any():
+        magnitudes = {name: f"{s:.1g}" for name, s, out in zip(names, size, extreme, strict=True) if out}
+        raise ValueError(
+            f"Got {what} of magnitudes {magnitudes}, but expected {least:g} to {most:g}, whose powers neither vanish "
+            "nor overflow. Use another unit, or scale them (StandardScaler)."
+        )
+
+
+def warn_of_constant_regressors(X: np.ndarray, names: list[str]) -> None:
+    """Warn of regressors (n, d) that are constant."""
+    constant = [name for name, same in zip(names, constant_columns(X), strict=True) if same]
+    if constant:
+        _warn(
+            f"The regressors {constant} are constant over the samples: their effect cannot be learned, and predictions "
+            "at other values are not reliable. Leave them out, or add samples in which they vary."
+        )
+
+
+def check_observed(Y: np.ndarray, names: list[str]) -> None:
+    """Raise a ValueError if an output has fewer than two observed values."""
+    counts = np.isfinite(Y).sum(axis=0)
+    few = {name: int(n) for name, n in zip(names, counts, strict=True) if n < 2}
+    if few:
+        raise ValueError(
+            f"Got outputs observed at fewer than two samples: {few} (NaN means not observed). Leave these columns out, "
+            "or give more of their values."
+        )
+
+
+def check_same_targets(names: list[str], expected: list[str]) -> None:
+    """Raise a ValueError if the outputs of further targets are not those of the fit."""
+    if len(names) != len(expected):
+        raise ValueError(
+            f"Got y with {len(names)} outputs, but expected the {len(expected)} of the fit: {expected}. Set targets "
+            "that were not observed to NaN."
+        )
+    if names != expected and default_names(len(names)) not in (names, expected):
+        raise ValueError(f"Got y with the columns {names}, but expected those of the fit, in their order: {expected}.")
+
+
+def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
+    """Warn of more inducing inputs than samples."""
+    if n_inducing > n_samples:
+        _warn(
+            f"Got n_inducing={n_inducing} for {n_samples} samples: sparse inference is then slower than exact "
+            "inference. Lower n_inducing, or use inference='exact'."
+        )
+
+
+def check_compaction(n_inducing: int, tolerance: Any, max_iter: int) -> None:
+    """Raise a ValueError if a parameter of ``compact`` is invalid."""
+    if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:
+        raise ValueError(f"Got n_inducing={n_inducing!r}, but expected an integer number of variables from 1 on.")
+    if not isinstance(max_iter, Integral) or isinstance(max_iter, bool) or max_iter < 0:
+        raise ValueError(f"Got max_iter={max_iter!r}, but expected an integer number of iterations, or 0 for none.")
+    if tolerance is None:
+        return
+    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < float(tolerance) < np.inf:
+        raise ValueError(
+            f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard deviation, such as 0.1, or "
+            "None."
+        )
+
+
+def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) -> None:
+    """Warn if compaction changes predictions by more than the tolerance, or by more than LARGE_CHANGE without one."""
+    if change <= (LARGE_CHANGE if tolerance is None else tolerance):
+        return
+    excess = "" if tolerance is None else f", which is more than the tolerance {tolerance:g}"
+    warnings.warn(
+        f"Compacting to {n_inducing} inducing variables changes mean or standard deviation of an output by "
+        f"{change:.2g} of its standard deviation (root mean square){excess}. Raise n_inducing; compaction_ has the "
+        "change of each output.",
+        stacklevel=3,
+    )
+
+
+def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
+    """Return R (d, r) of the covariance R R^T of the regressors' noise; None and "learned" are returned unchanged."""
+    if input_noise is None or isinstance(input_noise, str):
+        return input_noise
+    root = _covariance_root(input_noise, X.shape[1])
+    noise = np.sqrt(np.einsum("dr,dr->d", root, root))
+    excessive = (noise > MAX_INPUT_NOISE * column_scale(X)) & ~constant_columns(X)
+    if excessive.any():
+        stds = {name: f"{s:.2g}" for name, s, out in zip(names, X.std(axis=0), excessive, strict=True) if out}
+        raise ValueError(
+            f"Got input_noise of more than {MAX_INPUT_NOISE} standard deviations of the regressors {stds}, but "
+            "expected less noise than signal. Give it in the units of X, one value for each column."
+        )
+    return root
+
+
+def _covariance_root(input_noise, d):
+    given = np.asarray(input_noise, dtype=float)
+    expected = f"expected a standard deviation, {d} of them, or a covariance ({d}, {d}), in the units of X."
+    if given.shape not in ((), (d,), (d, d)) or not np.isfinite(given).all():
+        raise ValueError(f"Got input_noise of shape {given.shape}, but {expected}")
+    if given.ndim < 2:
+        if (given < 0).any():
+            raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
+        return np.diag(np.broadcast_to(given, d))
+    values = np.linalg.eigvalsh(given)
+    if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
+        raise ValueError(f"Got input_noise that is not a covariance (symmetric, positive), but {expected}")
+    return eigen_root(given)
+
+
+def default_names(n: int) -> list[str]:
+    """Return the names y0, y1, ... of outputs without names."""
+    return [f"y{i}" for i in range(n)]
+
+
+def warn_of_indices(index: Any, y: Any) -> None:
+    """Warn if X and y have different indices."""
+    if isinstance(index, pd.Index) and isinstance(y, (pd.DataFrame, pd.Series)) and not index.equals(y.index):
+        _warn(
+            "The indices of X and y differ; rows are matched by position. If rows of one were dropped or sorted, do "
+            "the same to the other (y.loc[X.index])."
+        )
+
+
+def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
+    """Warn of constant outputs and of repeated samples."""
+    constant = [name for name, same in zip(names, constant_columns(Y), strict=True) if same]
+    if constant:
+        _warn(
+            f"The outputs {constant} are constant over the samples: nothing can be learned about them, and their "
+            "stated uncertainty is not reliable. Leave them out, or check the log."
+        )
+    repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
+    if repeated:
+        _warn(
+            f"{repeated} of {len(X)} samples repeat another sample with the same regressors and targets. They count as "
+            "independent, so the uncertainty is too small: drop repeated rows (was a log read twice?)."
+        )
+
+
+def warn_of_search(best, max_iter: int) -> None:
+    """Warn if the search for hyperparameters was interrupted or has not converged."""
+    if best.interrupted:
+        _warn(
+            f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
+            "hyperparameters so far are kept. Fit again to continue.",
+            ConvergenceWarning,
+        )
+    elif not best.converged:
+        _warn(
+            f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations again the log "
+            f"likelihood is expected to rise by {best.remaining:.2g} nats. Raise max_iter, or scale the regressors "
+            "(StandardScaler).",
+            ConvergenceWarning,
+        )
+
+
+def _warn(message, category=UserWarning):
+    # stacklevel: this function, the check, fit and its wrapper by scikit-learn, then the caller of fit.
+    warnings.warn(message, category, stacklevel=5)

@@ -482,7 +482,10 @@ class Posterior:
         if X is not None:
             rows = self.regressor._check_regressors(X if before is None else before.transform(X))
         elif self.regressor.inference_ == "compact":
-            raise ValueError("Got a compact model, which holds no samples. Give X, samples of the flown envelope.")
+            raise ValueError(
+                "Got a compact model, which holds no samples, but expected one with samples. Give X, samples of the "
+                "flown envelope, or the model before compact()."
+            )
         else:
             rows = training_inputs(self.regressor.posterior_)
         self.samples = np.asarray(in_units(rows, self.scalers))

@@ -124,8 +124,10 @@ def _attas(folder, name, boom=True):
         "thrust_m": ENGINE[2] * (left + right),
         "thrust_n": ENGINE[1] * (left - right),
     }
-    ringing = slice(EDGE, -EDGE) if boom else slice(None)
-    return pd.DataFrame(columns)[ringing].assign(flight=name)
+    part = np.cumsum(np.diff(log[:, 1], prepend=log[0, 1]) > 1.0)  # one file holds two manoeuvres
+    table = pd.DataFrame(columns).assign(flight=[f"{name} {k + 1}" for k in part])
+    from_end = [table.groupby("flight").cumcount(ascending=ascending) for ascending in (True, False)]
+    return table[np.minimum(*from_end) >= EDGE].reset_index(drop=True)
 
 
 def _uav(record, name):

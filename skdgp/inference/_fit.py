@@ -328,9 +328,9 @@ def _initial_noise(residual, scale, clock):
 def _learn(
     kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held=None
 ) -> Hyperparameters:
-    """Return hyperparameters, learned from each output separately and then from the rows of all outputs jointly.
+    """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
-    The joint search stops when the error of the rows ``held`` no longer falls.
+    The joint search stops when the error at the rows ``held`` no longer falls.
     """
     P, held_out = Y.shape[1], None
     if held is not None:
@@ -433,7 +433,7 @@ def some_rows(Y: Matrix, random_state: Seed):
 
 
 def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None]:
-    """Return rows to learn from and rows to hold out, for a stop of the search by held-out errors.
+    """Return rows to learn from and rows to hold out, for early stopping.
 
     Held out is one block of rows at a random place in each of BLOCKS parts of the log, with a gap on either side. None
     is held out where an output would have too few values.

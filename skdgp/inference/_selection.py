@@ -118,9 +118,8 @@ def held_out_errors(
     """Return the mean squared error of each output in held-out flights or blocks of rows, over its variance.
 
     Up to 8 groups of flights are held out in turn, or 4 blocks of fewer than 3 flights. Rows are in the order of the
-    log, so a block is a continuous part of a flight, and predicting it resembles predicting another flight. The
-    marginal likelihood cannot replace this comparison: it explains residuals that are correlated over seconds as
-    structure.
+    log, so predicting a block resembles predicting another flight. The marginal likelihood cannot replace this
+    comparison: it explains residuals that are correlated over seconds as structure.
 
     Parameters
     ----------

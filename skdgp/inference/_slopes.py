@@ -1,9 +1,10 @@
-r"""Slopes of polynomials of the same samples, whose errors are estimated block by block.
+"""Errors of slopes that the standard deviations of a posterior do not contain, estimated from polynomials.
 
-A posterior states the scatter of its slopes for the noise and the widths that were learned. It does not contain that
-errors of neighbouring samples and of different outputs are correlated, nor what the widths hide: gusts flatten slopes
-where the motion is small, and curvature bends those of a simple function. Polynomials of first and second order of all
-samples, and of first order of the quiet half of them, err in other ways, so their differences show this.
+A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
+neighbouring samples and of different outputs are correlated, and the widths may be wrong: gusts flatten slopes where
+the motion is small, and functions that are too simple average the curvature. Polynomials of first and second
+order of all samples, and of first order of the half with the smallest motion, have other errors. Their differences show
+how large such errors are.
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix
 from skdgp.inference._compact import observed_values
 
-BLOCKS = 60  # of the log, which are independent of each other
+BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
-FEWEST = 5  # samples for each weight of a polynomial
-QUIET = 0.5  # share of the samples
+FEWEST = 5  # smallest number of samples for each weight of a polynomial
+QUIET = 0.5  # share of the samples, those nearest to the mean, of the quiet polynomial
 
 
 class SlopeErrors(NamedTuple):
     """Errors of slopes at points (n, d): sums of the last axis times independent standard normal numbers."""
 
     random: Array
-    """What other noise would change, correlated between samples and between outputs, (n, P, d, n_blocks)."""
+    """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks)."""
     method: Array
-    """What other methods find: their scatter about their mean, (n, P, d, n_methods)."""
+    """Differences of the posterior and each polynomial from their mean, (n, P, d, n_methods)."""
     white: Array
     """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
     n_samples: int
@@ -40,12 +41,12 @@ class SlopeErrors(NamedTuple):
         return SlopeErrors(random, method, self.white * factor, self.n_samples)
 
     def take(self, outputs: Any) -> SlopeErrors:
-        """Return those of some outputs."""
+        """Return the errors of some outputs."""
         return SlopeErrors(self.random[:, outputs], self.method[:, outputs], self.white[:, outputs], self.n_samples)
 
 
 def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
-    r"""Return the errors of the slopes of a posterior at X (n, d), or None without samples enough.
+    r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 
     The polynomial of highest order has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
     and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
@@ -66,7 +67,7 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
 
 
 def _common(slopes):
-    """Return the slopes of each method that all outputs have, (n, P, d) each."""
+    """Return the slopes of each polynomial that all outputs have, (n, P, d) each."""
     return [np.stack(of_outputs, axis=1) for of_outputs in zip(*slopes, strict=False)]
 
 

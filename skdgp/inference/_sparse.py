@@ -1,7 +1,7 @@
 """Sparse inference by the collapsed variational bound.
 
-The bound of Titsias (2009) with inter-domain features (Alvarez et al. 2010). With the covariance Kuu of the features,
-the covariance Kfu of values and features, and the noise S, the bound is
+Features are inducing variables u (Alvarez et al. 2010), see ``skdgp.kernels._features``. With their covariance Kuu, the
+covariance Kfu of values and features, and the noise S, the bound of Titsias (2009) is
 
     log N(y | 0, Kfu Kuu^-1 Kuf + S) - 1/2 tr S^-1 (Kff - Kfu Kuu^-1 Kuf).
 

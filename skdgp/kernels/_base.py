@@ -147,7 +147,7 @@ class MultiOutputKernel(Kernel):
         return self
 
     def prepared(self, X: Matrix) -> MultiOutputKernel:
-        """Return the kernel with those parts that depend only on the inputs (n, d) of all samples; values stay open."""
+        """Return the kernel with all that depends only on the inputs (n, d), such as a fitted transformer."""
         return self
 
     def coarse(self) -> MultiOutputKernel:
@@ -165,7 +165,7 @@ class MultiOutputKernel(Kernel):
         return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
-        """Return the part of Y (n, P) from which the other terms of a sum estimate their starting values."""
+        """Return the part of Y (n, P) from which the other terms of a sum are initialized, by default all of it."""
         return Y
 
     def stationary_part(self) -> MultiOutputKernel | None:

@@ -1,4 +1,7 @@
-"""Inducing features of sparse inference: finitely many variables that represent the processes."""
+"""Inducing variables of sparse inference: finitely many variables that represent the processes.
+
+They are called features. Columns of X, which scikit-learn calls features, are called regressors.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels._paths import FeaturePaths, PathBundle, TrendPaths, joint_paths
 from skdgp.kernels._strips import ExponentialRows
 
-JITTER = 1e-6
-"""Variance of white noise in the inducing variables, over their variance. It is part of their definition, so the bound
-remains a bound."""
+JITTER = 1e-6  # variance of white noise in the inducing variables, over their variance; the bound remains a bound
 CANDIDATES = 2400  # candidates of each latent in a ranking
 CLUSTERED = 5000  # largest number of samples for k-means
 NEGLIGIBLE = 1e-6  # residual variance at which a ranking stops, relative to the required accuracy

@@ -59,6 +59,7 @@ PIPELINES = {
     "trend": ('the same, structure="trend"', {}, {STRUCTURE: "trend"}),
     "joint": ('the same, structure="joint"', {}, {STRUCTURE: "joint"}),
     "additive": ('the same, structure="additive"', {}, {STRUCTURE: "additive"}),
+    "classical": ('the same, regressors="classical"', {"regressors": "classical"}, {}),
     "no_reconstruction": ('the same, reconstruction="passthrough"', {"reconstruction": "passthrough"}, {}),
 }
 PEERS = ("ols_all", "stepwise2_all", "trees_trend", "gp_trend")

@@ -194,7 +194,10 @@ def samples_of(regressor, before, X):
     if X is not None:
         return regressor._check_regressors(X if before is None else before.transform(X))
     if regressor.inference_ == "compact":
-        raise ValueError("Got a compact model, which holds no samples. Give X, samples of the flown envelope.")
+        raise ValueError(
+            "Got a compact model, which holds no samples. Give X, samples of the flown envelope, or the model before "
+            "compact()."
+        )
     return training_inputs(regressor.posterior_)
 
 

@@ -33,6 +33,7 @@ SCRIPTS = (
     "sportcub",
     "study",
     "closed_loop",
+    "real",
 )
 
 

@@ -263,8 +263,9 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     quantum = np.quantile(steps, 0.01)
     bend = np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps) if len(steps) > 1 else np.inf
     stuck = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_HOLD)
+    stuck &= ~(leap <= 3 * quantum)  # a channel that turns back repeats its value, and leaves it by one quantum
     if bend < SMOOTH or np.median(steps) <= MISSING * quantum:
-        stuck &= leap > max(3 * quantum, np.quantile(steps, 0.99))
+        stuck &= leap > np.quantile(steps, 0.99)
     return [rows[first + 1 : first + n] for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)]
 
 

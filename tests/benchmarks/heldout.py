@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from _common import finish, parser_of, use_torch_threads
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
@@ -71,10 +72,12 @@ class Task(NamedTuple):
 
 
 def flights(folder, aircraft="viggen_uav", train="train_latlon", test="test_twoalt"):
-    """Return the task of learning one flight and predicting another."""
+    """Return the task of learning a flight, or a list of flights, and predicting another."""
     folder = Path(folder) / "flights"
     craft = Aircraft.from_json(folder / f"{aircraft}.json")
-    train, test = (read_flight(folder / f"{aircraft}_{part}.parquet") for part in (train, test))
+    parts = [train] if isinstance(train, str) else train
+    read = {part: read_flight(folder / f"{aircraft}_{part}.parquet") for part in (*parts, test)}
+    train, test = pd.concat([read[part].assign(flight=part) for part in parts], ignore_index=True), read[test]
     targets = aerodynamic_coefficients(train, craft)
     pipeline = make_identification_pipeline(craft)[:-1]
     X, Xt = np.asarray(pipeline.fit_transform(train)), np.asarray(pipeline.transform(test))

@@ -24,26 +24,31 @@ from skdgp.identification._pipeline import default_regressor
 
 SIZES = (2000, 14400, 144000)
 DENSER = 5
+RATE = 40.0  # Hz
 
 
 def table(folder, n):
-    """Return regressors, targets and times of n samples, and the task that scores a model of them."""
-    task = flights(folder)
-    X, Y, time_ = task.X, task.Y, np.arange(len(task.X)) / 40.0
-    if n > len(X):
-        other = flights(folder, train="train_lateral")
-        X, Y = np.concatenate([X, other.X]), np.concatenate([Y, other.Y])
-        known = np.isfinite(Y).all(axis=1)
-        place = np.arange(DENSER * len(X)) / DENSER
-        X, Y = (np.column_stack([np.interp(place, np.flatnonzero(known), v[known]) for v in part.T]) for part in (X, Y))
-        time_ = place / 40.0
-    return X[:n], Y[:n], time_[:n], task
+    """Return regressors, targets, times and flights of n samples, and the task that scores a model of them."""
+    if n <= len((task := flights(folder)).X):
+        return task.X[:n], task.Y[:n], np.arange(n) / RATE, np.zeros(n), task
+    task = flights(folder, train=["train_latlon", "train_lateral"])
+    parts = [dense(*part) for part in zip(np.split(task.X, 2), np.split(task.Y, 2), strict=True)]
+    X, Y, time_ = map(np.concatenate, zip(*parts, strict=True))
+    return X, Y, time_, np.repeat([0, 1], len(X) // 2), task
 
 
-def fitted(method, X, Y, time_):
+def dense(X, Y):
+    """Return regressors, targets and times at five times the rate, by linear interpolation."""
+    known = np.isfinite(Y).all(axis=1)
+    place = np.arange(DENSER * len(X)) / DENSER
+    X, Y = (np.column_stack([np.interp(place, np.flatnonzero(known), v[known]) for v in part.T]) for part in (X, Y))
+    return X, Y, place / RATE
+
+
+def fitted(method, X, Y, time_, flight):
     """Return a function that predicts coefficients."""
     if method == "ours":
-        return default_regressor(random_state=0).fit(X, Y, time=time_).predict
+        return default_regressor(random_state=0).fit(X, Y, time=time_, flight=flight).predict
     known = np.isfinite(Y).all(axis=1)
     model = OnTrend(trees() if method == "trees" else SparseLCM())
     return model.fit(X[known], Y[known]).predict
@@ -51,12 +56,12 @@ def fitted(method, X, Y, time_):
 
 def one(folder, method, n):
     """Return the row of one method and size."""
-    X, Y, time_, task = table(folder, n)
+    X, Y, time_, flight, task = table(folder, n)
     taken, models = [], []
 
     def fit():
         start = time.perf_counter()
-        models.append(fitted(method, X, Y, time_))
+        models.append(fitted(method, X, Y, time_, flight))
         taken.append(time.perf_counter() - start)
 
     memory = extra_memory(fit)

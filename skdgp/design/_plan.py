@@ -1,10 +1,10 @@
-"""The next flight: manoeuvres that teach most about chosen derivatives, and stay in an envelope."""
+"""The next flight: manoeuvres that teach most about a goal, and stay in an envelope."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal, NamedTuple, cast
 
@@ -15,11 +15,12 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
-from skdgp._compute.typing import Matrix, Seed
+from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
 from skdgp.design._envelope import QUANTITIES, Envelope, quantities, with_band
+from skdgp.design._goals import FREE_FLIGHT, FUNCTION, goal_weights, weighted_error
 from skdgp.design._information import (
     Information,
     coefficient_noise,
@@ -56,6 +57,8 @@ MARGIN = 1.5
 """Standard deviations, by gusts and posterior, that are left to the envelope where a scale is predicted."""
 SHRINK, LEAST = 0.85, 0.2
 """Factor by which a manoeuvre is made smaller until it is safe, and the least scale."""
+INFORMED = 8
+"""Flights in gusts whose mean information is that of a manoeuvre."""
 VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
 
@@ -71,7 +74,7 @@ class Plan:
     trims : tuple of Trim
         Where each wavetrain begins, and to which the aircraft is returned before each manoeuvre.
     goal : tuple of str
-        Names of derivatives, such as ``Cm_q``.
+        Names of derivatives, such as ``Cm_q``, "function", "free-flight".
     before, after : Information
         About the derivatives, without and with the plan.
     manoeuvres : DataFrame
@@ -91,6 +94,8 @@ class Plan:
     limits : DataFrame
         ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
+    weights : dict of str to ndarray (P, 1 + d, 1 + d)
+        Of covariances, for the goals "function" and "free-flight".
     """
 
     trains: tuple[Wavetrain, ...]
@@ -104,11 +109,12 @@ class Plan:
     parts: tuple[Information, ...]
     limits: pd.DataFrame
     aircraft: Aircraft
+    weights: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def errors(self) -> pd.DataFrame:
         """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known."""
-        columns = {"before": errors_of(self.before), "after": errors_of(self.after)}
+        columns = {name: errors_of(getattr(self, name), self.weights) for name in ("before", "after")}
         return pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
 
     def inputs(self, k: int) -> dict[str, Signal]:
@@ -141,6 +147,7 @@ class Plan:
             for k, (_, one) in enumerate(self.flight.groupby("flight"))
         ]
         return {
+            "curvature": self.after.fisher.shape[1] > 1 + len(self.before.regressors),
             "aircraft": self.aircraft.to_dict(),
             "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
             "at": dict(zip(self.before.regressors, np.mean(starts, axis=0).tolist(), strict=True)),
@@ -149,6 +156,7 @@ class Plan:
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),
             "confounded": self.confounded.to_dict("records"),
+            "weights": {name: value.tolist() for name, value in self.weights.items()},
             "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
         }
 
@@ -174,17 +182,19 @@ def plan(
     known: Information | None = None,
     noise: pd.DataFrame | Mapping[str, float] | None = None,
     bands: pd.DataFrame | None = None,
+    curvature: bool = True,
     pause: float = 3.0,
     rate: float = 50.0,
     n_paths: int = 60,
     thrust: Any = "auto",
     random_state: Seed = 0,
 ) -> Plan:
-    r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
+    r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
 
     The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
-    Each is simulated from a trim with the mean of the model. Its information (`expected_information`) adds to what is
-    known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the standard
+    Each is simulated from a trim with the mean of the model. Its information (`expected_information`, curvature about the
+    trims unknown) adds to what is known; in gusts, which move the aircraft too, it is the mean over several flights.
+    Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the standard
     errors of the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
@@ -206,7 +216,10 @@ def plan(
     axes : sequence of str
         Controls to move, such as ``["elevator", "aileron", "rudder"]``.
     goal : sequence of str, optional
-        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional. By default all.
+        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional; "function": the
+        error of the six coefficients over the flown range of the regressors, each in units of its spread there;
+        "free-flight": the deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all
+        derivatives.
     limits : mapping of str to Limits or float, optional
         Of the axes; by default the deviation from trim that the model was learned from.
     envelope : Envelope, optional
@@ -224,6 +237,9 @@ def plan(
         As for `expected_information`; by default `coefficient_noise` of the model.
     bands : DataFrame, optional
         As `input_bands` returns, for a model without recognisable modes.
+    curvature : bool, default=True
+        Whether the coefficients have unknown curvature, which the flight must tell from the derivatives too. False: they
+        are linear.
     pause : float, default=3.0
         After each manoeuvre [s]; the response in it counts.
     rate : float, default=50.0
@@ -242,8 +258,8 @@ def plan(
     Raises
     ------
     ValueError
-        If there is no trim, the trim has not an axis, the model has not a regressor of the goal, no manoeuvre fits into
-        the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
+        If there is no trim, the trim has not an axis, the model has not a regressor of the goal or did not see it move,
+        no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
 
     Warns
     -----
@@ -270,7 +286,7 @@ def plan(
     """
     planner = _Planner(
         as_aerodynamics(model), model, aircraft, envelope or Envelope(), pause, rate, n_paths, gusts, thrust,
-        int(check_random_state(random_state).randint(2**31 - 1)),
+        int(check_random_state(random_state).randint(2**31 - 1)), curvature,
     )  # fmt: skip
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
@@ -328,6 +344,7 @@ class _Planner:
     gusts: Any
     thrust: Any
     seed: int
+    curvature: bool = True
 
     def plan(self, airspeeds, seconds, axes, goal, limits, altitude, banks, known, noise, bands) -> Plan:
         """Return the plan: see `plan`."""
@@ -343,7 +360,7 @@ class _Planner:
         self._check_paths()
         self.seconds, self.noise, self.axes = float(seconds), noise_table(noise), list(axes)
         self.coefficients = list(map(str, self.noise.index))
-        self.goal = self._checked_goal(goal)
+        self._check_goal(goal)
         notify("planning: trims", 0, 0.0)
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
         self.trims = [
@@ -355,7 +372,16 @@ class _Planner:
             check_names(self.axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(limits)
         self.holds = [self._checked_hold(at) for at in range(len(self.trims))]
-        self.before = self._known(known, [hold.flight for hold in self.holds])
+        names = self.aerodynamics.regressors
+        starts = [regressors_of(hold.flight, self.aircraft, names)[0] for hold in self.holds]
+        self.before = self._known(known, np.mean(starts, axis=0))
+        self.about = np.mean(starts, axis=0) if self.curvature else None
+        self.weights = {
+            name: goal_weights(name, self.aerodynamics, self.aircraft, self.trims, self.coefficients, self.thrust)
+            for name in (FUNCTION, FREE_FLIGHT)
+            if name in self.goal_names
+        }
+        self.goal = np.stack([self._weights_of(name).ravel() for name in self.goal_names])
         library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
         if not library:
             raise ValueError(
@@ -363,7 +389,9 @@ class _Planner:
                 "flown: give more seconds, a shorter pause or smaller limits."
             )
         peaks = [np.einsum("pdd->pd", one.information.fisher) for one in library.values()]
-        self.vague = VAGUE * np.stack([np.diag(row) for row in np.max(peaks, axis=0)])
+        peak = np.max(peaks, axis=0)
+        self.vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
+        self.vague += (self._nothing(self.vague) + self.before).fisher
         return self._plan_of(*self._searched(library))
 
     def _check_paths(self) -> None:
@@ -373,23 +401,45 @@ class _Planner:
                 f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
             )
 
-    def _checked_goal(self, goal: Sequence[str] | None) -> list[tuple[int, int]]:
-        """Return coefficient and regressor of each derivative."""
-        short = [name.removesuffix(HAT) for name in self.aerodynamics.regressors]
-        known = {
+    def _check_goal(self, goal: Sequence[str] | None) -> None:
+        """Find the names of the goal; raise ValueError if the model cannot tell of them."""
+        model = self.aerodynamics
+        short = [name.removesuffix(HAT) for name in model.regressors]
+        self.derivatives = {
             f"{coefficient}_{name}": (i, 1 + k)
             for i, coefficient in enumerate(self.coefficients)
             for k, name in enumerate(short)
         }
-        self.goal_names = tuple(known if goal is None else goal)
-        lacking = [name for name in self.goal_names if name not in known]
-        if lacking or not self.goal_names:
+        self.goal_names = tuple(self.derivatives if goal is None else goal)
+        lacking = [name for name in self.goal_names if name not in {*self.derivatives, FUNCTION, FREE_FLIGHT}]
+        if lacking or not self.goal_names or isinstance(goal, str):
             raise ValueError(
-                f"Got the goal {lacking or goal}, but the model has the coefficients {self.coefficients} and the "
-                f"regressors {short}: name derivatives such as {next(iter(known))!r}, or learn a model with that "
-                "regressor."
+                f"Got the goal {lacking or goal!r}, but the model has the coefficients {self.coefficients} and the "
+                f"regressors {short}: give a list of {FUNCTION!r}, {FREE_FLIGHT!r} or derivatives such as "
+                f"{next(iter(self.derivatives))!r}, or learn a model with that regressor."
             )
-        return [known[name] for name in self.goal_names]
+        still = np.zeros(len(short), bool) if model.limits is None else np.ptp(model.limits, axis=0) == 0
+        unknown = [name for name in goal or () if name in self.derivatives and still[self.derivatives[name][1] - 1]]
+        if unknown:
+            raise ValueError(
+                f"Got the goal {unknown}, but {short[self.derivatives[unknown[0]][1] - 1]} did not move in the flights "
+                "that the model was learned from, so it knows nothing of its effect: learn from a flight in which it "
+                "moves, or ask for other derivatives."
+            )
+
+    def _weights_of(self, name: str) -> Array:
+        """Return weights of the covariances whose sum is the variance of a goal."""
+        if name in self.weights:
+            return self.weights[name]
+        i, k = self.derivatives[name]
+        n = 1 + len(self.aerodynamics.regressors)
+        found = np.zeros((len(self.coefficients), n, n))
+        found[i, k, k] = 1.0
+        return found
+
+    def _nothing(self, fisher: Array) -> Information:
+        """Return no information, in the shape of some."""
+        return Information(np.zeros(fisher.shape), tuple(self.coefficients), tuple(self.aerodynamics.regressors))
 
     def _checked_limits(self, limits: Mapping[str, Limits | float] | None) -> dict[str, Limits]:
         """Return the limits of the axes; by default what the model was learned from."""
@@ -469,16 +519,26 @@ class _Planner:
             return float(n_left), causes
         return (n_left + 1) / (self.n_paths + 2), causes
 
-    def _known(self, known: Information | None, holds: list[pd.DataFrame]) -> Information:
+    def _known(self, known: Information | None, at: Array) -> Information:
         """Return the information before the flight."""
-        names, d = self.aerodynamics.regressors, len(self.aerodynamics.regressors)
-        nothing = Information(np.zeros((len(self.coefficients), 1 + d, 1 + d)), tuple(self.coefficients), tuple(names))
+        n = 1 + len(self.aerodynamics.regressors)
+        nothing = self._nothing(np.zeros((len(self.coefficients), n, n)))
         if known is not None:
             return nothing + known  # which checks names
         if not self.aerodynamics.is_uncertain:
             return nothing
-        at = np.mean([regressors_of(one, self.aircraft, names)[0] for one in holds], axis=0)
         return posterior_information(self.model, at, self.coefficients)
+
+    def _information(self, flight: pd.DataFrame, paths: pd.DataFrame | None) -> Information:
+        """Return the information of a manoeuvre: of the mean flight, or the mean of those of several in gusts."""
+        flown = [flight]
+        if paths is not None:
+            parts = [one for _, one in paths.groupby("flight", sort=False, observed=True)][:INFORMED]
+            flown = [one for one in parts if (one["ended"] == "").all()] or flown
+        table = pd.concat([one.assign(flight=k) for k, one in enumerate(flown)], ignore_index=True)
+        names = self.aerodynamics.regressors
+        found = expected_information(table, self.aircraft, names, self.noise, about=self.about)
+        return replace(found, fisher=found.fisher / len(flown))
 
     def _bands(self, at: int, bands: pd.DataFrame | None) -> pd.DataFrame:
         """Return widths and frequencies of the inputs of a trim."""
@@ -534,8 +594,12 @@ class _Planner:
                 scales[name] = float(np.clip(factor * self.holds[at].room(self._channels(flight)), LEAST, 1.0))
         found = []
         scaled = {name: _scaled(named[name], scale) for name, scale in scales.items()}
-        for name, flight in self._flights(at, scaled).items():
-            information = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        flights, paths = self._flights(at, scaled), {}
+        if self.gusts is not None and self.aerodynamics.is_uncertain and flights:
+            options = self._draws() | {"n_paths": INFORMED}
+            paths = dict(zip(flights, self._flown_by(at, [scaled[name] for name in flights], **options), strict=True))
+        for name, flight in flights.items():
+            information = self._information(flight, paths.get(name))
             label = self._label(at) + name
             found.append(_Manoeuvre(label, at, scaled[name], lasting[name], information, flight, scales[name]))
         return found
@@ -548,13 +612,15 @@ class _Planner:
         return {name: flight for name, flight in flown if (flight["ended"] == "").all()}
 
     def _gain(self, chosen: Sequence[_Manoeuvre]) -> float:
-        """Return the mean of minus the logarithm of the standard errors of the goal."""
-        fisher = self.before.fisher + self.vague
+        """Return the mean of minus the logarithm of the errors of the goal."""
+        fisher = self.vague
         for one in chosen:
             fisher = fisher + one.information.fisher
         scale = np.sqrt(np.einsum("pdd->pd", fisher))
-        inverse = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])
-        return float(-np.mean([0.5 * np.log(inverse[i, k, k]) - np.log(scale[i, k]) for i, k in self.goal]))
+        n = 1 + len(self.aerodynamics.regressors)
+        covariance = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])[:, :n, :n]
+        covariance = covariance / scale[:, :n, None] / scale[:, None, :n]
+        return float(-0.5 * np.mean(np.log(self.goal @ covariance.ravel())))
 
     def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
         flights = len({one.at for one in chosen})
@@ -629,7 +695,7 @@ class _Planner:
             return None, causes
         inputs = _scaled(one.inputs, best / one.scale)
         flight = self._flown_by(one.at, [inputs])[0]
-        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        found = self._information(flight, None if self.gusts is None else best_paths)
         if not self.aerodynamics.is_uncertain:
             best_risk = np.nan
         else:
@@ -666,6 +732,7 @@ class _Planner:
             self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
+            self.weights,
         )  # fmt: skip
 
 
@@ -673,8 +740,9 @@ def _scaled(inputs: Mapping[str, Signal], factor: float) -> dict[str, Signal]:
     return {axis: signal.scaled(factor) for axis, signal in inputs.items()}
 
 
-def errors_of(information: Information) -> pd.Series:
-    """Return standard errors by the names of derivatives."""
+def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
+    """Return standard errors by the names of derivatives, and of goals by their weights."""
     errors = information.std
     names = [f"{i}_{name.removesuffix(HAT)}" for i in errors.index for name in errors.columns]
-    return pd.Series(errors.to_numpy(float).ravel(), index=names)
+    others = {name: weighted_error(information, value) for name, value in (weights or {}).items()}
+    return pd.concat([pd.Series(errors.to_numpy(float).ravel(), index=names), pd.Series(others, dtype=float)])

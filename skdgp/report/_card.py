@@ -343,8 +343,8 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
 def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
     """Return in words the derivatives of the goal whose errors these manoeuvres alone reduce most."""
     goal = list(plan.goal)
-    before = errors_of(plan.before)[goal]
-    after = errors_of(sum((plan.parts[k] for k in rows), plan.before))[goal]
+    before = errors_of(plan.before, plan.weights)[goal]
+    after = errors_of(sum((plan.parts[k] for k in rows), plan.before), plan.weights)[goal]
     left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
     shown = [
         f"{percent(left[name], '.0f')}{THIN}% of that of {_derivative(name)}"

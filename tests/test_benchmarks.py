@@ -33,6 +33,8 @@ SCRIPTS = (
     "sportcub",
     "study",
     "closed_loop",
+    "standard_errors",
+    "goals",
 )
 
 

@@ -10,6 +10,7 @@ from scipy.linalg import expm
 
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.frames import euler_per_rotation
 from skdgp.design._information import Information
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim
 from skdgp.dynamics._control.linearize import ANGLES, TURN, jacobian
@@ -59,7 +60,8 @@ def _growth(model: Aerodynamics, aircraft: Aircraft, point: Trim, thrust: Any) -
     system = np.zeros((18, 18))
     system[:12] = np.column_stack([found.state, found.coefficients])
     moved = expm(system * HORIZON)[:12, 12:]
-    angles = np.concatenate([found.outputs_state[ANGLES] @ moved, moved[TURN][:2]])
+    euler = euler_per_rotation(point.phi, point.theta) @ moved[TURN]
+    angles = np.concatenate([found.outputs_state[ANGLES] @ moved, euler[:2]])
     return (angles**2).mean(axis=0)
 
 

@@ -121,9 +121,9 @@ def expected_information(
     filter (Klein & Morelli, Aircraft System Identification, 2006, chapters 5 and 9). Sensor errors of the regressors
     are not included.
 
-    With ``about``, a coefficient also has unknown curvature: all products of two of x - ``about``. Errors are then those
-    of the derivatives at this point by a polynomial of second order. In a flight that leaves the trim far behind, as
-    manoeuvres in gusts do, errors of a linear function depend on curvature and are larger than predicted.
+    With ``about``, a coefficient also has unknown curvature: all products of two of x - ``about``. Errors are then
+    those of the derivatives at this point by a polynomial of second order. Where manoeuvres and gusts take the aircraft
+    far from the trim, derivatives of a linear function scatter with the curvature, more than predicted.
 
     Parameters
     ----------

@@ -57,8 +57,6 @@ MARGIN = 1.5
 """Standard deviations, by gusts and posterior, that are left to the envelope where a scale is predicted."""
 SHRINK, LEAST = 0.85, 0.2
 """Factor by which a manoeuvre is made smaller until it is safe, and the least scale."""
-INFORMED = 8
-"""Flights in gusts whose mean information is that of a manoeuvre."""
 VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
 
@@ -192,10 +190,9 @@ def plan(
     r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
 
     The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
-    Each is simulated from a trim with the mean of the model. Its information (`expected_information`, curvature about the
-    trims unknown) adds to what is known; in gusts, which move the aircraft too, it is the mean over several flights.
-    Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the standard
-    errors of the goal; then each is exchanged while that helps.
+    Each is simulated from a trim with the mean of the model. Its information (`expected_information`, with unknown
+    curvature about the trims) adds to what is known. Manoeuvres are chosen one by one for the largest reduction per
+    second of the mean logarithm of the errors of the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
     envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large as limits
@@ -238,8 +235,8 @@ def plan(
     bands : DataFrame, optional
         As `input_bands` returns, for a model without recognisable modes.
     curvature : bool, default=True
-        Whether the coefficients have unknown curvature, which the flight must tell from the derivatives too. False: they
-        are linear.
+        Whether coefficients have unknown curvature, from which the flight must tell the derivatives. False: they are
+        linear.
     pause : float, default=3.0
         After each manoeuvre [s]; the response in it counts.
     rate : float, default=50.0
@@ -529,16 +526,9 @@ class _Planner:
             return nothing
         return posterior_information(self.model, at, self.coefficients)
 
-    def _information(self, flight: pd.DataFrame, paths: pd.DataFrame | None) -> Information:
-        """Return the information of a manoeuvre: of the mean flight, or the mean of those of several in gusts."""
-        flown = [flight]
-        if paths is not None:
-            parts = [one for _, one in paths.groupby("flight", sort=False, observed=True)][:INFORMED]
-            flown = [one for one in parts if (one["ended"] == "").all()] or flown
-        table = pd.concat([one.assign(flight=k) for k, one in enumerate(flown)], ignore_index=True)
-        names = self.aerodynamics.regressors
-        found = expected_information(table, self.aircraft, names, self.noise, about=self.about)
-        return replace(found, fisher=found.fisher / len(flown))
+    def _information(self, flight: pd.DataFrame) -> Information:
+        """Return what a simulated flight will tell."""
+        return expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise, about=self.about)
 
     def _bands(self, at: int, bands: pd.DataFrame | None) -> pd.DataFrame:
         """Return widths and frequencies of the inputs of a trim."""
@@ -594,12 +584,8 @@ class _Planner:
                 scales[name] = float(np.clip(factor * self.holds[at].room(self._channels(flight)), LEAST, 1.0))
         found = []
         scaled = {name: _scaled(named[name], scale) for name, scale in scales.items()}
-        flights, paths = self._flights(at, scaled), {}
-        if self.gusts is not None and self.aerodynamics.is_uncertain and flights:
-            options = self._draws() | {"n_paths": INFORMED}
-            paths = dict(zip(flights, self._flown_by(at, [scaled[name] for name in flights], **options), strict=True))
-        for name, flight in flights.items():
-            information = self._information(flight, paths.get(name))
+        for name, flight in self._flights(at, scaled).items():
+            information = self._information(flight)
             label = self._label(at) + name
             found.append(_Manoeuvre(label, at, scaled[name], lasting[name], information, flight, scales[name]))
         return found
@@ -695,7 +681,7 @@ class _Planner:
             return None, causes
         inputs = _scaled(one.inputs, best / one.scale)
         flight = self._flown_by(one.at, [inputs])[0]
-        found = self._information(flight, None if self.gusts is None else best_paths)
+        found = self._information(flight)
         if not self.aerodynamics.is_uncertain:
             best_risk = np.nan
         else:

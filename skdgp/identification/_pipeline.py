@@ -412,7 +412,7 @@ def flight_noise(
     r"""Return the noise of measured coefficients before any smoothing: what decides the errors of derivatives.
 
     Residuals of smoothed channels are too small. A smoother of several channels removes the noise in which they differ;
-    what resembles the motion stays, and has its full effect on the derivatives. So these are the residuals of unsmoothed
+    what resembles the motion stays, and has its full effect on the derivatives. So these are residuals of unsmoothed
     coefficients and regressors, averaged over ``step``; the function is the polynomial of second order of the smoothed
     ones. Rates of change, such as ``alpha_dot``, stay smoothed.
 
@@ -452,12 +452,11 @@ def flight_noise(
     smooth, _ = flight_regressors(pipeline, flights)
     table = flights
     for _, one in pipeline.steps[:-1]:
-        if one in (None, "passthrough") or isinstance(one, FlightPathReconstruction):
+        if one in (None, "passthrough"):
             continue
         seen = one.transform(table)
-        if isinstance(one, FlightSmoother):
-            rates = {name: seen[name] for name in seen if str(name).endswith("_dot")}
-            seen = clone(one).set_params(cutoff=None).fit_transform(table).assign(**rates)
+        if isinstance(one, FlightPathReconstruction | FlightSmoother):
+            seen = seen.assign(**{name: table[name] for name in table if name in seen})  # as measured
         table = seen
     targets, measured = (
         aerodynamic_coefficients(flights, aircraft, cutoff=cutoff, **loads) for cutoff in ("auto", None)

@@ -11,8 +11,8 @@ squares; predicted is their standard error, found their standard deviation. Colu
     predicted / found, within 25 %
                   quantiles over the 48 derivatives, and their share with a ratio of .75 to 1.25
     predicted with
-                  the noise of the model's residuals, no curvature and still air; then with one part of what `plan` does
-                  after another
+                  the noise of the model's residuals; that before smoothing; unknown curvature too, as `plan` does; and
+                  regressors of flights in gusts, each manoeuvre without the pause after it
 
 An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.
 """
@@ -26,18 +26,19 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from _closed_loop_flights import AXES, SUBJECTS, Subject, exploratory, sortie
+import pandas as pd
+from _closed_loop_flights import AXES, PAUSE, SUBJECTS, Subject, exploratory, sortie
 from _common import finish, parser_of
 from closed_loop import ENVELOPE, REGRESSORS, _manoeuvres, learned, rows_of, seen
 from sklearn.preprocessing import PolynomialFeatures
 from study import kept
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import Information, coefficient_noise, expected_information, plan
-from skdgp.dynamics import SimulationWarning
+from skdgp.design import Information, Plan, coefficient_noise, expected_information, plan
+from skdgp.dynamics import SimulationWarning, simulate
 from skdgp.identification import flight_noise
 
-SECONDS, EVERY = 60.0, 2
+SECONDS, EVERY, DRAWS = 60.0, 2, 8
 AIR = ("calm", "moderate")
 GROWTH = (0.5, 1.0, 2.0)
 """Of the envelope: the first of these that gusts alone do not leave."""
@@ -67,13 +68,30 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
         rows.append(rows_of(seen(log, [0, 1, k]), subject)[1:])
     still = partial(expected_information, found.flight, subject.aircraft, REGRESSORS)
     predicted = {
-        "residuals, linear, still air": still(coefficient_noise(model)),
+        "residuals of the model": still(coefficient_noise(model)),
         "noise before smoothing": still(noise),
-        "and curvature": still(noise, about=about),
-        "and gusts: plan": found.after,
+        "and curvature (plan)": found.after,
+        "and gusts": in_gusts(model, found, subject, noise, about),
     }
     errors = {name: one.std.to_numpy() for name, one in predicted.items()}
     return {"predicted": errors, "found": scatter(rows, about), "manoeuvres": found.manoeuvres, "growth": growth}
+
+
+def in_gusts(model: Any, found: Plan, subject: Subject, noise: pd.DataFrame, about: np.ndarray) -> Information:
+    """Return the information of a plan that aircraft drawn from the posterior fly in gusts, mean over `DRAWS`."""
+    point, parts = found.trims[0], []
+    for k, row in found.manoeuvres.iterrows():
+        train = sortie([found.inputs(k)]).train
+        table = train.table(40.0, trim=point.controls, pause=PAUSE)
+        table = table[table["time"] >= PAUSE - 1e-9].assign(time=lambda one: one["time"] - PAUSE)
+        parts.append(simulate(
+            model, subject.aircraft, point, table, 0.04, duration=float(row["duration"]), n_paths=DRAWS,
+            gusts="as flown", random_state=k,
+        ).assign(part=k))  # fmt: skip
+    flown = pd.concat(parts)
+    flown = flown[flown["ended"] == ""].assign(flight=lambda one: one["flight"].astype(str) + one["part"].astype(str))
+    told = expected_information(flown, subject.aircraft, REGRESSORS, noise, about=about)
+    return replace(told, fisher=told.fisher / DRAWS)
 
 
 def scatter(rows: list[Any], about: np.ndarray) -> np.ndarray:
@@ -91,7 +109,7 @@ def toy() -> dict[str, Any]:
     rng = np.random.default_rng(0)
     basis = rng.standard_normal((20, 400, 8))
     rows = [(X, X @ rng.standard_normal((8, 6)) + 0.1 * rng.standard_normal((400, 6))) for X in basis]
-    return {"predicted": {"and gusts: plan": np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
+    return {"predicted": {"and curvature (plan)": np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
 
 
 def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -109,7 +127,7 @@ def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
 
 def each(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each coefficient: predicted / found standard errors of each derivative."""
-    predicted = found["predicted"]["and gusts: plan"]
+    predicted = found["predicted"]["and curvature (plan)"]
     return [
         {"aircraft": name, "air": air, "coefficient": one}
         | {key: f"{a:.2g} / {b:.2g}" for key, a, b in zip(REGRESSORS, predicted[i], found["found"][i], strict=True)}

@@ -5,7 +5,17 @@ import pandas as pd
 import pytest
 
 from skdgp import listening
-from skdgp.design import Envelope, Information, _plan, doublet, expected_information, plan, posterior_information
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.design import (
+    Envelope,
+    Information,
+    _goals,
+    _plan,
+    doublet,
+    expected_information,
+    plan,
+    posterior_information,
+)
 from skdgp.dynamics import Aerodynamics, Turbulence, simulate, trim
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -155,11 +165,53 @@ def test_ctrl_c_keeps_what_was_checked(model, uav):
     assert found.manoeuvres["name"].nunique() == 1
 
 
+def test_the_goal_decides_what_is_learned_best(model, uav, monkeypatch):
+    """A plan for the function lowers its expected error more than a plan for a derivative, and the reverse."""
+    monkeypatch.setattr(_plan, "WIDTHS", (1.0,))  # few candidates, for time
+    monkeypatch.setattr(_plan, "MULTISINES", ())
+    axes = {"elevator": 0.06, "aileron": 0.06}
+    options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
+    options |= {"seconds": 14.0, "noise": NOISE.set_axis(["Cl", "Cm"]), "curvature": False}
+    plans = {goal: plan(model, uav, **options, goal=[goal]) for goal in ("function", "Cm_q")}
+    weights = plans["function"].weights["function"]
+    errors = pd.DataFrame(
+        {asked: _plan.errors_of(one.after, {"function": weights}) for asked, one in plans.items()}
+    ).loc[["function", "Cm_q"]]
+    assert errors.loc["function", "function"] < 0.99 * errors.loc["function", "Cm_q"]
+    assert errors.loc["Cm_q", "Cm_q"] < 0.99 * errors.loc["Cm_q", "function"]
+    assert plans["function"].errors.loc["function", "after"] == pytest.approx(errors.loc["function", "function"])
+
+
+def test_the_error_of_the_function_is_the_posterior_deviation_over_the_envelope(model, uav):
+    weights = _goals.goal_weights("function", model, uav, [], COEFFICIENTS, None)
+    rows = np.random.default_rng(1).uniform(*model.limits, size=(3000, 8))
+    variance = np.stack([features(rows) ** 2 @ ((SPREAD * row) ** 2 + 1e-8) for row in TABLE])
+    expected = np.sqrt(np.mean(variance.mean(axis=1) / (features(rows) @ TABLE.T).var(axis=0)))
+    known = posterior_information(model, np.zeros(8))
+    assert _goals.weighted_error(known, weights) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
+    """By a coefficient that is off by a constant, after two seconds from the trim."""
+    point, off = trim(model, uav, 20.0), np.eye(6)[k] * 1e-4
+    table = pd.DataFrame({"time": [0.0, 2.0], **{name: [value] * 2 for name, value in point.controls.items()}})
+    ends = [
+        simulate(Aerodynamics(lambda X, more=more: features(X) @ TABLE.T + more, NAMES), uav, point, table, 0.02)
+        for more in (off, -off)
+    ]
+    names = ["alpha", "beta", "phi", "theta"]
+    moved = (ends[0][names].iloc[-1] - ends[1][names].iloc[-1]) / 2e-4
+    found = _goals._growth(model, uav, point, "auto")[k]
+    assert np.sqrt(found) == pytest.approx(np.sqrt((moved**2).mean()), rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
         ({"goal": ["Cm_alpha_dot"]}, "Cm_alpha_dot.*learn a model with that regressor"),
         ({"goal": []}, "Got the goal"),
+        ({"goal": "function"}, "give a list"),
         ({"axes": ["elevator", "flaps"]}, "flaps"),
         ({"limits": {"aileron": 0.1}}, "aileron"),
         ({"seconds": 5.0}, "give more seconds, a shorter pause"),
@@ -185,6 +237,11 @@ def test_limits_are_what_was_flown(model, uav):
         plan(model, uav, **options | {"gusts": "as flown", "airspeeds": 1.0})
     with pytest.raises(ValueError, match="does not say what was flown"):
         plan(Aerodynamics(model.function, NAMES), uav, **options)
+    with pytest.raises(ValueError, match="'function', but the model does not say what was flown"):
+        plan(Aerodynamics(model.function, NAMES), uav, **AXES | {"goal": ["function"], "seconds": 7.0})
+    still = Aerodynamics(model.function, NAMES, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1])
+    with pytest.raises(ValueError, match=r"Cm_beta.*beta did not move in the flights .* knows nothing"):
+        plan(still, uav, **options | {"goal": ["Cm_beta"]})
 
 
 def test_pitch_rate_is_told_from_alpha_dot_in_a_turn(uav, monkeypatch):

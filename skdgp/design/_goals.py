@@ -29,7 +29,8 @@ def envelope_rows(model: Aerodynamics, goal: str) -> Matrix:
         raise ValueError(
             f"Got the goal {goal!r}, but the model does not say what was flown: give an Aerodynamics with limits."
         )
-    return np.random.default_rng(0).uniform(*model.limits, size=(ROWS, len(model.regressors)))
+    low, high = model.limits
+    return low + (high - low) * np.random.default_rng(0).uniform(size=(ROWS, len(low)))
 
 
 def goal_weights(

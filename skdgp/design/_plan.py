@@ -20,7 +20,7 @@ from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
 from skdgp.design._envelope import QUANTITIES, Envelope, quantities, with_band
-from skdgp.design._goals import FREE_FLIGHT, FUNCTION, goal_weights, weighted_error
+from skdgp.design._goals import WHOLE, check_goal, goal_weights, weighted_error
 from skdgp.design._information import (
     Information,
     coefficient_noise,
@@ -357,7 +357,7 @@ class _Planner:
         self._check_paths()
         self.seconds, self.noise, self.axes = float(seconds), noise_table(noise), list(axes)
         self.coefficients = list(map(str, self.noise.index))
-        self._check_goal(goal)
+        self.goal_names = check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
         self.trims = [
@@ -373,12 +373,11 @@ class _Planner:
         starts = [regressors_of(hold.flight, self.aircraft, names)[0] for hold in self.holds]
         self.before = self._known(known, np.mean(starts, axis=0))
         self.about = np.mean(starts, axis=0) if self.curvature else None
-        self.weights = {
-            name: goal_weights(name, self.aerodynamics, self.aircraft, self.trims, self.coefficients, self.thrust)
-            for name in (FUNCTION, FREE_FLIGHT)
-            if name in self.goal_names
-        }
-        self.goal = np.stack([self._weights_of(name).ravel() for name in self.goal_names])
+        weights = goal_weights(
+            self.goal_names, self.aerodynamics, self.aircraft, self.trims, self.coefficients, self.thrust
+        )
+        self.goal = np.stack([value.ravel() for value in weights.values()])
+        self.weights = {name: value for name, value in weights.items() if name in WHOLE}
         library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
         if not library:
             raise ValueError(
@@ -397,42 +396,6 @@ class _Planner:
                 f"Got n_paths={self.n_paths}, too few to show a risk of {self.envelope.risk:g}, but expected at least "
                 f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
             )
-
-    def _check_goal(self, goal: Sequence[str] | None) -> None:
-        """Find the names of the goal; raise ValueError if the model cannot tell of them."""
-        model = self.aerodynamics
-        short = [name.removesuffix(HAT) for name in model.regressors]
-        self.derivatives = {
-            f"{coefficient}_{name}": (i, 1 + k)
-            for i, coefficient in enumerate(self.coefficients)
-            for k, name in enumerate(short)
-        }
-        self.goal_names = tuple(self.derivatives if goal is None else goal)
-        lacking = [name for name in self.goal_names if name not in {*self.derivatives, FUNCTION, FREE_FLIGHT}]
-        if lacking or not self.goal_names or isinstance(goal, str):
-            raise ValueError(
-                f"Got the goal {lacking or goal!r}, but the model has the coefficients {self.coefficients} and the "
-                f"regressors {short}: give a list of {FUNCTION!r}, {FREE_FLIGHT!r} or derivatives such as "
-                f"{next(iter(self.derivatives))!r}, or learn a model with that regressor."
-            )
-        still = np.zeros(len(short), bool) if model.limits is None else np.ptp(model.limits, axis=0) == 0
-        unknown = [name for name in goal or () if name in self.derivatives and still[self.derivatives[name][1] - 1]]
-        if unknown:
-            raise ValueError(
-                f"Got the goal {unknown}, but {short[self.derivatives[unknown[0]][1] - 1]} did not move in the flights "
-                "that the model was learned from, so it knows nothing of its effect: learn from a flight in which it "
-                "moves, or ask for other derivatives."
-            )
-
-    def _weights_of(self, name: str) -> Array:
-        """Return weights of the covariances whose sum is the variance of a goal."""
-        if name in self.weights:
-            return self.weights[name]
-        i, k = self.derivatives[name]
-        n = 1 + len(self.aerodynamics.regressors)
-        found = np.zeros((len(self.coefficients), n, n))
-        found[i, k, k] = 1.0
-        return found
 
     def _nothing(self, fisher: Array) -> Information:
         """Return no information, in the shape of some."""

@@ -183,7 +183,7 @@ def test_the_goal_decides_what_is_learned_best(model, uav, monkeypatch):
 
 
 def test_the_error_of_the_function_is_the_posterior_deviation_over_the_envelope(model, uav):
-    weights = _goals.goal_weights("function", model, uav, [], COEFFICIENTS, None)
+    weights = _goals.goal_weights(["function"], model, uav, [], COEFFICIENTS, None)["function"]
     rows = np.random.default_rng(1).uniform(*model.limits, size=(3000, 8))
     variance = np.stack([features(rows) ** 2 @ ((SPREAD * row) ** 2 + 1e-8) for row in TABLE])
     expected = np.sqrt(np.mean(variance.mean(axis=1) / (features(rows) @ TABLE.T).var(axis=0)))

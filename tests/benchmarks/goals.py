@@ -26,7 +26,7 @@ from skdgp.design._plan import errors_of
 from skdgp.dynamics import SimulationWarning
 from skdgp.identification import flight_noise
 
-GOALS = {"derivatives": None, "function": ["function"], "free-flight": ["free-flight"]}
+GOALS = {"derivatives": None, "Cm_q": ["Cm_q"], "function": ["function"], "free-flight": ["free-flight"]}
 
 
 def run(subject: Any, truth: Truth, seed: int) -> dict[str, dict[str, float]]:

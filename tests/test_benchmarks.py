@@ -34,6 +34,8 @@ SCRIPTS = (
     "study",
     "closed_loop",
     "real",
+    "standard_errors",
+    "goals",
 )
 
 

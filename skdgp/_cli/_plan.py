@@ -24,7 +24,7 @@ BOTH = {"alpha": "alpha", "beta": "beta", "load_factor": "load_factor", "speeds"
 
 
 def plan(run: Run) -> None:
-    """Choose the manoeuvres of the next flight: those that lower the errors of derivatives most in the given time.
+    """Choose the manoeuvres of the next flight: those that lower the errors of a goal most in the given time.
 
     Doublets, 3-2-1-1s and multisines are simulated from trims of the model. Each that is chosen is flown by aircraft
     drawn from its posterior, in gusts as those of its training flights, and is made smaller or left out if it leaves
@@ -156,7 +156,12 @@ PLAN = Command(
             opt.option("--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True),
             opt.option("--seconds S", "of all flights together", opt.positive("seconds"), required=True),
             opt.Option(("--axes",), {"choices": AXES, "nargs": "+", "required": True, "help": "controls to move"}),
-            opt.option("--goal NAME", "derivatives, such as Cm_q Cn_rudder (default: all)", str, nargs="+"),
+            opt.option(
+                "--goal NAME",
+                "function (over what was flown), free-flight (2 s), derivatives such as Cm_q Cn_rudder (default: all)",
+                str,
+                nargs="+",
+            ),
             opt.option("--altitude M", "[m] (default: 100)", opt.number(), default=100.0),
             opt.option("--pause S", "after each manoeuvre (default: 3)", opt.positive("seconds"), default=3.0),
             opt.option("--rate HZ", "of the autopilot (default: 50)", opt.positive("Hz"), default=50.0),

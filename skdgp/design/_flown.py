@@ -121,9 +121,12 @@ def compare_with_plan(
     windows = [_window(plan, flights, *row) for row in rows]
     thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for _, part in windows]
     numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
-    gained = expected_information(numbered, aircraft, before.regressors, noise.loc[list(before.coefficients)])
+    about = [plan["at"][name] for name in before.regressors] if plan.get("curvature") else None
+    noise = noise.loc[list(before.coefficients)]
+    gained = expected_information(numbered, aircraft, before.regressors, noise, about=about)
+    weights = {name: np.asarray(value) for name, value in plan.get("weights", {}).items()}
     errors = pd.DataFrame.from_dict(plan["errors"], orient="index").astype(float).fillna(np.inf)
-    found = {"found": errors_of(before + gained), "model": errors_of(model)}
+    found = {"found": errors_of(before + gained, weights), "model": errors_of(model, weights)}
     errors = errors.rename(columns={"after": "expected"})
     planned = pd.Series([one["name"] for one in plan["manoeuvres"]]).value_counts()
     flown = pd.DataFrame([row for row, _ in windows])

@@ -36,8 +36,8 @@ class Information:
 
     Parameters
     ----------
-    fisher : ndarray of shape (P, 1 + d, 1 + d)
-        Of the constant and the derivatives of each coefficient.
+    fisher : ndarray of shape (P, m, m)
+        Of the constant and the d derivatives of each coefficient, and of its curvature if that is estimated too.
     coefficients, regressors : tuple of str
         Names of the P coefficients and d regressors.
     """
@@ -52,12 +52,20 @@ class Information:
                 f"Got information about {other.coefficients} by {other.regressors}, but expected "
                 f"{self.coefficients} by {self.regressors}: give both flights the same regressors and noise."
             )
-        return Information(self.fisher + other.fisher, self.coefficients, self.regressors)
+        m = max(self.fisher.shape[1], other.fisher.shape[1])
+        parts = [np.pad(f, [(0, 0), *[(0, m - f.shape[1])] * 2]) for f in (self.fisher, other.fisher)]
+        return Information(parts[0] + parts[1], self.coefficients, self.regressors)
 
     @property
     def covariance(self) -> Array:
         """Covariance of the estimated derivatives, (P, d, d); infinite where the flight does not determine them."""
-        return np.stack([_inverse(fisher)[1:, 1:] for fisher in self.fisher])
+        return self.whole_covariance[:, 1:, 1:]
+
+    @property
+    def whole_covariance(self) -> Array:
+        """Covariance of the constant and the derivatives, (P, 1 + d, 1 + d)."""
+        n = 1 + len(self.regressors)
+        return np.stack([_inverse(fisher)[:n, :n] for fisher in self.fisher])
 
     @property
     def std(self) -> pd.DataFrame:
@@ -98,7 +106,12 @@ class Information:
 
 
 def expected_information(
-    flight: pd.DataFrame, aircraft: Aircraft, regressors: Sequence[str], noise: Mapping[str, float] | pd.DataFrame
+    flight: pd.DataFrame,
+    aircraft: Aircraft,
+    regressors: Sequence[str],
+    noise: Mapping[str, float] | pd.DataFrame,
+    *,
+    about: ArrayLike | None = None,
 ) -> Information:
     r"""Return what a simulated flight will tell about the derivatives of coefficients.
 
@@ -107,6 +120,10 @@ def expected_information(
     e^{-|t - t'| / T}`, and zero between flights. :math:`F = X^T V^{-1} X` is computed from innovations of a Kalman
     filter (Klein & Morelli, Aircraft System Identification, 2006, chapters 5 and 9). Sensor errors of the regressors
     are not included.
+
+    With ``about``, a coefficient also has unknown curvature: all products of two of x - ``about``. Errors are then
+    those of the derivatives at this point by a polynomial of second order. Where manoeuvres and gusts take the aircraft
+    far from the trim, derivatives of a linear function scatter with the curvature, more than predicted.
 
     Parameters
     ----------
@@ -121,6 +138,8 @@ def expected_information(
     noise : mapping of str to float, or DataFrame
         Standard deviation of the white noise of each coefficient; or a table with the coefficients as index and the
         columns ``white``, ``drift`` (tau) and ``memory`` (T [s]), such as `coefficient_noise` returns.
+    about : array-like of shape (d,), optional
+        Regressors of the trim. Add up information about the same point only.
 
     Returns
     -------
@@ -163,13 +182,16 @@ def expected_information(
             "coefficient without noise would be known exactly."
         )
     parts = [part for _, part in table.groupby("flight", sort=False, observed=True)] if "flight" in table else [table]
-    fisher = np.zeros((len(noise), 1 + len(regressors), 1 + len(regressors)))
+    fisher: Any = 0.0
     for part in parts:
-        X = np.column_stack([np.ones(len(part)), regressors_of(part, aircraft, regressors)])
+        X = regressors_of(part, aircraft, regressors)
+        z = X - X if about is None else X - np.asarray(about, dtype=float)
+        first, second = np.triu_indices(0 if about is None else len(regressors))
+        X = np.column_stack([np.ones(len(part)), X, z[:, first] * z[:, second]])
         if not np.isfinite(X).all():
             raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
-        whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory)
-        fisher += np.einsum("npa,npb->pab", whitened, whitened)
+        whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory).swapaxes(0, 1)
+        fisher = fisher + whitened.swapaxes(1, 2) @ whitened
     return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))
 
 
@@ -179,7 +201,9 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     Parameters
     ----------
     model : DependentGPRegressor or Pipeline that ends with it
-        Fitted; with ``time`` it knows the drift, else all noise is white.
+        Fitted; with ``time`` it knows the drift, else all noise is white. A pipeline of
+        :func:`skdgp.identification.identify` has that of its flights before smoothing, see
+        :func:`skdgp.identification.flight_noise`.
 
     Returns
     -------
@@ -203,6 +227,8 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
         white  drift  memory
     y0    0.1    0.0     1.0
     """
+    if getattr(model, "noise_", None) is not None:
+        return model.noise_
     regressor = model[-1] if isinstance(model, Pipeline) else model
     regressor = getattr(regressor, "estimator_", regressor)  # of a CalibratedRegressor
     if not hasattr(regressor, "noise_variance_"):

@@ -1,10 +1,10 @@
-"""The next flight: manoeuvres that teach most about chosen derivatives, and stay in an envelope."""
+"""The next flight: manoeuvres that teach most about a goal, and stay in an envelope."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal, NamedTuple, cast
 
@@ -15,11 +15,12 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
-from skdgp._compute.typing import Matrix, Seed
+from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
 from skdgp.design._envelope import QUANTITIES, Envelope, quantities, with_band
+from skdgp.design._goals import WHOLE, check_goal, goal_weights, weighted_error
 from skdgp.design._information import (
     Information,
     coefficient_noise,
@@ -71,7 +72,7 @@ class Plan:
     trims : tuple of Trim
         Where each wavetrain begins, and to which the aircraft is returned before each manoeuvre.
     goal : tuple of str
-        Names of derivatives, such as ``Cm_q``.
+        Names of derivatives, such as ``Cm_q``, "function", "free-flight".
     before, after : Information
         About the derivatives, without and with the plan.
     manoeuvres : DataFrame
@@ -91,6 +92,8 @@ class Plan:
     limits : DataFrame
         ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
+    weights : dict of str to ndarray (P, 1 + d, 1 + d)
+        Of covariances, for the goals "function" and "free-flight".
     """
 
     trains: tuple[Wavetrain, ...]
@@ -104,11 +107,12 @@ class Plan:
     parts: tuple[Information, ...]
     limits: pd.DataFrame
     aircraft: Aircraft
+    weights: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def errors(self) -> pd.DataFrame:
         """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known."""
-        columns = {"before": errors_of(self.before), "after": errors_of(self.after)}
+        columns = {name: errors_of(getattr(self, name), self.weights) for name in ("before", "after")}
         return pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
 
     def inputs(self, k: int) -> dict[str, Signal]:
@@ -141,6 +145,7 @@ class Plan:
             for k, (_, one) in enumerate(self.flight.groupby("flight"))
         ]
         return {
+            "curvature": self.after.fisher.shape[1] > 1 + len(self.before.regressors),
             "aircraft": self.aircraft.to_dict(),
             "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
             "at": dict(zip(self.before.regressors, np.mean(starts, axis=0).tolist(), strict=True)),
@@ -149,6 +154,7 @@ class Plan:
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),
             "confounded": self.confounded.to_dict("records"),
+            "weights": {name: value.tolist() for name, value in self.weights.items()},
             "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
         }
 
@@ -174,18 +180,19 @@ def plan(
     known: Information | None = None,
     noise: pd.DataFrame | Mapping[str, float] | None = None,
     bands: pd.DataFrame | None = None,
+    curvature: bool = True,
     pause: float = 3.0,
     rate: float = 50.0,
     n_paths: int = 60,
     thrust: Any = "auto",
     random_state: Seed = 0,
 ) -> Plan:
-    r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
+    r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
 
     The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
-    Each is simulated from a trim with the mean of the model. Its information (`expected_information`) adds to what is
-    known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the standard
-    errors of the goal; then each is exchanged while that helps.
+    Each is simulated from a trim with the mean of the model. Its information (`expected_information`, with unknown
+    curvature about the trims) adds to what is known. Manoeuvres are chosen one by one for the largest reduction per
+    second of the mean logarithm of the errors of the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
     envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large as limits
@@ -206,7 +213,10 @@ def plan(
     axes : sequence of str
         Controls to move, such as ``["elevator", "aileron", "rudder"]``.
     goal : sequence of str, optional
-        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional. By default all.
+        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional; "function": the
+        error of the six coefficients over the flown range of the regressors, each in units of its spread there;
+        "free-flight": the deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all
+        derivatives.
     limits : mapping of str to Limits or float, optional
         Of the axes; by default the deviation from trim that the model was learned from.
     envelope : Envelope, optional
@@ -224,6 +234,9 @@ def plan(
         As for `expected_information`; by default `coefficient_noise` of the model.
     bands : DataFrame, optional
         As `input_bands` returns, for a model without recognisable modes.
+    curvature : bool, default=True
+        Whether coefficients have unknown curvature, from which the flight must tell the derivatives. False: they are
+        linear.
     pause : float, default=3.0
         After each manoeuvre [s]; the response in it counts.
     rate : float, default=50.0
@@ -242,8 +255,8 @@ def plan(
     Raises
     ------
     ValueError
-        If there is no trim, the trim has not an axis, the model has not a regressor of the goal, no manoeuvre fits into
-        the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
+        If there is no trim, the trim has not an axis, the model has not a regressor of the goal or did not see it move,
+        no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
 
     Warns
     -----
@@ -270,7 +283,7 @@ def plan(
     """
     planner = _Planner(
         as_aerodynamics(model), model, aircraft, envelope or Envelope(), pause, rate, n_paths, gusts, thrust,
-        int(check_random_state(random_state).randint(2**31 - 1)),
+        int(check_random_state(random_state).randint(2**31 - 1)), curvature,
     )  # fmt: skip
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
@@ -328,6 +341,7 @@ class _Planner:
     gusts: Any
     thrust: Any
     seed: int
+    curvature: bool = True
 
     def plan(self, airspeeds, seconds, axes, goal, limits, altitude, banks, known, noise, bands) -> Plan:
         """Return the plan: see `plan`."""
@@ -343,7 +357,7 @@ class _Planner:
         self._check_paths()
         self.seconds, self.noise, self.axes = float(seconds), noise_table(noise), list(axes)
         self.coefficients = list(map(str, self.noise.index))
-        self.goal = self._checked_goal(goal)
+        self.goal_names = check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
         self.trims = [
@@ -355,7 +369,15 @@ class _Planner:
             check_names(self.axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(limits)
         self.holds = [self._checked_hold(at) for at in range(len(self.trims))]
-        self.before = self._known(known, [hold.flight for hold in self.holds])
+        names = self.aerodynamics.regressors
+        starts = [regressors_of(hold.flight, self.aircraft, names)[0] for hold in self.holds]
+        self.before = self._known(known, np.mean(starts, axis=0))
+        self.about = np.mean(starts, axis=0) if self.curvature else None
+        weights = goal_weights(
+            self.goal_names, self.aerodynamics, self.aircraft, self.trims, self.coefficients, self.thrust
+        )
+        self.goal = np.stack([value.ravel() for value in weights.values()])
+        self.weights = {name: value for name, value in weights.items() if name in WHOLE}
         library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
         if not library:
             raise ValueError(
@@ -363,7 +385,9 @@ class _Planner:
                 "flown: give more seconds, a shorter pause or smaller limits."
             )
         peaks = [np.einsum("pdd->pd", one.information.fisher) for one in library.values()]
-        self.vague = VAGUE * np.stack([np.diag(row) for row in np.max(peaks, axis=0)])
+        peak = np.max(peaks, axis=0)
+        self.vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
+        self.vague += (self._nothing(self.vague) + self.before).fisher
         return self._plan_of(*self._searched(library))
 
     def _check_paths(self) -> None:
@@ -373,23 +397,9 @@ class _Planner:
                 f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
             )
 
-    def _checked_goal(self, goal: Sequence[str] | None) -> list[tuple[int, int]]:
-        """Return coefficient and regressor of each derivative."""
-        short = [name.removesuffix(HAT) for name in self.aerodynamics.regressors]
-        known = {
-            f"{coefficient}_{name}": (i, 1 + k)
-            for i, coefficient in enumerate(self.coefficients)
-            for k, name in enumerate(short)
-        }
-        self.goal_names = tuple(known if goal is None else goal)
-        lacking = [name for name in self.goal_names if name not in known]
-        if lacking or not self.goal_names:
-            raise ValueError(
-                f"Got the goal {lacking or goal}, but the model has the coefficients {self.coefficients} and the "
-                f"regressors {short}: name derivatives such as {next(iter(known))!r}, or learn a model with that "
-                "regressor."
-            )
-        return [known[name] for name in self.goal_names]
+    def _nothing(self, fisher: Array) -> Information:
+        """Return no information, in the shape of some."""
+        return Information(np.zeros(fisher.shape), tuple(self.coefficients), tuple(self.aerodynamics.regressors))
 
     def _checked_limits(self, limits: Mapping[str, Limits | float] | None) -> dict[str, Limits]:
         """Return the limits of the axes; by default what the model was learned from."""
@@ -469,16 +479,19 @@ class _Planner:
             return float(n_left), causes
         return (n_left + 1) / (self.n_paths + 2), causes
 
-    def _known(self, known: Information | None, holds: list[pd.DataFrame]) -> Information:
+    def _known(self, known: Information | None, at: Array) -> Information:
         """Return the information before the flight."""
-        names, d = self.aerodynamics.regressors, len(self.aerodynamics.regressors)
-        nothing = Information(np.zeros((len(self.coefficients), 1 + d, 1 + d)), tuple(self.coefficients), tuple(names))
+        n = 1 + len(self.aerodynamics.regressors)
+        nothing = self._nothing(np.zeros((len(self.coefficients), n, n)))
         if known is not None:
             return nothing + known  # which checks names
         if not self.aerodynamics.is_uncertain:
             return nothing
-        at = np.mean([regressors_of(one, self.aircraft, names)[0] for one in holds], axis=0)
         return posterior_information(self.model, at, self.coefficients)
+
+    def _information(self, flight: pd.DataFrame) -> Information:
+        """Return what a simulated flight will tell."""
+        return expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise, about=self.about)
 
     def _bands(self, at: int, bands: pd.DataFrame | None) -> pd.DataFrame:
         """Return widths and frequencies of the inputs of a trim."""
@@ -535,7 +548,7 @@ class _Planner:
         found = []
         scaled = {name: _scaled(named[name], scale) for name, scale in scales.items()}
         for name, flight in self._flights(at, scaled).items():
-            information = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+            information = self._information(flight)
             label = self._label(at) + name
             found.append(_Manoeuvre(label, at, scaled[name], lasting[name], information, flight, scales[name]))
         return found
@@ -548,13 +561,15 @@ class _Planner:
         return {name: flight for name, flight in flown if (flight["ended"] == "").all()}
 
     def _gain(self, chosen: Sequence[_Manoeuvre]) -> float:
-        """Return the mean of minus the logarithm of the standard errors of the goal."""
-        fisher = self.before.fisher + self.vague
+        """Return the mean of minus the logarithm of the errors of the goal."""
+        fisher = self.vague
         for one in chosen:
             fisher = fisher + one.information.fisher
         scale = np.sqrt(np.einsum("pdd->pd", fisher))
-        inverse = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])
-        return float(-np.mean([0.5 * np.log(inverse[i, k, k]) - np.log(scale[i, k]) for i, k in self.goal]))
+        n = 1 + len(self.aerodynamics.regressors)
+        covariance = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])[:, :n, :n]
+        covariance = covariance / scale[:, :n, None] / scale[:, None, :n]
+        return float(-0.5 * np.mean(np.log(self.goal @ covariance.ravel())))
 
     def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
         flights = len({one.at for one in chosen})
@@ -629,7 +644,7 @@ class _Planner:
             return None, causes
         inputs = _scaled(one.inputs, best / one.scale)
         flight = self._flown_by(one.at, [inputs])[0]
-        found = expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise)
+        found = self._information(flight)
         if not self.aerodynamics.is_uncertain:
             best_risk = np.nan
         else:
@@ -666,6 +681,7 @@ class _Planner:
             self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
+            self.weights,
         )  # fmt: skip
 
 
@@ -673,8 +689,9 @@ def _scaled(inputs: Mapping[str, Signal], factor: float) -> dict[str, Signal]:
     return {axis: signal.scaled(factor) for axis, signal in inputs.items()}
 
 
-def errors_of(information: Information) -> pd.Series:
-    """Return standard errors by the names of derivatives."""
+def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
+    """Return standard errors by the names of derivatives, and of goals by their weights."""
     errors = information.std
     names = [f"{i}_{name.removesuffix(HAT)}" for i in errors.index for name in errors.columns]
-    return pd.Series(errors.to_numpy(float).ravel(), index=names)
+    others = {name: weighted_error(information, value) for name, value in (weights or {}).items()}
+    return pd.concat([pd.Series(errors.to_numpy(float).ravel(), index=names), pd.Series(others, dtype=float)])

@@ -5,6 +5,7 @@ from skdgp.identification._identify import Identification, identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     FlightPipeline,
+    flight_noise,
     flight_regressors,
     make_identification_pipeline,
     predict_flight,
@@ -15,6 +16,7 @@ __all__ = [
     "FlightPipeline",
     "Identification",
     "ModelFileError",
+    "flight_noise",
     "flight_regressors",
     "identify",
     "load_model",

@@ -37,6 +37,7 @@ from skdgp.identification._pipeline import (
     check_aircraft,
     clock_of,
     default_regressor,
+    flight_noise,
     flown_turbulence,
     make_identification_pipeline,
     regressor_and_scale,
@@ -226,6 +227,7 @@ def identify(
             X = pipeline[:-1].fit_transform(table, targets)
             pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
             pipeline.turbulence_ = flown_turbulence(pipeline, table)
+        pipeline.noise_ = flight_noise(pipeline, table, aircraft, **loads)
         seconds = time.monotonic() - began
 
         fit = {

@@ -10,16 +10,17 @@ import pandas as pd
 from sklearn import get_config
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import SENSOR_GUST
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aircraft, Turbulence
+from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
 from skdgp.identification._samples import mirrored, named_targets, without_gusts
 from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, residual_drift
+from skdgp.inference._noise import fit_drift_to_integrals
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -31,6 +32,8 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
+LEAST_ROWS = 5
+"""For each term of a polynomial."""
 
 
 def make_identification_pipeline(
@@ -398,6 +401,79 @@ def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:
         return None if rates is None else Turbulence.from_flight(flight, rates.span)
     except (TypeError, ValueError):  # short flights, or columns that are missing
         return None
+
+
+def flight_noise(
+    pipeline: Pipeline, flights: pd.DataFrame, aircraft: Aircraft, *, step: float = 0.04, **loads: Any
+) -> pd.DataFrame | None:
+    r"""Return the noise of measured coefficients before any smoothing: what decides the errors of derivatives.
+
+    Residuals of smoothed channels are too small. A smoother of several channels removes the noise in which they differ;
+    what resembles the motion stays, and has its full effect on the derivatives. So these are residuals of unsmoothed
+    coefficients and regressors, averaged over ``step``; the function is the polynomial of second order of the smoothed
+    ones. Rates of change, such as ``alpha_dot``, stay smoothed.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Fitted.
+    flights : DataFrame (n, ...)
+        One or more flights at their full rate.
+    aircraft : Aircraft
+    step : float, default=0.04
+        Interval between the rows that the noise is for [s]. White noise of the same power per frequency is larger in
+        rows that are closer together.
+    **loads
+        As for :func:`skdgp.dynamics.aerodynamic_coefficients`: ``thrust``, for example.
+
+    Returns
+    -------
+    DataFrame or None
+        Standard deviations ``white`` and ``drift``, and ``memory`` [s] of each coefficient, for
+        :func:`skdgp.design.expected_information`; None if there are less than five rows for each term.
+
+    Examples
+    --------
+    >>> from skdgp import DependentGPRegressor
+    >>> from skdgp.datasets import load_example_flights
+    >>> from skdgp.dynamics import aerodynamic_coefficients
+    >>> flights = load_example_flights()
+    >>> train = flights.train[flights.train["time"] < 60]
+    >>> model = make_identification_pipeline(flights.aircraft, regressors=["alpha", "q_hat", "elevator"],
+    ...                                      reconstruction="passthrough",
+    ...                                      regressor=DependentGPRegressor(structure="trend", max_iter=2))
+    >>> model = model.fit(train, aerodynamic_coefficients(train, flights.aircraft))
+    >>> flight_noise(model, train, flights.aircraft).columns.tolist()
+    ['white', 'drift', 'memory']
+    """
+    smooth, _ = flight_regressors(pipeline, flights)
+    table = flights
+    for _, one in pipeline.steps[:-1]:
+        if one in (None, "passthrough"):
+            continue
+        seen = one.transform(table)
+        if isinstance(one, FlightPathReconstruction | FlightSmoother):
+            seen = seen.assign(**{name: table[name] for name in table if name in seen})  # as measured
+        table = seen
+    targets, measured = (
+        aerodynamic_coefficients(flights, aircraft, cutoff=cutoff, **loads) for cutoff in ("auto", None)
+    )
+    terms = PolynomialFeatures(2)
+    basis, known = terms.fit_transform(smooth), np.isfinite(targets + measured).all(axis=1).to_numpy()
+    if known.sum() < LEAST_ROWS * basis.shape[1]:
+        return None
+    weights = np.linalg.lstsq(basis[known], targets.to_numpy()[known], rcond=None)[0]
+    residuals = measured - terms.transform(np.asarray(table)) @ weights
+    flight = pd.factorize(flights["flight"])[0] if "flight" in flights else np.zeros(len(flights))
+    time = flights["time"].to_numpy(float)
+    between = np.diff(time)[np.diff(flight) == 0]
+    width = np.median(between) * max(1, round(step / np.median(between)))
+    clock = pd.DataFrame({"time": time, "flight": flight}, flights.index)
+    rows = pd.concat([clock, residuals], axis=1)[known].groupby([flight[known], time[known] // width]).mean()
+    clock = rows[["time", "flight"]].to_numpy()
+    white, drift, memory = np.array([fit_drift_to_integrals(rows[name].to_numpy(), clock, 1e-12) for name in targets]).T
+    values = {"white": np.sqrt(white * width / step), "drift": np.sqrt(drift), "memory": memory}
+    return pd.DataFrame(values, index=list(targets))
 
 
 def _predict(last, regressors, ratio, params):

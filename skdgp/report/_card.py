@@ -236,7 +236,7 @@ def _teaching(plan: Plan) -> str:
             [_derivative(name), *(_milli(row[c]) for c in ("before", "after")), percent(_left(row), ".0f")]
             for name, row in _rows(errors)
         ]
-        caption = "Standard errors of the derivatives of the goal, before and after the flight, in thousandths."
+        caption = "Standard errors of the goal, before and after the flight, in thousandths."
         shown = table(head, rows, caption=caption, classes="narrow")
     else:
         head, rows = _by_coefficient(errors, ("after", "before"))
@@ -343,8 +343,8 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
 def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
     """Return in words the derivatives of the goal whose errors these manoeuvres alone reduce most."""
     goal = list(plan.goal)
-    before = errors_of(plan.before)[goal]
-    after = errors_of(sum((plan.parts[k] for k in rows), plan.before))[goal]
+    before = errors_of(plan.before, plan.weights)[goal]
+    after = errors_of(sum((plan.parts[k] for k in rows), plan.before), plan.weights)[goal]
     left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
     shown = [
         f"{percent(left[name], '.0f')}{THIN}% of that of {_derivative(name)}"
@@ -402,6 +402,8 @@ def _value(name: str, frame: pd.DataFrame, end: str) -> str:
 
 def _derivative(name: str) -> str:
     coefficient, _, regressor = name.partition("_")
+    if not regressor:  # another goal
+        return text(name)
     return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
 
 
@@ -420,7 +422,7 @@ def _rows(table: pd.DataFrame) -> list[tuple[str, dict[Any, Any]]]:
 
 def _by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
     """Return heads and rows of a table of coefficients by regressors; all names but the first stand in grey."""
-    pairs = [name.split("_", 1) for name in errors.index]
+    pairs = [name.split("_", 1) for name in errors.index if "_" in name]
     known, regressors = dict(_rows(errors)), list(dict.fromkeys(second for _, second in pairs))
     rows = []
     for coefficient in dict.fromkeys(first for first, _ in pairs):

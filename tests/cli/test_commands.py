@@ -380,6 +380,7 @@ class TestPlan:
             "rudder=0.4",
             "--goal",
             "Cn_rudder",
+            "function",
             "--growth",
             "2",
             "--paths",
@@ -393,6 +394,7 @@ class TestPlan:
         assert table["time"].iloc[-1] + 3.0 <= said["seconds"] + 0.02 <= 8.02
         assert json.loads((tmp_path / "out" / "plan.json").read_text()) == said
         assert said["errors"]["Cn_rudder"]["after"] < said["errors"]["Cn_rudder"]["before"]
+        assert said["errors"]["function"]["after"] < said["errors"]["function"]["before"]
         assert all(one["risk"] <= 0.05 for one in said["manoeuvres"])
 
         flight = pd.read_csv("test.csv")

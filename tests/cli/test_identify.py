@@ -27,6 +27,7 @@ from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._output import OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
+from skdgp.design import coefficient_noise
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _evaluation, _identify, load_model, predict_flight
 from skdgp.identification import identify as identify_flights
@@ -760,7 +761,10 @@ def test_demo_is_honest(tmp_path, capsys, monkeypatch):
     means = flight["means"]
     assert 0.90 <= means["measured"]["all"]["interval_coverage"] <= 0.99
     assert means["truth"]["all"]["normalized_rmse"] < 0.2
-    assert (load_model(tmp_path / "model.joblib").pipeline.turbulence_.intensity > 0.2).all()  # as flown
+    pipeline = load_model(tmp_path / "model.joblib").pipeline
+    assert (pipeline.turbulence_.intensity > 0.2).all()  # as flown
+    assert coefficient_noise(pipeline) is pipeline.noise_
+    assert (pipeline.noise_["white"] > 0).all()
 
 
 @pytest.fixture

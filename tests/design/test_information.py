@@ -31,13 +31,20 @@ def columns(flight, chord):
     return np.column_stack([np.ones(len(flight)), flight["alpha"], q_hat, flight["elevator"]])
 
 
-def test_standard_errors_are_those_of_generalised_least_squares(flight, uav):
-    found = expected_information(flight, uav, ["alpha", "q_hat", "elevator"], NOISE)
+@pytest.mark.parametrize("about", [None, [0.05, 0.0, 0.01]])
+def test_standard_errors_are_those_of_generalised_least_squares(flight, uav, about):
+    """Of the slopes at a point, where curvature is estimated too."""
+    found = expected_information(flight, uav, ["alpha", "q_hat", "elevator"], NOISE, about=about)
     X = columns(flight, uav.chord)
+    if about is not None:
+        z = X[:, 1:] - about
+        X = np.column_stack([X, *(z[:, i] * z[:, j] for i in range(3) for j in range(i, 3))])
     for k, name in enumerate(NOISE.index):
-        expected = np.linalg.inv(X.T @ np.linalg.solve(dense(TIME, *NOISE.loc[name]), X))[1:, 1:]
-        np.testing.assert_allclose(found.covariance[k], expected, rtol=1e-7)
-        np.testing.assert_allclose(found.std.loc[name], np.sqrt(np.diag(expected)), rtol=1e-7)
+        scale = np.abs(X).max(axis=0)
+        expected = np.linalg.inv((X / scale).T @ np.linalg.solve(dense(TIME, *NOISE.loc[name]), X / scale))
+        expected = (expected / np.outer(scale, scale))[1:4, 1:4]
+        np.testing.assert_allclose(found.covariance[k], expected, rtol=1e-6)
+        np.testing.assert_allclose(found.std.loc[name], np.sqrt(np.diag(expected)), rtol=1e-6)
     std = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found.correlation(name), expected / np.outer(std, std), rtol=1e-6)
 
@@ -66,6 +73,9 @@ def test_information_of_flights_adds_up(flight, uav):
     both = expected_information(pd.concat([flight.assign(flight=k) for k in "ab"]), uav, names, NOISE)
     np.testing.assert_allclose((one + one).std, both.std)
     np.testing.assert_allclose(both.std, one.std / np.sqrt(2))
+    bent = expected_information(flight, uav, names, NOISE, about=[0.05, 0.0])
+    assert ((bent + one).std < bent.std).all(axis=None)
+    np.testing.assert_allclose((bent + one).std, (one + bent).std)
     with pytest.raises(ValueError, match="same regressors"):
         one + expected_information(flight, uav, ["alpha"], NOISE)
 

@@ -5,7 +5,17 @@ import pandas as pd
 import pytest
 
 from skdgp import listening
-from skdgp.design import Envelope, Information, _plan, doublet, expected_information, plan, posterior_information
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.design import (
+    Envelope,
+    Information,
+    _goals,
+    _plan,
+    doublet,
+    expected_information,
+    plan,
+    posterior_information,
+)
 from skdgp.dynamics import Aerodynamics, Turbulence, simulate, trim
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -73,7 +83,7 @@ def planned(model, uav):
 
 def test_expected_errors_are_those_of_the_whole_flight(planned, model, uav):
     found, seen = planned
-    whole = found.before + expected_information(found.flight, uav, NAMES, NOISE)
+    whole = sum(found.parts, found.before)
     np.testing.assert_allclose(found.errors["after"], whole.std.loc["Cm", ["alpha", "q_hat"]])
     pd.testing.assert_frame_equal(found.confounded, whole.confounded())
     assert (found.errors["after"] < found.errors["before"]).all()
@@ -113,6 +123,9 @@ def test_the_same_seed_gives_the_same_plan(model, uav):
     one, two = (plan(model, uav, **AXES, **options) for _ in range(2))
     pd.testing.assert_frame_equal(one.manoeuvres, two.manoeuvres)
     np.testing.assert_array_equal(one.after.fisher, two.after.fisher)
+    about = [*one.to_dict()["at"].values()]
+    whole = one.before + expected_information(one.flight, uav, NAMES, NOISE, about=about)
+    np.testing.assert_allclose(one.errors["after"], whole.std.loc["Cm", ["q_hat"]])
 
 
 def test_the_posterior_is_the_information_of_a_linear_model(model):
@@ -152,11 +165,53 @@ def test_ctrl_c_keeps_what_was_checked(model, uav):
     assert found.manoeuvres["name"].nunique() == 1
 
 
+def test_the_goal_decides_what_is_learned_best(model, uav, monkeypatch):
+    """A plan for the function lowers its expected error more than a plan for a derivative, and the reverse."""
+    monkeypatch.setattr(_plan, "WIDTHS", (1.0,))  # few candidates, for time
+    monkeypatch.setattr(_plan, "MULTISINES", ())
+    axes = {"elevator": 0.06, "aileron": 0.06}
+    options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
+    options |= {"seconds": 14.0, "noise": NOISE.set_axis(["Cl", "Cm"]), "curvature": False}
+    plans = {goal: plan(model, uav, **options, goal=[goal]) for goal in ("function", "Cm_q")}
+    weights = plans["function"].weights["function"]
+    errors = pd.DataFrame(
+        {asked: _plan.errors_of(one.after, {"function": weights}) for asked, one in plans.items()}
+    ).loc[["function", "Cm_q"]]
+    assert errors.loc["function", "function"] < 0.99 * errors.loc["function", "Cm_q"]
+    assert errors.loc["Cm_q", "Cm_q"] < 0.99 * errors.loc["Cm_q", "function"]
+    assert plans["function"].errors.loc["function", "after"] == pytest.approx(errors.loc["function", "function"])
+
+
+def test_the_error_of_the_function_is_the_posterior_deviation_over_the_envelope(model, uav):
+    weights = _goals.goal_weights(["function"], model, uav, [], COEFFICIENTS, None)["function"]
+    rows = np.random.default_rng(1).uniform(*model.limits, size=(3000, 8))
+    variance = np.stack([features(rows) ** 2 @ ((SPREAD * row) ** 2 + 1e-8) for row in TABLE])
+    expected = np.sqrt(np.mean(variance.mean(axis=1) / (features(rows) @ TABLE.T).var(axis=0)))
+    known = posterior_information(model, np.zeros(8))
+    assert _goals.weighted_error(known, weights) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
+    """By a coefficient that is off by a constant, after two seconds from the trim."""
+    point, off = trim(model, uav, 20.0), np.eye(6)[k] * 1e-4
+    table = pd.DataFrame({"time": [0.0, 2.0], **{name: [value] * 2 for name, value in point.controls.items()}})
+    ends = [
+        simulate(Aerodynamics(lambda X, more=more: features(X) @ TABLE.T + more, NAMES), uav, point, table, 0.02)
+        for more in (off, -off)
+    ]
+    names = ["alpha", "beta", "phi", "theta"]
+    moved = (ends[0][names].iloc[-1] - ends[1][names].iloc[-1]) / 2e-4
+    found = _goals._growth(model, uav, point, "auto")[k]
+    assert np.sqrt(found) == pytest.approx(np.sqrt((moved**2).mean()), rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
         ({"goal": ["Cm_alpha_dot"]}, "Cm_alpha_dot.*learn a model with that regressor"),
         ({"goal": []}, "Got the goal"),
+        ({"goal": "function"}, "give a list"),
         ({"axes": ["elevator", "flaps"]}, "flaps"),
         ({"limits": {"aileron": 0.1}}, "aileron"),
         ({"seconds": 5.0}, "give more seconds, a shorter pause"),
@@ -182,6 +237,11 @@ def test_limits_are_what_was_flown(model, uav):
         plan(model, uav, **options | {"gusts": "as flown", "airspeeds": 1.0})
     with pytest.raises(ValueError, match="does not say what was flown"):
         plan(Aerodynamics(model.function, NAMES), uav, **options)
+    with pytest.raises(ValueError, match="'function', but the model does not say what was flown"):
+        plan(Aerodynamics(model.function, NAMES), uav, **AXES | {"goal": ["function"], "seconds": 7.0})
+    still = Aerodynamics(model.function, NAMES, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1])
+    with pytest.raises(ValueError, match=r"Cm_beta.*beta did not move in the flights .* knows nothing"):
+        plan(still, uav, **options | {"goal": ["Cm_beta"]})
 
 
 def test_pitch_rate_is_told_from_alpha_dot_in_a_turn(uav, monkeypatch):
@@ -192,6 +252,6 @@ def test_pitch_rate_is_told_from_alpha_dot_in_a_turn(uav, monkeypatch):
     model = Aerodynamics(lambda X: features(X) @ table.T, [*NAMES, "alpha_dot_hat"])
     axes = {"elevator": 0.12, "aileron": 0.12}
     options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
-    found = plan(model, uav, **options, seconds=20.0, goal=["Cm_q", "Cm_alpha_dot"], banks=(1.0,))
+    found = plan(model, uav, **options, seconds=20.0, goal=["Cm_q", "Cm_alpha_dot"], banks=(1.0,), curvature=False)
     assert abs(found.after.correlation("Cm").loc["q_hat", "alpha_dot_hat"]) < 0.7
     assert {"alpha_dot_hat", "q_hat"} not in [set(pair) for pair in found.confounded[["first", "second"]].to_numpy()]

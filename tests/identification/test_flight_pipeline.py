@@ -12,7 +12,7 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import aerodynamic_coefficients
-from skdgp.identification import FlightPipeline, flight_regressors, identify, predict_flight
+from skdgp.identification import FlightPipeline, flight_noise, flight_regressors, identify, predict_flight
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 
@@ -38,6 +38,20 @@ def model(flights):
 @pytest.fixture(scope="module")
 def test_flight(flights):
     return flights.test.iloc[:800]
+
+
+def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
+    """White noise of an accelerometer has the power per frequency s^2 dt, whatever the smoother leaves of it."""
+    train, s, step = flights.train[flights.train["time"] < 60], 0.5, 0.1
+    noisy = train.assign(ay=train["ay"] + s * np.random.default_rng(0).standard_normal(len(train)))
+    found = [flight_noise(model, one, flights.aircraft, step=step).loc["CY"] for one in (train, noisy)]
+    before, after = (one["white"] ** 2 * step + 2 * one["drift"] ** 2 * one["memory"] for one in found)
+    scale = flights.aircraft.mass / (0.5 * train["density"] * train["airspeed"] ** 2 * flights.aircraft.wing_area)
+    assert after - before == pytest.approx((s * scale.mean()) ** 2 * train["time"].diff().median(), rel=0.15)
+
+
+def test_few_rows_do_not_show_the_noise(model, flights):
+    assert flight_noise(model, flights.train.iloc[:200], flights.aircraft) is None
 
 
 class TestPredict:

@@ -1,0 +1,160 @@
+"""Standard errors predicted before a flight, beside the scatter of estimates over 100 flights of the same plan.
+
+    python tests/benchmarks/standard_errors.py [--out OUT] [--flights 100] [--aircraft example c172p t6texan2]
+
+An aircraft with known truth flies 60 s of inputs of half the limits, in calm or in moderate air. From this flight a
+linear trend is learned, and its noise (`flight_noise`). `plan` chooses 60 s from it and predicts the standard errors of
+all derivatives from these 60 s alone. The plan is flown 100 times by the truth, each time in other gusts and with other
+noise of the sensors. From each flight derivatives at the trim are estimated by the polynomial of second order of least
+squares; predicted is their standard error, found their standard deviation. Columns:
+
+    predicted / found, within 25 %
+                  quantiles over the 48 derivatives, and their share with a ratio of .75 to 1.25
+    predicted with
+                  the noise of the model's residuals; that before smoothing; unknown curvature too, as `plan` does; and
+                  regressors of flights in gusts, each manoeuvre without the pause after it
+
+An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from _closed_loop_flights import AXES, PAUSE, SUBJECTS, Subject, exploratory, sortie
+from _common import finish, parser_of
+from closed_loop import ENVELOPE, REGRESSORS, _manoeuvres, learned, rows_of, seen
+from sklearn.preprocessing import PolynomialFeatures
+from study import kept
+
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.design import Information, Plan, coefficient_noise, expected_information, plan
+from skdgp.dynamics import SimulationWarning, simulate
+from skdgp.identification import flight_noise
+
+SECONDS, EVERY, DRAWS = 60.0, 2, 8
+AIR = ("calm", "moderate")
+GROWTH = (0.5, 1.0, 2.0)
+"""Of the envelope: the first of these that gusts alone do not leave."""
+
+
+def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
+    """Return the standard errors that were predicted in several ways, and those that were found, (6, 8) each."""
+    first = seen(subject.fly([exploratory(subject)], SECONDS, air, [0, 0])[0], [0, 0])
+    model = learned(first, subject)
+    noise = flight_noise(model, first, subject.aircraft)
+    size = 1 + len(REGRESSORS)
+    nothing = Information(np.zeros((6, size, size)), COEFFICIENTS, tuple(REGRESSORS))
+    make = partial(
+        plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=SECONDS, axes=list(AXES),
+        limits=subject.limits, altitude=subject.altitude, rate=40.0, known=nothing,
+    )  # fmt: skip
+    for growth in GROWTH:
+        try:
+            found = make(noise=noise, envelope=replace(ENVELOPE, growth=growth))
+            break
+        except ValueError as error:
+            print(error, flush=True)
+    about = np.array([found.to_dict()["at"][name] for name in REGRESSORS])
+    inputs = sortie(_manoeuvres(found))
+    rows = []
+    for k, log in enumerate(subject.fly([inputs] * n_flights, SECONDS, air, [0, 1])):
+        rows.append(rows_of(seen(log, [0, 1, k]), subject)[1:])
+    still = partial(expected_information, found.flight, subject.aircraft, REGRESSORS)
+    predicted = {
+        "residuals of the model": still(coefficient_noise(model)),
+        "noise before smoothing": still(noise),
+        "and curvature (plan)": found.after,
+        "and gusts": in_gusts(model, found, subject, noise, about),
+    }
+    errors = {name: one.std.to_numpy() for name, one in predicted.items()}
+    return {"predicted": errors, "found": scatter(rows, about), "manoeuvres": found.manoeuvres, "growth": growth}
+
+
+def in_gusts(model: Any, found: Plan, subject: Subject, noise: pd.DataFrame, about: np.ndarray) -> Information:
+    """Return the information of a plan that aircraft drawn from the posterior fly in gusts, mean over `DRAWS`."""
+    point, parts = found.trims[0], []
+    for k, row in found.manoeuvres.iterrows():
+        train = sortie([found.inputs(k)]).train
+        table = train.table(40.0, trim=point.controls, pause=PAUSE)
+        table = table[table["time"] >= PAUSE - 1e-9].assign(time=lambda one: one["time"] - PAUSE)
+        parts.append(simulate(
+            model, subject.aircraft, point, table, 0.04, duration=float(row["duration"]), n_paths=DRAWS,
+            gusts="as flown", random_state=k,
+        ).assign(part=k))  # fmt: skip
+    flown = pd.concat(parts)
+    flown = flown[flown["ended"] == ""].assign(flight=lambda one: one["flight"].astype(str) + one["part"].astype(str))
+    told = expected_information(flown, subject.aircraft, REGRESSORS, noise, about=about)
+    return replace(told, fisher=told.fisher / DRAWS)
+
+
+def scatter(rows: list[Any], about: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of the derivatives (6, 8) at a point, by least squares of second order."""
+    slopes = []
+    for X, Y in rows:
+        size = X.std(axis=0)
+        basis = PolynomialFeatures(2).fit_transform((X[::EVERY] - about) / size)
+        slopes.append(np.linalg.lstsq(basis, Y[::EVERY], rcond=None)[0][1 : 1 + len(size)].T / size)
+    return np.std(slopes, axis=0, ddof=1)
+
+
+def toy() -> dict[str, Any]:
+    """Return errors without a flight: does the script make its tables?"""
+    rng = np.random.default_rng(0)
+    basis = rng.standard_normal((20, 400, 8))
+    rows = [(X, X @ rng.standard_normal((8, 6)) + 0.1 * rng.standard_normal((400, 6))) for X in basis]
+    return {"predicted": {"and curvature (plan)": np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
+
+
+def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a row for each way of predicting: the ratio of predicted to found errors over all derivatives."""
+    rows = []
+    for how, errors in found["predicted"].items():
+        ratio = errors / found["found"]
+        low, middle, high = np.quantile(ratio, [0.1, 0.5, 0.9])
+        rows.append({
+            "aircraft": name, "air": air, "predicted with": how, "predicted / found, 10 %": low, "median": middle,
+            "90 %": high, "within 25 %": f"{100 * np.mean(np.abs(ratio - 1) <= 0.25):.0f} %",
+        })  # fmt: skip
+    return rows
+
+
+def each(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a row for each coefficient: predicted / found standard errors of each derivative."""
+    predicted = found["predicted"]["and curvature (plan)"]
+    return [
+        {"aircraft": name, "air": air, "coefficient": one}
+        | {key: f"{a:.2g} / {b:.2g}" for key, a, b in zip(REGRESSORS, predicted[i], found["found"][i], strict=True)}
+        for i, one in enumerate(COEFFICIENTS)
+    ]
+
+
+def main(words: Any = None) -> None:
+    parser = parser_of(__doc__)
+    parser.add_argument("--aircraft", nargs="+", default=["example", "c172p"], choices=SUBJECTS)
+    parser.add_argument("--flights", type=int, default=100)
+    options = parser.parse_args(words)
+    folder = options.out / "standard_errors" if options.out else None
+    cases = {}
+    for name, air in [("toy", "none")] if options.smoke else itertools.product(options.aircraft, AIR):
+        make = toy if options.smoke else lambda name=name, air=air: case(SUBJECTS[name](), air, options.flights)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
+            cases[name, air] = kept(folder, f"{name}-{air}-{options.flights}", make)
+        print(name, air, cases[name, air].get("growth"), flush=True)
+    finish(
+        options,
+        "standard_errors",
+        summary=[row for key, found in cases.items() for row in summary(*key, found)],
+        each=[row for key, found in cases.items() for row in each(*key, found)],
+    )
+
+
+if __name__ == "__main__":
+    main()

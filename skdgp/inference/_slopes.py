@@ -2,8 +2,9 @@ r"""Slopes of polynomials of the same samples, whose errors are estimated block 
 
 A posterior states the scatter of its slopes for the noise and the widths that were learned. It does not contain that
 errors of neighbouring samples and of different outputs are correlated, nor what the widths hide: gusts flatten slopes
-where the motion is small, and curvature bends those of a simple function. Polynomials of first and second order of all
-samples, and of first order of the quiet half of them, err in other ways, so their differences show this.
+where the motion is small, and curvature bends those of a simple function. Polynomials of first order of all samples and
+of the quiet half of them, and of second order without what past errors predict, which gusts do not flatten, err in
+other ways, so their differences show this.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ import numpy as np
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix
 from skdgp.inference._compact import observed_values
+from skdgp.inference._unpredicted import unpredicted
 
 BLOCKS = 60  # of the log, which are independent of each other
 BLOCK_ROWS = 10  # fewest samples in a block
 FEWEST = 5  # samples for each weight of a polynomial
 QUIET = 0.5  # share of the samples
+LAGS = range(2, 9)  # samples to the past errors that predict an error; smoothing mixes the next one with it
 
 
 class SlopeErrors(NamedTuple):
@@ -71,7 +74,7 @@ def _common(slopes):
 
 
 def _of_output(x, y, X):
-    """Return the slopes (n, d) by each polynomial, the error (n, d, n_blocks) of the last, and its white std."""
+    """Return the slopes (n, d) by each polynomial, the error (n, d, n_blocks) of the finest, and its white std."""
     n, d = x.shape
     if n < FEWEST * (d + 1) / QUIET:
         return None
@@ -80,9 +83,12 @@ def _of_output(x, y, X):
     distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(d, d), hermitian=True), z)
     quiet = distance <= np.quantile(distance, QUIET)
     fits = [_Polynomial(_line, z[quiet], y[quiet]), _Polynomial(_line, z, y)]
+    finest = fits[-1]
     if n >= FEWEST * (1 + d + d * (d + 1) // 2):
-        fits.append(_Polynomial(_parabola, z, y))
-    error, white = fits[-1].error(at)
+        finest, Q = _Polynomial(_parabola, z, y), np.linalg.qr(_parabola(z))[0]
+        clean = unpredicted(Q, y[:, None], LAGS, [slice(n)], np.ones(n, bool))
+        fits.append(_Polynomial(_parabola, z, clean[:, 0]))
+    error, white = finest.error(at)
     return [fit.slopes(at) / scale for fit in fits], error / scale[:, None], white / scale
 
 

@@ -52,7 +52,8 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
 
     The polynomial of highest order has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
     and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
-    whatever the correlation within a block and between outputs (Liang & Zeger 1986).
+    whatever the correlation within a block and between outputs (Liang & Zeger 1986). Copies of a
+    sample, as of mirrored flights, err together.
     """
     if getattr(posterior, "shares", ()) is None:
         return None
@@ -64,8 +65,9 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     random = [np.pad(part[1], [(0, 0), (0, 0), (0, n_blocks - part[1].shape[-1])]) for part in parts]
     slopes = np.stack([posterior.gradient(X), *_common([part[0] for part in parts])], axis=-1)
     method = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
-    white, n_samples = np.stack([part[2] for part in parts], axis=1), max(map(len, data.y))
-    return SlopeErrors(np.stack(random, axis=1), method, white, n_samples)
+    white, n_copies = np.stack([part[2] for part in parts], axis=1), getattr(posterior, "n_copies", 1)
+    random, white = (np.sqrt(n_copies) * part for part in (np.stack(random, axis=1), white))
+    return SlopeErrors(random, method, white, max(map(len, data.y)) // n_copies)
 
 
 def _common(slopes):

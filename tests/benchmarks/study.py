@@ -1,6 +1,7 @@
 """Why the learned function and its derivatives miss the truth: one cause of error switched at a time.
 
     python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 10] [--jobs N] [--aircraft c172p]
+    python tests/benchmarks/study.py [--out OUT] --aircraft viggen --data ../shared/data
 
 Aircraft with known truth fly the same plan again and again, each seed in other gusts and with other sensor noise,
 in calm, light and moderate air. Learned functions are scored at the exact regressors of a flight in calm air along
@@ -27,12 +28,17 @@ from functools import partial
 import _study_flights as flights
 import joblib
 import numpy as np
+import pandas as pd
 from _common import finish, parser_of
 from _study_flights import NAMES
-from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process, trend, weighted
-from sklearn.preprocessing import PolynomialFeatures
+from _study_methods import EVERY, Case, agitation, lagged, learned, line, noise_spectra, parabola, process, trend
+from _study_methods import weighted as weighted_least_squares
+from comparison import task_of
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
+from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp.identification._pipeline import default_regressor
 
 EXACT = Case("exact", "exact", "air", "exact")
 CHAINS = {  # each case adds the cause that names it
@@ -59,7 +65,6 @@ QUADRATIC = {"trend": PolynomialFeatures(2)}
 SYMMETRIC, OTHER_AIR = {"symmetric": True}, {"symmetric": True, "gusty": True}
 JUDGED = {  # what the model for other air is compared with: case, and what is changed of the default
     "default": (LOGGED, {}),
-    "symmetric": (LOGGED, SYMMETRIC),
     "gusty and symmetric": (LOGGED, OTHER_AIR),
     "rates of the air given": (Case(rates="air"), SYMMETRIC),
     "noise-free regressors": (Case(inputs="exact", rates="air"), SYMMETRIC),
@@ -88,6 +93,7 @@ DERIVATIVES = [  # label, case, method
     ("least squares, exact data", EXACT, "least squares"),
     ("default, exact data", EXACT, "default"),
 ]
+ALONG = 0.25  # of a rolling gust in the pitching of an aircraft that flies along the wind
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
 PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p", "Cn_r")
 SHOWN = (
@@ -111,7 +117,7 @@ def linear_methods(subject, seen, spectra):
         found[case, "IV commands"] = line(X, Y, subject, case, lagged(seen.log.command, 2.0))
     for case in (LOGGED, CLASSICAL, CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]):
         X, _ = case.table(seen)
-        found[case, "weighted"] = weighted(X, seen.targets["raw"], subject, case, spectra)
+        found[case, "weighted"] = weighted_least_squares(X, seen.targets["raw"], subject, case, spectra)
     return found
 
 
@@ -210,6 +216,44 @@ def air_table(results):
             row |= {"over default": float(ours / error["default"]), "over rates given": float(ours / bound)}
             rows.append(row | {"rates given over default": float(bound / error["default"]), "seeds": seeds})
     return rows
+
+
+def viggen_table(folder):
+    """Return errors at exact regressors of a gusty flight, less the rates of the air, while it flies along the wind.
+
+    There the rates q and r of the air follow from the wind. Last, what second order of these rows themselves leaves.
+    """
+    task = task_of("viggen_latlon", folder)
+    rates, across = flights.milspec_rates(task.test, task.aircraft.span)
+    exact = flights.exact_regressors(task.test, task.aircraft)
+    exact[:, flights.ROTATION] -= rates * flights.hats(task.test, task.aircraft)
+    asked, truth = exact[across < ALONG][:, LOGGED.columns], task.truth[across < ALONG]
+    steps = make_identification_pipeline(task.aircraft)[:-2]
+    X = np.array(steps.fit_transform(task.train)[LOGGED.regressors])
+    given, Y = X.copy(), task.targets.to_numpy()
+    given[:, flights.ROTATION] -= flights.milspec_rates(task.train, task.aircraft.span)[0] * flights.hats(
+        task.train, task.aircraft
+    )
+    tasks = {name: (X, JUDGED[name][1]) for name in ("default", "gusty and symmetric")}
+    tasks |= {"symmetric": (X, SYMMETRIC), "symmetric, rates q and r of the air given": (given, SYMMETRIC)}
+    rows = []
+    for name, (regressors, options) in tasks.items():
+        model = default_regressor(random_state=0).set_params(structure="joint")
+        pipeline = learned(model, regressors, Y, LOGGED, task.train, **options)
+        at = pipeline[:-1].transform(pd.DataFrame(asked.mean(axis=0, keepdims=True), columns=LOGGED.regressors))
+        slopes = pipeline[-1].predict_gradient(at)[0] / pipeline[-2].scale_
+        rows.append(_error_row(name, pipeline.predict(pd.DataFrame(asked, columns=LOGGED.regressors)), truth, slopes))
+    terms = PolynomialFeatures(2).fit_transform(StandardScaler().fit_transform(asked))
+    best = terms @ np.linalg.lstsq(terms, truth, rcond=None)[0]
+    slopes = np.linalg.lstsq(np.column_stack([np.ones(len(asked)), asked]), truth, rcond=None)[0][1:].T
+    return [*rows, _error_row("second order of these rows", best, truth, slopes)]
+
+
+def _error_row(name, found, truth, slopes):
+    error = np.sqrt(((found - truth) ** 2).mean(axis=0)) / truth.std(axis=0)
+    row = {"learned": name, "NRMSE": float(error.mean())}
+    row |= {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, error, strict=True)}
+    return row | {"Cm_q": float(slopes[4, 3]), "Cl_p": float(slopes[3, 2]), "Cn_r": float(slopes[5, 4])}
 
 
 def parts_table(results, method, air="light"):
@@ -404,7 +448,8 @@ def study(subject, options, folder):
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", default="example", choices=["example", "c172p", "c182"])
+    parser.add_argument("--aircraft", default="example", choices=["example", "c172p", "c182", "viggen"])
+    parser.add_argument("--data", help="folder of the shared flights, for the viggen")
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
     parser.add_argument("--processes", type=int, default=10, help="seeds of them that the default learns")
     parser.add_argument("--others", type=int, default=2, help="seeds of them that other dependent processes learn")
@@ -419,6 +464,9 @@ def main(words=None):
     if options.smoke:
         options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
         options.others = options.trends = 1
+    if options.aircraft == "viggen":
+        finish(options, "study_viggen", air=viggen_table(options.data))
+        return
     folder = options.out / "study" if options.out and not options.smoke else None
     name = options.aircraft
     flown = max(options.seeds, options.trends)

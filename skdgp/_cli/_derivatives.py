@@ -11,7 +11,7 @@ import pandas as pd
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, picture_writers, table_writer
 from skdgp._cli._parser import Command
-from skdgp._cli._predict import read_model, thrust_of_model
+from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
 from skdgp.plotting import DerivativeDisplay
@@ -33,8 +33,7 @@ def derivatives(run: Run) -> None:
     """
     options = run.options
     run.console.stage("reading")
-    model = read_model(options)
-    thrust = thrust_of_model(model)
+    model, thrust = read_model_to_fly(options)
     run.console.stage("trimming")
     climb = None if thrust is None else 0.0  # without thrust it follows
     conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}

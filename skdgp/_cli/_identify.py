@@ -151,7 +151,7 @@ LEARNING = [
     opt.option("--latents M|auto", "latent processes that the outputs share (default: 2)", opt.at_least(0, "auto")),
     opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),
     opt.flag("--symmetric", "the aircraft is symmetric: learn from mirrored flights, too"),
-    opt.flag("--gusty", "learn the aircraft rather than its air, of flights in gusts: to simulate or to linearise"),
+    opt.flag("--gusty", "learn the aircraft without its gusts, to simulate or linearise; not to predict gusty flights"),
     opt.option("--max-iter N", "iterations of the fit", opt.at_least(1)),
     opt.option("--restarts N", "further starting points of the fit (default: 0)", opt.at_least(0), default=0),
     opt.SEED,

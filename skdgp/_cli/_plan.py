@@ -11,7 +11,7 @@ import numpy as np
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, table_writer
 from skdgp._cli._parser import Command
-from skdgp._cli._predict import read_model, thrust_of_model
+from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
 from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
@@ -48,7 +48,7 @@ def plan(run: Run) -> None:
     """
     options, console = run.options, run.console
     console.stage("reading")
-    model = read_model(options)
+    model, thrust = read_model_to_fly(options)
     limits = _limits(options)
     with listening(console.progress), console.counting_interrupts():
         found = plan_flight(
@@ -65,7 +65,7 @@ def plan(run: Run) -> None:
             pause=options.pause,
             rate=options.rate,
             n_paths=options.paths,
-            thrust=thrust_of_model(model),
+            thrust=thrust,
             random_state=options.seed,
         )
     seconds = sum(train.duration + options.pause for train in found.trains)

@@ -15,10 +15,14 @@ from skdgp._cli._identify import finish
 from skdgp._cli._output import Run, check_writable, table_writer
 from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
+from skdgp.dynamics._equations.aerodynamics import turbulence_of
 from skdgp.identification import load_model, predict_flight
 from skdgp.identification import validate as judge
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identify import check_identified, read_aircraft, usable_flights_of_model
+
+NOTABLE_GUSTS = 0.5
+"""Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C."""
 
 
 def read_model(options) -> Bunch:
@@ -30,16 +34,25 @@ def read_model(options) -> Bunch:
     return model
 
 
-def thrust_of_model(model: Bunch) -> str | None:
-    """Return the thrust of a simulation, "auto" or None; warn of known loads that it does not have."""
-    learned = model.get("options", {})
+def read_model_to_fly(options) -> tuple[Bunch, str | None]:
+    """Return the model and the thrust of a simulation, "auto" or None; warn of loads and gusts of its flights."""
+    model = read_model(options)
+    learned, pipeline = model.get("options", {}), model.pipeline
     if learned.get("external_forces"):
         warnings.warn(
             f"The simulation flies without the external forces {learned['external_forces']} of the flights that the "
             "model was learned from.",
             stacklevel=2,
         )
-    return None if learned.get("thrust", "auto") in (None, "none") else "auto"
+    gusts = 0.0 if (turbulence := turbulence_of(pipeline)) is None else max(turbulence.intensity)
+    if gusts > NOTABLE_GUSTS and not getattr(pipeline, "gusty", False):
+        warnings.warn(
+            f"The model was learned in gusts of {gusts:.1f} m/s to predict flights in such gusts, so its derivatives "
+            "by rates are too small: learn one by identify --gusty --symmetric to simulate or to linearise.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return model, None if learned.get("thrust", "auto") in (None, "none") else "auto"
 
 
 def predict(run: Run) -> None:

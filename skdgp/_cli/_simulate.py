@@ -12,7 +12,7 @@ import pandas as pd
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, check_writable, picture_writers, table_writer
 from skdgp._cli._parser import Command
-from skdgp._cli._predict import read_model, thrust_of_model
+from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import json_text, text_writer
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, WIND
 from skdgp._flight.checks import check_columns
@@ -68,8 +68,7 @@ def simulate(run: Run) -> None:
     suffix = f".{options.format}"
     check_writable(suffix)
     run.console.stage("reading")
-    model = read_model(options)
-    thrust = thrust_of_model(model)
+    model, thrust = read_model_to_fly(options)
     start = _start(options, model, thrust)
     run.console.stage("simulating")
     initial = (model.pipeline, model.aircraft, start.state, start.controls, options.dt)

@@ -340,7 +340,7 @@ class FlightPipeline(Pipeline):
             factor = np.full(Y.shape[1], float(len(samples)))
             if self.gusty:
                 factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)
-            last.posterior_ = with_more_noise(last.posterior_, factor)
+            last.posterior_ = with_more_noise(last.posterior_, factor, len(samples))
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients of one or more flights at their full rate.
@@ -385,13 +385,17 @@ def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, 
     return factor
 
 
-def with_more_noise(posterior: Any, factor: Vector) -> Any:
-    """Return the posterior with the noise of each output times a factor (P,)."""
+def with_more_noise(posterior: Any, factor: Vector, n_copies: int) -> Any:
+    """Return the posterior of ``n_copies`` of each sample with the noise of each output times a factor (P,)."""
     noise = np.array(posterior.noise)
     noise[: len(factor)] *= factor
+    more: Any
     if isinstance(posterior, ExactPosterior):
-        return ExactPosterior(posterior.kernel, noise, posterior.data)
-    return SparsePosterior(posterior.kernel, posterior.features, noise, posterior.shares)
+        more = ExactPosterior(posterior.kernel, noise, posterior.data)
+    else:
+        more = SparsePosterior(posterior.kernel, posterior.features, noise, posterior.shares)
+    more.n_copies = n_copies
+    return more
 
 
 def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:

@@ -2,9 +2,9 @@
 
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong: gusts flatten slopes where
-the motion is small, and functions that are too simple average the curvature. Polynomials of first and second
-order of all samples, and of first order of the half with the smallest motion, have other errors. Their differences show
-how large such errors are.
+the motion is small, and functions that are too simple average the curvature. Three polynomials have other errors: of
+first order of all samples, of first order of the half with the smallest motion, and of second order without the part of
+the errors that past errors predict, which gusts do not flatten. Their differences show how large such errors are.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ import numpy as np
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix
 from skdgp.inference._compact import observed_values
+from skdgp.inference._unpredicted import unpredicted
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
 FEWEST = 5  # smallest number of samples for each weight of a polynomial
 QUIET = 0.5  # share of the samples, those nearest to the mean, of the quiet polynomial
+LAGS = range(2, 9)  # samples to the past errors that predict an error; smoothing mixes the next one with it
 
 
 class SlopeErrors(NamedTuple):
@@ -50,7 +52,8 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
 
     The polynomial of highest order has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
     and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
-    whatever the correlation within a block and between outputs (Liang & Zeger 1986).
+    whatever the correlation within a block and between outputs (Liang & Zeger 1986). Copies of a
+    sample, as of mirrored flights, err together.
     """
     if getattr(posterior, "shares", ()) is None:
         return None
@@ -62,8 +65,9 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     random = [np.pad(part[1], [(0, 0), (0, 0), (0, n_blocks - part[1].shape[-1])]) for part in parts]
     slopes = np.stack([posterior.gradient(X), *_common([part[0] for part in parts])], axis=-1)
     method = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
-    white, n_samples = np.stack([part[2] for part in parts], axis=1), max(map(len, data.y))
-    return SlopeErrors(np.stack(random, axis=1), method, white, n_samples)
+    white, n_copies = np.stack([part[2] for part in parts], axis=1), getattr(posterior, "n_copies", 1)
+    random, white = (np.sqrt(n_copies) * part for part in (np.stack(random, axis=1), white))
+    return SlopeErrors(random, method, white, max(map(len, data.y)) // n_copies)
 
 
 def _common(slopes):
@@ -72,7 +76,7 @@ def _common(slopes):
 
 
 def _of_output(x, y, X):
-    """Return the slopes (n, d) by each polynomial, the error (n, d, n_blocks) of the last, and its white std."""
+    """Return the slopes (n, d) by each polynomial, the error (n, d, n_blocks) of the finest, and its white std."""
     n, d = x.shape
     if n < FEWEST * (d + 1) / QUIET:
         return None
@@ -81,9 +85,12 @@ def _of_output(x, y, X):
     distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(d, d), hermitian=True), z)
     quiet = distance <= np.quantile(distance, QUIET)
     fits = [_Polynomial(_line, z[quiet], y[quiet]), _Polynomial(_line, z, y)]
+    finest = fits[-1]
     if n >= FEWEST * (1 + d + d * (d + 1) // 2):
-        fits.append(_Polynomial(_parabola, z, y))
-    error, white = fits[-1].error(at)
+        finest, Q = _Polynomial(_parabola, z, y), np.linalg.qr(_parabola(z))[0]
+        clean = unpredicted(Q, y[:, None], LAGS, [slice(n)], np.ones(n, bool))
+        fits.append(_Polynomial(_parabola, z, clean[:, 0]))
+    error, white = finest.error(at)
     return [fit.slopes(at) / scale for fit in fits], error / scale[:, None], white / scale
 
 

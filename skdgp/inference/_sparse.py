@@ -69,6 +69,7 @@ class SparsePosterior:
     shares: Any
     sums: Sums
     statistics: Any  # list of Statistics, None if the noise is correlated
+    n_copies = 1  # of each sample
 
     def __init__(self, kernel: Any, features: Any, noise: Vector, shares: list) -> None:
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
@@ -76,7 +77,7 @@ class SparsePosterior:
         self._begin()
 
     def __getstate__(self):
-        state = {name: self.__dict__[name] for name in ("kernel", "features", "noise", "shares")}
+        state = {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares", "n_copies")}
         if self.shares is None:  # otherwise the sums are computed again from the samples, which take less space
             state["sums"] = self.sums.packed(self.features, self.kernel.n_outputs)
         return state

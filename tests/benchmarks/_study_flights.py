@@ -9,7 +9,8 @@ import pandas as pd
 from _jsbsim_flight import FOOT, POUND_FORCE, SLUG, aircraft_of, started
 
 from skdgp import make_identification_pipeline
-from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, TRUTH_SUFFIX
+from skdgp._flight.channels import COEFFICIENTS, EULER, HAT, RATE_LENGTHS, TRUTH_SUFFIX
+from skdgp._flight.frames import euler_to_quaternion, ned_to_body
 from skdgp.datasets._autopilot import COMMANDS
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 from skdgp.datasets._example_flights import MEASURED, TRUTH, _columns, measure
@@ -209,11 +210,49 @@ def _c172p_table(table: pd.DataFrame, time: np.ndarray, name: str, command: np.n
     truth[:, 3:] /= aircraft.moment_lengths
     for axis in ("north", "east"):
         table[f"{axis}_true"] = np.cumsum(table[f"v_{axis}_true"]) / 40
-    half = {
-        rate: getattr(aircraft, RATE_LENGTHS[rate]) / (2 * table["airspeed_true"]) for rate in (*"pqr", *NAMES[5:7])
-    }
-    values = [table[f"{name}_true"] if f"{name}_true" in table else table[name] for name in NAMES]
-    exact = np.column_stack([v * half.get(name, 1.0) for name, v in zip(NAMES, values, strict=True)])
-    gust = np.column_stack([(table[f"{rate}_true"] - table[f"{rate}_felt"]) * half[rate] for rate in "pqr"])
+    exact = exact_regressors(table, aircraft)
+    gust = np.column_stack([table[f"{rate}_true"] - table[f"{rate}_felt"] for rate in "pqr"])
+    gust *= hats(table, aircraft)
     table = table.assign(time=time, flight=name, psi_true=table["psi_true"] % (2 * np.pi))
     return Log(table, exact, gust, command, truth)
+
+
+def hats(table: pd.DataFrame, aircraft: Aircraft) -> np.ndarray:
+    """Return the factors (n, 3) that make p, q, r non-dimensional."""
+    lengths = [getattr(aircraft, RATE_LENGTHS[rate]) for rate in "pqr"]
+    return np.array(lengths) / (2 * table["airspeed_true"].to_numpy()[:, None])
+
+
+def exact_regressors(table: pd.DataFrame, aircraft: Aircraft) -> np.ndarray:
+    """Return `NAMES` of columns of the truth, (n, 11), rates relative to the earth."""
+    exact = np.column_stack([table[name + TRUTH_SUFFIX if name + TRUTH_SUFFIX in table else name] for name in NAMES])
+    by = hats(table, aircraft)
+    exact[:, ROTATION] *= by
+    exact[:, SLOPES] *= by[:, 1:]
+    return exact
+
+
+# -- flights of others -------------------------------------------------------------------------------
+
+
+def milspec_rates(table: pd.DataFrame, span: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rates of the air that JSBSim's turbulence makes of its wind, (n, 3) in body axes [rad/s].
+
+    Pitching and yawing lag behind the changes of the velocities w and v (Yeager 1998, eqs 14 and 18). Rolling is drawn
+    for itself and stays unknown: its axis is along the wind, so with the rates comes its part in the pitching, (n,).
+    """
+    north, east, down = (table[f"wind_{axis}_true"].to_numpy() for axis in ("north", "east", "down"))
+    speed, azimuth = table["airspeed_true"].to_numpy(), np.arctan2(east.mean(), north.mean())
+    cos, sin, step = np.cos(azimuth), np.sin(azimuth), np.median(np.diff(table["time"]))
+
+    def lagging(velocity, lengths):
+        time, rate = lengths * span / (np.pi * speed), np.zeros(len(velocity))
+        keep, gain = np.exp(-step / time), time / step / (lengths * span / np.pi)
+        for k in range(1, len(rate)):
+            rate[k] = keep[k] * rate[k - 1] + gain[k] * (1 - keep[k]) * (velocity[k] - velocity[k - 1])
+        return rate
+
+    q, r = lagging(down, 4), lagging(sin * north + cos * east, 3)
+    attitude = euler_to_quaternion(*(table[f"{angle}_true"].to_numpy() for angle in EULER))
+    axis = ned_to_body(attitude, np.tile([cos, -sin, 0.0], (len(table), 1)))
+    return ned_to_body(attitude, np.column_stack([sin * q, cos * q, r])), np.abs(axis[:, 1])

@@ -6,16 +6,19 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from _study_flights import NAMES, ROTATION, SLOPES, TRIM_ALTITUDE
 from scipy.ndimage import uniform_filter1d
-from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp.dynamics import air_velocity, stability_derivatives
+from skdgp.dynamics._control.derivatives import PARTS
+from skdgp.identification import FlightPipeline
 from skdgp.identification._pipeline import default_regressor
 from skdgp.inference import autocorrelation_time
+from skdgp.preprocessing import RegressorSelector
 
 CONTROLS = NAMES[-4:]
 RATE = 40  # Hz, of the logs
@@ -49,6 +52,10 @@ class Case(NamedTuple):
             Y = np.where((size > np.median(size))[:, None], Y, np.nan)
         return X[:, self.columns], Y
 
+    @property
+    def regressors(self):
+        return [NAMES[k] + HAT * (NAMES[k] in RATE_LENGTHS) for k in self.columns]
+
 
 def agitation(seen):
     """Return how large the roll rate is around each row, (n,): its root mean square over a second."""
@@ -65,6 +72,8 @@ class Found(NamedTuple):
     slopes: np.ndarray
     """At the trim, (6, 11); NaN where the regressor is not in the case."""
     slopes_std: np.ndarray
+    slopes_parts: np.ndarray | None = None
+    """The `PARTS` of a deviation, (4, 6, 11)."""
 
 
 def asked_of(subject, case):
@@ -162,36 +171,42 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
     On so many rows its structure "auto" is "joint", which takes half the time if it is not chosen first.
     """
     X, Y = case.table(seen)
-    scaler, table = StandardScaler().fit(X), seen.log.table
-    model = default_regressor(random_state=seed, max_iter=max_iter).set_params(**{"structure": "joint"} | changes)
+    options = {name: value for name, value in changes.items() if name in ("symmetric", "gusty")}
+    changes = {"structure": "joint"} | {name: value for name, value in changes.items() if name not in options}
+    model = default_regressor(random_state=seed, max_iter=max_iter).set_params(**changes)
     if kernel is not None:
         model.set_params(kernel=kernel, trend="constant", optimizer=None, input_noise=None, inference="sparse")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        model.fit(scaler.transform(X), Y, time=table["time"].to_numpy(), flight=table["flight"].to_numpy())
+    pipeline = learned(model, X, Y, case, seen.log.table, **options)
     if kernel is not None:
         error = seen.targets["measured"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
         known = error.var(axis=0) * [autocorrelation_time(e) for e in error.T]
+        model = pipeline[-1]
         model.posterior_ = model.posterior_.with_noise(known / model._scale**2)
-    exact = {"include_input_noise": False}
-    function, std = model.predict(scaler.transform(asked_of(subject, case)), return_std=True, **exact)
-    slopes, slopes_std = slopes_of(scaler, model, subject, case)
-    return Found(function, std, slopes, slopes_std), model.kernel_
+    asked = pd.DataFrame(asked_of(subject, case), columns=case.regressors)
+    function, std = pipeline.predict(asked, return_std=True, include_input_noise=False)
+    slopes, slopes_std, *parts = slopes_of(pipeline, subject, case, ("value", "std", *PARTS))
+    return Found(function, std, slopes, slopes_std, np.array(parts)), pipeline[-1].kernel_
 
 
-def trend(X, Y, subject, case):
-    """Return derivatives of the trend alone, with all products of two regressors, and their ``std_random``."""
-    scaler = StandardScaler().fit(X)
-    model = DependentGPRegressor(structure="trend", trend=PolynomialFeatures(2), optimizer=None)
+def learned(model, X, Y, case, table, **options):
+    """Return the pipeline from the regressors of a case to coefficients, learned without a word."""
+    steps = [("selector", RegressorSelector(case.regressors)), ("scaler", StandardScaler()), ("model", model)]
+    flight = pd.DataFrame(X, columns=case.regressors)
+    flight = flight.assign(time=table["time"].to_numpy(), flight=table["flight"].to_numpy())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        model.fit(scaler.transform(X), Y)
-    return tuple(slopes_of(scaler, model, subject, case, ("value", "std_random")))
+        return FlightPipeline(steps, **options).fit(flight, pd.DataFrame(Y, columns=COEFFICIENTS))
 
 
-def slopes_of(scaler, model, subject, case, columns=("value", "std")):
+def trend(seen, subject, case):
+    """Return derivatives of the trend alone, with all products of two regressors, and their ``std_random``."""
+    model = DependentGPRegressor(structure="trend", trend=PolynomialFeatures(2), optimizer=None)
+    pipeline = learned(model, *case.table(seen), case, seen.log.table)
+    return tuple(slopes_of(pipeline, subject, case, ("value", "std_random")))
+
+
+def slopes_of(pipeline, subject, case, columns):
     """Return columns of the table of derivatives at the trim, (6, 11) each."""
-    scaler.feature_names_in_ = np.array([NAMES[k] + HAT * (NAMES[k] in RATE_LENGTHS) for k in case.columns], object)
     at = dict(zip(NAMES, subject.trim, strict=True))
     rates = [
         at[name] / rate_factor(name, getattr(subject.aircraft, RATE_LENGTHS[name]), subject.speed) for name in "pqr"
@@ -200,6 +215,6 @@ def slopes_of(scaler, model, subject, case, columns=("value", "std")):
     velocity = air_velocity(subject.speed, at["alpha"], at["beta"])
     state = np.concatenate([[0.0, 0.0, -TRIM_ALTITUDE], velocity, attitude, rates])
     controls = {name: at[name] for name in CONTROLS}
-    table = stability_derivatives(make_pipeline(scaler, model), subject.aircraft, state, controls, thrust=None)
+    table = stability_derivatives(pipeline, subject.aircraft, state, controls, thrust=None)
     table = table[table["coefficient"].isin(COEFFICIENTS) & (table["regressor"] != "")]
     return (widened(table[name].to_numpy().reshape(6, -1), case) for name in columns)

@@ -1,6 +1,7 @@
 """Why the learned function and its derivatives miss the truth: one cause of error switched at a time.
 
-    python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 4] [--jobs N] [--aircraft c172p]
+    python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 10] [--jobs N] [--aircraft c172p]
+    python tests/benchmarks/study.py [--out OUT] --aircraft viggen --data ../shared/data
 
 Aircraft with known truth fly the same plan again and again, each seed in other gusts and with other sensor noise,
 in calm, light and moderate air. Learned functions are scored at the exact regressors of a flight in calm air along
@@ -13,8 +14,9 @@ another path, derivatives at a trim. A case says which causes of error the train
     rows      all, or the half in which the roll rate is largest
 
 From one case to the next of a chain one cause is added; the rise of the squared error, split into squared bias and
-variance over the seeds, is that cause's part. ``--processes`` seeds are learned by dependent processes, all ``--seeds``
-by linear methods. Each fit is kept under OUT/study and not done again. The c172p needs the jsbsim wheel.
+variance over the seeds, is that cause's part. ``--processes`` seeds are learned by the default, ``--others`` by other
+dependent processes, all ``--seeds`` by linear methods. Each fit is kept under OUT/study and not done again. The c172p
+and the c182 need the jsbsim wheel.
 """
 
 from __future__ import annotations
@@ -26,12 +28,17 @@ from functools import partial
 import _study_flights as flights
 import joblib
 import numpy as np
+import pandas as pd
 from _common import finish, parser_of
 from _study_flights import NAMES
-from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process, trend, weighted
-from sklearn.preprocessing import PolynomialFeatures
+from _study_methods import EVERY, Case, agitation, lagged, learned, line, noise_spectra, parabola, process, trend
+from _study_methods import weighted as weighted_least_squares
+from comparison import task_of
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
+from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp.identification._pipeline import default_regressor
 
 EXACT = Case("exact", "exact", "air", "exact")
 CHAINS = {  # each case adds the cause that names it
@@ -55,10 +62,18 @@ AGITATED = Case(rows="agitated")
 ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical", AGITATED: "quasi-steady, agitated half of the rows"}
 ASKED |= {case: f"classical, {name}" for name, case in GIVEN.items()}
 QUADRATIC = {"trend": PolynomialFeatures(2)}
+SYMMETRIC, OTHER_AIR = {"symmetric": True}, {"symmetric": True, "gusty": True}
+JUDGED = {  # what the model for other air is compared with: case, and what is changed of the default
+    "default": (LOGGED, {}),
+    "gusty and symmetric": (LOGGED, OTHER_AIR),
+    "rates of the air given": (Case(rates="air"), SYMMETRIC),
+    "noise-free regressors": (Case(inputs="exact", rates="air"), SYMMETRIC),
+}
+DEFAULTS = [(air, case, {}) for case in (LOGGED, CLASSICAL) for air in ("light", "moderate", "calm")]
+AIRED = [(air, *task) for air in ("light", "moderate") for task in JUDGED.values()]
 COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
-    *((air, LOGGED, changes) for air in ("light", "moderate", "calm") for changes in ({}, QUADRATIC)),
+    *((air, LOGGED, QUADRATIC) for air in ("light", "moderate", "calm")),
     *((air, AGITATED, {}) for air in ("light", "moderate")),
-    *((air, CLASSICAL, {}) for air in ("light", "moderate", "calm")),
     ("light", CLASSICAL, QUADRATIC),
     ("light", CLASSICAL, {"structure": "additive"}),
     ("light", GIVEN["rates of the air given"], {}),
@@ -67,6 +82,7 @@ CHAINED = [("light", case, {}) for chain in CHAINS.values() for case in chain.va
 DERIVATIVES = [  # label, case, method
     ("default", LOGGED, "default"),
     ("default, classical", CLASSICAL, "default"),
+    ("gusty and symmetric", LOGGED, "default, symmetric=True, gusty=True"),
     ("least squares", LOGGED, "least squares"),
     ("least squares, classical", CLASSICAL, "least squares"),
     ("IV surfaces", LOGGED, "IV surfaces"),
@@ -77,6 +93,7 @@ DERIVATIVES = [  # label, case, method
     ("least squares, exact data", EXACT, "least squares"),
     ("default, exact data", EXACT, "default"),
 ]
+ALONG = 0.25  # of a rolling gust in the pitching of an aircraft that flies along the wind
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
 PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p", "Cn_r")
 SHOWN = (
@@ -100,7 +117,7 @@ def linear_methods(subject, seen, spectra):
         found[case, "IV commands"] = line(X, Y, subject, case, lagged(seen.log.command, 2.0))
     for case in (LOGGED, CLASSICAL, CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]):
         X, _ = case.table(seen)
-        found[case, "weighted"] = weighted(X, seen.targets["raw"], subject, case, spectra)
+        found[case, "weighted"] = weighted_least_squares(X, seen.targets["raw"], subject, case, spectra)
     return found
 
 
@@ -184,6 +201,59 @@ def function_table(results):
             row |= {"over default": float(ratio) if n else None, "seeds": len(found)}
             rows.append(row)
     return rows
+
+
+def air_table(results):
+    """Return the error of a model for other air, beside what it could reach if more were known."""
+    rows = []
+    for air in flights.AIR:
+        keys = {name: (air, case, method_of(changes)) for name, (case, changes) in JUDGED.items()}
+        seeds = min(len(results.found.get(key, [])) for key in keys.values())
+        if seeds:
+            error = {name: results.nrmse(key, seeds).mean() for name, key in keys.items()}
+            ours, bound = error["gusty and symmetric"], error["rates of the air given"]
+            row = {"air": air} | {f"NRMSE {name}": float(value) for name, value in error.items()}
+            row |= {"over default": float(ours / error["default"]), "over rates given": float(ours / bound)}
+            rows.append(row | {"rates given over default": float(bound / error["default"]), "seeds": seeds})
+    return rows
+
+
+def viggen_table(folder):
+    """Return errors at exact regressors of a gusty flight, less the rates of the air, while it flies along the wind.
+
+    There the rates q and r of the air follow from the wind. Last, what second order of these rows themselves leaves.
+    """
+    task = task_of("viggen_latlon", folder)
+    rates, across = flights.milspec_rates(task.test, task.aircraft.span)
+    exact = flights.exact_regressors(task.test, task.aircraft)
+    exact[:, flights.ROTATION] -= rates * flights.hats(task.test, task.aircraft)
+    asked, truth = exact[across < ALONG][:, LOGGED.columns], task.truth[across < ALONG]
+    steps = make_identification_pipeline(task.aircraft)[:-2]
+    X = np.array(steps.fit_transform(task.train)[LOGGED.regressors])
+    given, Y = X.copy(), task.targets.to_numpy()
+    given[:, flights.ROTATION] -= flights.milspec_rates(task.train, task.aircraft.span)[0] * flights.hats(
+        task.train, task.aircraft
+    )
+    tasks = {name: (X, JUDGED[name][1]) for name in ("default", "gusty and symmetric")}
+    tasks |= {"symmetric": (X, SYMMETRIC), "symmetric, rates q and r of the air given": (given, SYMMETRIC)}
+    rows = []
+    for name, (regressors, options) in tasks.items():
+        model = default_regressor(random_state=0).set_params(structure="joint")
+        pipeline = learned(model, regressors, Y, LOGGED, task.train, **options)
+        at = pipeline[:-1].transform(pd.DataFrame(asked.mean(axis=0, keepdims=True), columns=LOGGED.regressors))
+        slopes = pipeline[-1].predict_gradient(at)[0] / pipeline[-2].scale_
+        rows.append(_error_row(name, pipeline.predict(pd.DataFrame(asked, columns=LOGGED.regressors)), truth, slopes))
+    terms = PolynomialFeatures(2).fit_transform(StandardScaler().fit_transform(asked))
+    best = terms @ np.linalg.lstsq(terms, truth, rcond=None)[0]
+    slopes = np.linalg.lstsq(np.column_stack([np.ones(len(asked)), asked]), truth, rcond=None)[0][1:].T
+    return [*rows, _error_row("second order of these rows", best, truth, slopes)]
+
+
+def _error_row(name, found, truth, slopes):
+    error = np.sqrt(((found - truth) ** 2).mean(axis=0)) / truth.std(axis=0)
+    row = {"learned": name, "NRMSE": float(error.mean())}
+    row |= {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, error, strict=True)}
+    return row | {"Cm_q": float(slopes[4, 3]), "Cl_p": float(slopes[3, 2]), "Cn_r": float(slopes[5, 4])}
 
 
 def parts_table(results, method, air="light"):
@@ -272,7 +342,7 @@ def scatter_table(subject, folder, n_flights, jobs):
     """
 
     def one(air, seed):
-        return trend(*LOGGED.table(flights.seen(subject.logs[air][seed], subject.aircraft, seed)), subject, LOGGED)
+        return trend(flights.seen(subject.logs[air][seed], subject.aircraft, seed), subject, LOGGED)
 
     rows = []
     for air in ("light", "moderate"):
@@ -355,7 +425,8 @@ def study(subject, options, folder):
         for one in run(joblib.delayed(kept)(folder, *task) for task in zip(names, tasks, strict=True)):
             found += [((air, *key), value) for key, value in one.items()]
     print(f"{subject.name}: linear methods done", flush=True)
-    wanted = [(*task, seed) for part in (COMPARED, CHAINED) for seed in range(options.processes) for task in part]
+    parts = [(DEFAULTS, options.processes), *((part, options.others) for part in (AIRED, COMPARED, CHAINED))]
+    wanted = [(*task, seed) for part, n in parts for seed in range(n) for task in part]
     unique = {(air, case, method_of(changes), seed): changes for air, case, changes, seed in wanted}
     if options.smoke:
         unique = {("light", LOGGED, "default", 0): {}}
@@ -369,7 +440,7 @@ def study(subject, options, folder):
     cases = [] if options.smoke else [CHAINS[name]["noise of loads"] for name in CHAINS]
     known = run(
         joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder)
-        for seed in range(options.processes)
+        for seed in range(options.others)
         for case in cases
     )
     return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)]), seen
@@ -377,9 +448,11 @@ def study(subject, options, folder):
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", default="example", choices=["example", "c172p", "c182"])
+    parser.add_argument("--aircraft", default="example", choices=["example", "c172p", "c182", "viggen"])
+    parser.add_argument("--data", help="folder of the shared flights, for the viggen")
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
-    parser.add_argument("--processes", type=int, default=4, help="seeds of them that dependent processes learn")
+    parser.add_argument("--processes", type=int, default=10, help="seeds of them that the default learns")
+    parser.add_argument("--others", type=int, default=2, help="seeds of them that other dependent processes learn")
     parser.add_argument(
         "--trends", type=int, default=0, help="flights in light and in moderate air that a trend learns"
     )
@@ -390,7 +463,10 @@ def main(words=None):
     options.max_iter = 60
     if options.smoke:
         options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
-        options.trends = 1
+        options.others = options.trends = 1
+    if options.aircraft == "viggen":
+        finish(options, "study_viggen", air=viggen_table(options.data))
+        return
     folder = options.out / "study" if options.out and not options.smoke else None
     name = options.aircraft
     flown = max(options.seeds, options.trends)
@@ -403,6 +479,7 @@ def main(words=None):
         "study" if name == "example" else f"study_{name}",
         parts=parts,
         function=function_table(results),
+        air=air_table(results),
         bounds=bound_table(results),
         derivatives=derivative_table(results),
         amplitudes=amplitude_table(subject, seen),

@@ -3,6 +3,7 @@
 import json
 import re
 import signal
+from copy import copy
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 from skdgp._cli import _output, _predict, main
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.dynamics import Aircraft, stability_derivatives, trim
+from skdgp.dynamics import Aircraft, Turbulence, stability_derivatives, trim
 from skdgp.identification import _identify, load_model, predict_flight, save_model
 
 
@@ -311,13 +312,15 @@ class TestSimulate:
         pd.read_csv("test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
         refused("lacks the columns 'phi'", "simulate", "--flight", tmp_path / "bare.csv", "--at", "25")
 
-    def test_known_loads_that_are_not_flown(self, run, path, model, tmp_path, capsys):
-        options = model.options | {"external_forces": ["tether"], "thrust": None}
-        save_model(tmp_path / "kite.joblib", model.pipeline, model.aircraft, options=options)
+    def test_known_loads_and_gusts_that_are_not_flown(self, run, path, model, tmp_path, capsys):
+        options, pipeline = model.options | {"external_forces": ["tether"], "thrust": None}, copy(model.pipeline)
+        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
+        save_model(tmp_path / "kite.joblib", pipeline, model.aircraft, options=options)
         words = ["--trim", "35", "--duration", ".1", "--paths", "0", "-o", str(tmp_path / "out"), "--json"]
         assert main(["simulate", str(tmp_path / "kite.joblib"), *words]) == 0
         said = capsys.readouterr()
         assert "flies without the external forces ['tether']" in said.err
+        assert "identify --gusty --symmetric to simulate" in said.err
         assert json.loads(said.out)["end"]["altitude"] < 0  # without thrust it glides down
 
 

@@ -136,12 +136,16 @@ class TestSymmetry:
 
     def test_bands_count_each_sample_once(self):
         table, Y = symmetric_flight(0, n=150)
-        std = []
+        std, random = [], []
         for symmetric in (False, True):
             last = DependentGPRegressor(structure="trend", max_iter=8, random_state=0)
             pipeline = pipeline_of(NAMES, last, symmetric=symmetric).fit(table, Y)
             std.append(pipeline[-1].predict_gradient(np.zeros((1, 5)), return_std=True)[1][0, 1, [0, 3]])
+            random.append(pipeline[-1].slope_errors(np.zeros((1, 5))))
         np.testing.assert_allclose(std[1], std[0], rtol=0.1)
+        size = [np.sqrt(np.sum(errors.random[0, 1, [0, 3]] ** 2, axis=-1)) for errors in random]
+        np.testing.assert_allclose(size[1], size[0], rtol=0.2)
+        assert random[0].n_samples == random[1].n_samples
 
     def test_single_elevons_are_refused(self):
         table, Y = symmetric_flight(0)

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import slope_errors
+from skdgp.inference import slope_errors, unpredicted
 from skdgp.inference._slopes import _line, _parabola, _Polynomial
 
 AT = np.array([[0.3, -0.2]])
@@ -79,3 +79,17 @@ def test_none_without_samples_enough(log, model):
     assert few.slope_errors(log[0][:1]) is None
     compact = DependentGPRegressor(n_latent=1, optimizer=None).fit(log[0][:60], log[1][:60]).compact(40)
     assert slope_errors(compact.posterior_, AT) is None
+
+
+def test_past_errors_tell_the_damping_that_gusts_flatten():
+    """A load turns the rate, so its lasting error, as of a gust, is in the rate: least squares finds too little."""
+    rng = np.random.default_rng(3)
+    gust, stick, rate = wandering(rng, 3000, 3), wandering(rng, 3000, 20), np.zeros(3000)
+    for t in range(1, 3000):
+        rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
+    x, load = np.column_stack([rate, stick]), -rate + stick + gust
+    A = _parabola(x)
+    clean = unpredicted(np.linalg.qr(A)[0], load[:, None], range(1, 8), [slice(3000)], np.ones(3000, bool))
+    flat, found = (np.linalg.lstsq(A, y, rcond=None)[0][1] for y in (load, clean[:, 0]))
+    assert flat > -0.4
+    assert found == pytest.approx(-1.0, abs=0.2)

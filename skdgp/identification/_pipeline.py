@@ -457,13 +457,13 @@ def flight_noise(
             continue
         seen = one.transform(table)
         if isinstance(one, FlightPathReconstruction | FlightSmoother):
-            seen = seen.assign(**{name: table[name] for name in table if name in seen})  # as measured
+            seen = seen.assign(**{str(name): table[name] for name in table if name in seen})  # as measured
         table = seen
     targets, measured = (
         aerodynamic_coefficients(flights, aircraft, cutoff=cutoff, **loads) for cutoff in ("auto", None)
     )
     terms = PolynomialFeatures(2)
-    basis, known = terms.fit_transform(smooth), np.isfinite(targets + measured).all(axis=1).to_numpy()
+    basis, known = terms.fit_transform(smooth), np.isfinite((targets + measured).to_numpy()).all(axis=1)
     if known.sum() < LEAST_ROWS * basis.shape[1]:
         return None
     weights = np.linalg.lstsq(basis[known], targets.to_numpy()[known], rcond=None)[0]

@@ -73,6 +73,7 @@ DEFAULTS = [(air, case, {}) for case in (LOGGED, CLASSICAL) for air in ("light",
 AIRED = [(air, *task) for air in ("light", "moderate") for task in JUDGED.values()]
 COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
     *((air, LOGGED, QUADRATIC) for air in ("light", "moderate", "calm")),
+    *((air, LOGGED, OTHER_AIR | QUADRATIC) for air in ("light", "moderate")),
     *((air, AGITATED, {}) for air in ("light", "moderate")),
     ("light", CLASSICAL, QUADRATIC),
     ("light", CLASSICAL, {"structure": "additive"}),

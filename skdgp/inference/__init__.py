@@ -11,7 +11,6 @@ from skdgp.inference._slopes import SlopeErrors, slope_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
 from skdgp.inference._terms import CentredTerm, training_inputs
-from skdgp.inference._unpredicted import unpredicted
 
 reach_of = input_noise_loading  # its earlier name
 
@@ -40,5 +39,4 @@ __all__ = [
     "shares_of",
     "slope_errors",
     "training_inputs",
-    "unpredicted",
 ]

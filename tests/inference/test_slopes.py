@@ -5,8 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import slope_errors, unpredicted
+from skdgp.inference import slope_errors
 from skdgp.inference._slopes import _line, _parabola, _Polynomial
+from skdgp.inference._unpredicted import unpredicted
 
 AT = np.array([[0.3, -0.2]])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,8 +33,8 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
-LEAST_ROWS = 5
-"""For each term of a polynomial."""
+LEAST_ROWS, MOST_ROWS = 5, 20000
+"""For each term of a polynomial, and for the whole of it."""
 
 
 def make_identification_pipeline(
@@ -450,30 +451,32 @@ def flight_noise(
     >>> flight_noise(model, train, flights.aircraft).columns.tolist()
     ['white', 'drift', 'memory']
     """
-    smooth, _ = flight_regressors(pipeline, flights)
-    table = flights
-    for _, one in pipeline.steps[:-1]:
-        if one in (None, "passthrough"):
-            continue
-        seen = one.transform(table)
-        if isinstance(one, FlightPathReconstruction | FlightSmoother):
-            seen = seen.assign(**{str(name): table[name] for name in table if name in seen})  # as measured
-        table = seen
-    targets, measured = (
-        aerodynamic_coefficients(flights, aircraft, cutoff=cutoff, **loads) for cutoff in ("auto", None)
-    )
-    terms = PolynomialFeatures(2)
-    basis, known = terms.fit_transform(smooth), np.isfinite((targets + measured).to_numpy()).all(axis=1)
-    if known.sum() < LEAST_ROWS * basis.shape[1]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the fit has told them
+        smooth, table = flight_regressors(pipeline, flights)[0], flights
+        for _, one in pipeline.steps[:-1]:
+            if one in (None, "passthrough"):
+                continue
+            seen = one.transform(table)
+            if isinstance(one, FlightPathReconstruction | FlightSmoother):
+                seen[[*table]] = table  # as measured
+            table = seen
+        targets, measured = (
+            aerodynamic_coefficients(flights, aircraft, cutoff=cutoff, **loads) for cutoff in ("auto", None)
+        )
+    X, Y, terms = np.asarray(table), targets.to_numpy(), PolynomialFeatures(2)
+    known = np.isfinite(np.column_stack([smooth, X, Y, measured])).all(axis=1)
+    if known.sum() < LEAST_ROWS * terms.fit(np.zeros((1, X.shape[1]))).n_output_features_:
         return None
-    weights = np.linalg.lstsq(basis[known], targets.to_numpy()[known], rcond=None)[0]
-    residuals = measured - terms.transform(np.asarray(table)) @ weights
+    thin = np.flatnonzero(known)[:: max(1, known.sum() // MOST_ROWS)]
+    weights = np.linalg.lstsq(terms.transform(smooth[thin]), Y[thin], rcond=None)[0]
+    residuals = measured[known] - terms.transform(X[known]) @ weights
     flight = pd.factorize(flights["flight"])[0] if "flight" in flights else np.zeros(len(flights))
     time = flights["time"].to_numpy(float)
     between = np.diff(time)[np.diff(flight) == 0]
     width = np.median(between) * max(1, round(step / np.median(between)))
     clock = pd.DataFrame({"time": time, "flight": flight}, flights.index)
-    rows = pd.concat([clock, residuals], axis=1)[known].groupby([flight[known], time[known] // width]).mean()
+    rows = pd.concat([clock[known], residuals], axis=1).groupby([flight[known], time[known] // width]).mean()
     clock = rows[["time", "flight"]].to_numpy()
     white, drift, memory = np.array([fit_drift_to_integrals(rows[name].to_numpy(), clock, 1e-12) for name in targets]).T
     values = {"white": np.sqrt(white * width / step), "drift": np.sqrt(drift), "memory": memory}

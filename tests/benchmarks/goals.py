@@ -1,6 +1,6 @@
 """What a plan teaches, by the goal that it was asked for: derivatives, the function, or free flight.
 
-    python tests/benchmarks/goals.py [--out OUT] [--seeds 6]
+    python tests/benchmarks/goals.py [--out OUT] [--seeds 5]
 
 The example aircraft flies 60 s of inputs of half the limits in light turbulence. From the trend that is learned from
 them, `plan` chooses 60 s for each goal, and the truth flies them in gusts. Columns: the error of each goal that is
@@ -57,7 +57,7 @@ def run(subject: Any, truth: Truth, seed: int) -> dict[str, dict[str, float]]:
 
 def main(words: Any = None) -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("--seeds", type=int, default=6, help="of gusts and sensor noise")
+    parser.add_argument("--seeds", type=int, default=5, help="of gusts and sensor noise")
     options = parser.parse_args(words)
     folder = options.out / "goals" if options.out else None
     every = [{goal: {"found function": 1.0} for goal in GOALS}] if options.smoke else []

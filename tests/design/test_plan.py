@@ -136,7 +136,13 @@ def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
 
 
 def test_a_scale_fits_into_the_room_of_the_envelope():
-    hold = _plan._Hold(pd.DataFrame(), np.zeros((3, 2)), low=np.full((3, 2), 0.2), high=np.array([[0.1, np.inf]] * 3))
+    hold = _plan._Hold(
+        pd.DataFrame(),
+        np.zeros((3, 2)),
+        margin=np.zeros(2),
+        low=np.full((3, 2), 0.2),
+        high=np.array([[0.1, np.inf]] * 3),
+    )
     assert hold.room(np.array([[0.0, 0.0], [0.05, 9.0]])) == pytest.approx(2.0)
     assert hold.room(np.array([[-0.8, 0.0], [0.05, 0.0]])) == pytest.approx(0.25)
 

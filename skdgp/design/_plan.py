@@ -192,8 +192,8 @@ def plan(
     errors of the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own, from an entry beside
-    the trim (standard deviations: bank and pitch 2 degrees, airspeed and held controls 2 % of their own and of the
-    limits). The response of the mean counts the envelope's ``margin`` more, since slopes learned in gusts err by more than the
+    the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held controls 2 % of their limits). The
+    response of the mean counts the ``margin`` of the envelope more: slopes learned in gusts err by more than the
     posterior says. If K of N leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of
     succession). A manoeuvre is as large as limits and allowed risk let it be, or left out, and the choice is made
     again. Controls are open loop during a manoeuvre; the pilot or the autopilot returns to the trim in the pause after
@@ -451,11 +451,11 @@ class _Planner:
     def _entered(self, point: Trim, table: pd.DataFrame) -> tuple[Callable, dict[str, Any]]:
         """Return controls held beside the trim, and what else `simulate` needs to draw aircraft, gusts and entries."""
         rng, time = np.random.default_rng(self.seed), table["time"].to_numpy()
-        beside = {
+        beside: dict[str, Any] = {
             axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((self.n_paths, 1))
             for axis, limit in self.limits.items()
         }
-        columns = {name: table[name].to_numpy() for name in table if name != "time"}
+        columns = {str(name): values.to_numpy() for name, values in table.items() if name != "time"}
 
         def controls(t: float, state: Any) -> dict[str, Any]:
             return {name: np.interp(t, time, values) + beside.get(name, 0.0) for name, values in columns.items()}

@@ -78,8 +78,9 @@ def _envelope(options: argparse.Namespace) -> Envelope:
     given: dict[str, Any] = {
         name: tuple(value) for key, name in BOTH.items() if (value := getattr(options, key)) is not None
     }
-    others = {"bank": options.max_bank, "altitude": options.floor, "growth": options.growth, "risk": options.risk}
-    return Envelope(**given, **{name: value for name, value in others.items() if value is not None})
+    others = {"bank": options.max_bank, "altitude": options.floor}
+    given |= {name: value for name, value in others.items() if value is not None}
+    return Envelope(**given, growth=options.growth, risk=options.risk, margin=options.margin)
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:
@@ -189,6 +190,12 @@ PLAN = Command(
                 "largest probability that a manoeuvre leaves the limits (default: 0.05)",
                 opt.number("a number between 0 and 1", lambda value: 0 < value < 1),
                 default=0.05,
+            ),
+            opt.option(
+                "--margin X",
+                "by which part responses may be larger than the model's (default: 0.15)",
+                opt.number("a number, 0 or more", lambda value: value >= 0),
+                default=0.15,
             ),
             opt.choice("--gusts", ["as-flown", "none"], "of the check (default: as-flown)"),
             opt.option("--paths N", "aircraft drawn for each check (default: 60)", opt.at_least(2), default=60),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Matrix
 from skdgp.design._information import regressors_of
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
@@ -35,6 +36,9 @@ class Envelope:
         By which part of its range a regressor may leave what the model was learned from; inf: no limit.
     risk : float, default=0.05
         Largest probability that a manoeuvre leaves any of these.
+    margin : float, default=0.15
+        By which part the response to a manoeuvre may be larger than the model's: slopes learned in gusts err by more
+        than the posterior says.
 
     Examples
     --------
@@ -51,16 +55,17 @@ class Envelope:
     altitude: float = -np.inf
     growth: float = 0.2
     risk: float = 0.05
+    margin: float = 0.15
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):
             low, high = getattr(self, name)
             if not low < high:
                 raise ValueError(f"Got {name}=({low}, {high}), but expected the lowest and the highest value.")
-        if not (self.bank > 0 and self.growth >= 0 and 0 < self.risk < 1):
+        if not (self.bank > 0 and self.growth >= 0 and 0 < self.risk < 1 and self.margin >= 0):
             raise ValueError(
-                f"Got bank={self.bank}, growth={self.growth}, risk={self.risk}, but expected bank > 0, growth >= 0 and "
-                "a risk between 0 and 1."
+                f"Got bank={self.bank}, growth={self.growth}, risk={self.risk}, margin={self.margin}, but expected "
+                "bank > 0, growth >= 0, margin >= 0 and a risk between 0 and 1."
             )
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
@@ -79,10 +84,15 @@ class Envelope:
         growth = pd.DataFrame(X, flight.index, [GROWTH + name for name in model.regressors])
         return pd.concat([quantities(flight), growth], axis=1)[[*self.bounds(model)]]
 
-    def left(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
-        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``."""
+    def left(
+        self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics, more: Matrix | float = 0.0
+    ) -> pd.DataFrame:
+        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``.
+
+        ``more`` (n, c) is added to its channels.
+        """
         low, high = np.array([*self.bounds(model).values()]).T
-        values = self.channels(flight, aircraft, model)
+        values = self.channels(flight, aircraft, model) + more
         return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal, NamedTuple, cast
@@ -15,11 +15,11 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
-from skdgp._compute.typing import Array, Matrix, Seed
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._envelope import QUANTITIES, Envelope, quantities, with_band
+from skdgp.design._envelope import GROWTH, QUANTITIES, Envelope, quantities, with_band
 from skdgp.design._goals import WHOLE, check_goal, goal_weights, weighted_error
 from skdgp.design._information import (
     Information,
@@ -53,8 +53,12 @@ MULTISINES = (5.0, 10.0)
 MOST_TONES = 8
 STARTS = 2
 """Searches for the phases of a multisine."""
-MARGIN = 1.5
+SPREAD = 1.5
 """Standard deviations, by gusts and posterior, that are left to the envelope where a scale is predicted."""
+ENTRY = {"phi": 0.035, "theta": 0.035}
+"""Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
+ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
+"""The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
 SHRINK, LEAST = 0.85, 0.2
 """Factor by which a manoeuvre is made smaller until it is safe, and the least scale."""
 VAGUE = 1e-8
@@ -194,10 +198,13 @@ def plan(
     curvature about the trims) adds to what is known. Manoeuvres are chosen one by one for the largest reduction per
     second of the mean logarithm of the errors of the goal; then each is exchanged while that helps.
 
-    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own. If K of N leave the
-    envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large as limits
-    and allowed risk let it be, or left out, and the choice is made again. Controls are open loop during a manoeuvre;
-    the pilot or the autopilot returns to the trim in the pause after it.
+    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own, from an entry beside
+    the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held controls 2 % of their limits). The
+    response of the mean counts the ``margin`` of the envelope more: slopes learned in gusts err by more than the
+    posterior says. If K of N leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of
+    succession). A manoeuvre is as large as limits and allowed risk let it be, or left out, and the choice is made
+    again. Controls are open loop during a manoeuvre; the pilot or the autopilot returns to the trim in the pause after
+    it.
 
     Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
 
@@ -317,13 +324,22 @@ class _Hold(NamedTuple):
     low: Matrix
     """Below it, and above."""
     high: Matrix
+    margin: Vector
+    """Part of the response by which it may be larger, (c,)."""
+
+    def _rows(self, values: Matrix) -> Indices:
+        return np.minimum(np.arange(len(values)), len(self.centre) - 1)
+
+    def response(self, values: Matrix) -> Matrix:
+        """Return the deviation of channels (n, c) from trimmed flight."""
+        return values - self.centre[self._rows(values)]
 
     def room(self, values: Matrix) -> float:
-        """Return the factor by which the deviation of channels (m, c) from trimmed flight fits into the room."""
-        n = min(len(values), len(self.centre))
-        moved = values[:n] - self.centre[:n]
+        """Return the factor by which the response, with its margin, fits into the room."""
+        moved = (1 + self.margin) * self.response(values)
+        rows = self._rows(values)
         with np.errstate(divide="ignore", invalid="ignore"):
-            factors = np.where(moved > 0, self.high[:n], self.low[:n]) / np.abs(moved)
+            factors = np.where(moved > 0, self.high[rows], self.low[rows]) / np.abs(moved)
         return float(np.nanmin(factors))
 
 
@@ -424,26 +440,46 @@ class _Planner:
             )
         return float(room)
 
-    def _flown_by(self, at: int, several: Sequence[Mapping[str, Signal]], **options: Any) -> list[pd.DataFrame]:
-        """Return the simulated flights of manoeuvres from a trim, each with the pause after it."""
+    def _flown_by(self, at: int, several: Sequence[Mapping[str, Signal]], drawn: bool = False) -> list[pd.DataFrame]:
+        """Return the simulated flights of manoeuvres from a trim, each with the pause after it; ``drawn``: of one."""
         point = self.trims[at]
         trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
         longest = max(train.duration for train in trains) + self.pause
         tables = [train.table(self.rate, trim=point.controls, pause=longest - train.duration) for train in trains]
         duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)
+        controls, options = (
+            self._entered(point, tables[0]) if drawn and self.aerodynamics.is_uncertain else (tables, {})
+        )
         flown = simulate(
-            self.model, self.aircraft, [point] * len(tables), tables, STEP, duration=duration, thrust=self.thrust,
+            self.model, self.aircraft, [point] * len(tables), controls, STEP, duration=duration, thrust=self.thrust,
             **options,
         )  # fmt: skip
         parts = [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
         ends = [train.duration + self.pause + 1e-6 for train in trains]
         return [part[part["time"] <= end].reset_index(drop=True) for part, end in zip(parts, ends, strict=True)]
 
+    def _entered(self, point: Trim, table: pd.DataFrame) -> tuple[Callable, dict[str, Any]]:
+        """Return controls held beside the trim, and what else `simulate` needs to draw aircraft, gusts and entries."""
+        rng, time = np.random.default_rng(self.seed), table["time"].to_numpy()
+        beside: dict[str, Any] = {
+            axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((self.n_paths, 1))
+            for axis, limit in self.limits.items()
+        }
+        columns = {str(name): values.to_numpy() for name, values in table.items() if name != "time"}
+
+        def controls(t: float, state: Any) -> dict[str, Any]:
+            return {name: np.interp(t, time, values) + beside.get(name, 0.0) for name, values in columns.items()}
+
+        start = ENTRY | {"u": ENTRY_SPEED * point.airspeed}
+        return controls, {
+            "n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed, "initial_std": start
+        }  # fmt: skip
+
     def _checked_hold(self, at: int) -> _Hold:
         """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
         longest = max((*MULTISINES, self.pause))
         still = {self.axes[0]: Steps([longest], [0.0])}
-        flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], **self._draws())[0]
+        flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], drawn=True)[0]
         risk, causes = self._risk_of(paths[paths["time"] <= self.pause + 1e-6])
         if risk > self.envelope.risk:
             raise ValueError(
@@ -455,22 +491,19 @@ class _Planner:
         margin = np.zeros_like(centre)
         if self.aerodynamics.is_uncertain:
             drawn = np.stack([self._channels(one) for _, one in paths.groupby("flight", sort=False, observed=True)])
-            margin = MARGIN * np.nanstd(drawn, axis=0)
-        bounds = np.array([*self.envelope.bounds(self.aerodynamics).values()]).T
+            margin = SPREAD * np.nanstd(drawn, axis=0)
+        limits = self.envelope.bounds(self.aerodynamics)
+        is_set = [name.removeprefix(GROWTH) in self.axes for name in limits]  # a control has no response
+        bounds = np.array([*limits.values()]).T
         low, high = (np.maximum(room - margin, LEAST * room) for room in np.abs(bounds[:, None] - centre))
-        return _Hold(flight, centre, low, high)
+        return _Hold(flight, centre, low, high, np.where(is_set, 0.0, self.envelope.margin))
 
     def _channels(self, flight: pd.DataFrame) -> Matrix:
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
-    def _draws(self) -> dict[str, Any]:
-        if not self.aerodynamics.is_uncertain:
-            return {}
-        return {"n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed}
-
-    def _risk_of(self, flight: pd.DataFrame) -> tuple[float, str]:
+    def _risk_of(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
         """Return the risk that flights leave the envelope, and the limits that they leave."""
-        left = self.envelope.left(flight, self.aircraft, self.aerodynamics)
+        left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
         causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
@@ -629,10 +662,12 @@ class _Planner:
         scale, best = one.scale, 0.0
         while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
             inputs = _scaled(one.inputs, scale / one.scale)
-            paths = self._flown_by(one.at, [inputs], **self._draws())[0]
-            risk, causes = self._risk_of(paths)
+            flight, hold = self._flown_by(one.at, [inputs])[0], self.holds[one.at]
+            paths = self._flown_by(one.at, [inputs], drawn=True)[0] if self.aerodynamics.is_uncertain else flight
+            more = hold.margin * hold.response(self._channels(flight))
+            risk, causes = self._risk_of(paths, np.tile(more, (len(paths) // len(more), 1)))
             if risk <= self.envelope.risk:
-                best, best_risk, best_paths = scale, risk, paths
+                best, best_risk, best_paths, best_flight = scale, risk, paths, flight
                 if scale < one.scale or scale == 1.0:
                     break
                 scale = min(1.0, scale / SHRINK)
@@ -642,8 +677,7 @@ class _Planner:
                 scale *= SHRINK
         if not best:
             return None, causes
-        inputs = _scaled(one.inputs, best / one.scale)
-        flight = self._flown_by(one.at, [inputs])[0]
+        inputs, flight = _scaled(one.inputs, best / one.scale), best_flight
         found = self._information(flight)
         if not self.aerodynamics.is_uncertain:
             best_risk = np.nan

@@ -24,6 +24,9 @@ PAUSE = 3.0
 WIND = {"calm": 0.0, "light": 7.7, "moderate": 15.0}
 """6 m above the ground [m/s]: MIL-F-8785C."""
 SETTLING, FRAMES = 10.0, 3  # s before a log of JSBSim; its steps per row
+TRIMMING = 5.0
+"""Time over which a pilot forms the mean of the controls that he then holds [s]."""
+COMMANDED = np.linspace(-1.0, 1.0, 41)
 STRAIGHT = ((-99.0, -1e6, 0.0, 1e6),)
 
 
@@ -78,20 +81,23 @@ def exploratory(subject: Subject, share: float = 0.5, stretch: float = 1.0) -> S
 
 
 class _Held:
-    """An autopilot whose commands are held where a flight is busy, (n_steps, n_flights)."""
+    """An autopilot whose mean commands are held where a flight is busy, (n_steps, n_flights)."""
 
     def __init__(self, autopilot: Any, busy: np.ndarray):
         self.autopilot, self.busy, self.k = autopilot, busy, -1
+        self.share = autopilot.step / TRIMMING
 
     def command(self, *seen: Any) -> np.ndarray:
         self.k += 1
         kept = {name: value.copy() for name, value in vars(self.autopilot).items() if name.endswith("integral")}
         found, held = self.autopilot.command(*seen), self.busy[self.k]
+        if self.k == 0:
+            self.mean = found
         if held.any():
             for name, before in kept.items():
                 setattr(self.autopilot, name, np.where(held, before, getattr(self.autopilot, name)))
-            found = np.where(held[:, None], self.last, found)
-        self.last = found
+            found = np.where(held[:, None], self.mean, found)
+        self.mean = self.mean + self.share * (found - self.mean)
         return found
 
 
@@ -154,13 +160,16 @@ def _flown_jsbsim(
         fdm["atmosphere/turbulence/milspec/severity"] = 3 if air == "light" else 4
         fdm["atmosphere/turb-type"] = 3
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
-    scale = _radians_per_command(model, knots, height)
+    linkage = _linkage(model, knots, height)
+    trimmed = {name: np.interp(value, COMMANDED, linkage[name]) for name, value in neutral.items() if name in linkage}
     theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
     time = np.arange(round((SETTLING + seconds) * 40 * FRAMES)) / (40 * FRAMES) - SETTLING
     command, busy = np.stack([one.train(axis, time) for axis in AXES], axis=1), one.at(time)
     feedback, throttle, rows = dict.fromkeys(SURFACES, 0.0), neutral["throttle"], []
     for k in range(len(time)):
-        if not busy[k]:
+        if busy[k]:
+            feedback = dict.fromkeys(SURFACES, 0.0)  # the trim
+        else:
             climb = np.clip((height - fdm["position/h-sl-ft"] * FOOT) / 200, -0.07, 0.07)
             feedback = {
                 "elevator": 0.5 * (fdm["attitude/theta-rad"] - theta - climb) + 0.15 * fdm["velocities/q-rad_sec"],
@@ -169,7 +178,8 @@ def _flown_jsbsim(
             }
             throttle = np.clip(neutral["throttle"] + 0.03 * (speed - fdm["velocities/vt-fps"]), 0.1, 1.0)
         for j, name in enumerate(SURFACES):
-            fdm[f"fcs/{name}-cmd-norm"] = neutral[name] + (feedback[name] + command[k, j]) / scale[name]
+            deflection = trimmed[name] + feedback[name] + command[k, j]
+            fdm[f"fcs/{name}-cmd-norm"] = np.interp(deflection, linkage[name], COMMANDED)
         fdm["fcs/throttle-cmd-norm"] = throttle
         fdm.run()
         if k % FRAMES == FRAMES - 1:
@@ -182,15 +192,17 @@ def _flown_jsbsim(
 
 
 @lru_cache
-def _radians_per_command(model: str, knots: float, height: float) -> dict[str, float]:
+def _linkage(model: str, knots: float, height: float) -> dict[str, np.ndarray]:
+    """Return deflections [rad] at `COMMANDED`: ailerons go further up than down."""
     fdm, found = _at_trim(model, knots, height), {}
     for name, source in SURFACES.items():
-        before, command = fdm[f"fcs/{source}-pos-rad"], fdm[f"fcs/{name}-cmd-norm"]
-        fdm[f"fcs/{name}-cmd-norm"] = command + 0.1
-        for _ in range(40 * FRAMES // 10):
-            fdm.run()
-        found[name] = (fdm[f"fcs/{source}-pos-rad"] - before) / 0.1
-        fdm[f"fcs/{name}-cmd-norm"] = command
+        before, found[name] = fdm[f"fcs/{name}-cmd-norm"], np.empty(len(COMMANDED))
+        for k, command in enumerate(COMMANDED):
+            fdm[f"fcs/{name}-cmd-norm"] = command
+            for _ in range(40 * FRAMES // 10):
+                fdm.run()
+            found[name][k] = fdm[f"fcs/{source}-pos-rad"]
+        fdm[f"fcs/{name}-cmd-norm"] = before
     return found
 
 

@@ -22,6 +22,7 @@ fitted by least squares to the first flight and the first seconds of the second,
                   of that input until then; median over the seeds, inf if the plan does not get there
 
 Seeds whose first flight moved so little that gusts alone leave the envelope have no second flight; they are left out.
+Classical inputs that the check allows at no size are left out of their seeds.
 An aircraft of JSBSim needs the jsbsim wheel. Each seed is kept under OUT/closed_loop and not done again.
 """
 
@@ -237,14 +238,15 @@ def reached(curve: np.ndarray, column: int, error: float) -> float:
 
 def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
     """Return the median seconds of the plan to the last error of each classical input, over those of that input."""
-    kinds = [kind for kind in every[0] if kind not in ("plan", "explored")]
-    rows = []
+    kinds, rows = _classical_kinds(every), []
     for column, what in ((1, "derivatives"), (2, "function")):
         row: dict[str, Any] = {"aircraft": name, "error of": what}
-        best = [min(kinds, key=lambda kind: found[kind][-1, column]) for found in every]
+        best = [min({*kinds} & {*found}, key=lambda kind: found[kind][-1, column]) for found in every]
         for label, chosen in [*((kind, [kind] * len(every)) for kind in kinds), ("the best of them", best)]:
             ratios = []
             for found, kind in zip(every, chosen, strict=True):
+                if kind not in found:
+                    continue  # not safe
                 error = found[kind][-1, column]
                 seconds = [max(CUTS, reached(found[flown], column, error)) for flown in ("plan", kind)]
                 ratios.append(seconds[0] / seconds[1])
@@ -253,10 +255,14 @@ def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, 
     return rows
 
 
+def _classical_kinds(every: list[dict[str, np.ndarray]]) -> list[str]:
+    return [kind for kind in dict.fromkeys(itertools.chain(*every)) if kind not in ("plan", "explored")]
+
+
 def error_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
     """Return the median errors of each kind of flight after half and all of its time."""
     rows = []
-    for kind in ("plan", *(kind for kind in every[0] if kind not in ("plan", "explored"))):
+    for kind in ("plan", *_classical_kinds(every)):
         own = np.array([found[kind] for found in every if kind in found])
         first = np.median([found["explored"][0] for found in every], axis=0)
         row: dict[str, Any] = {"aircraft": name, "flight": kind}
@@ -264,17 +270,20 @@ def error_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, 
             row[f"{what} before"] = float(first[column])
             for k in (own.shape[1] // 4, own.shape[1] // 2, -1):
                 row[f"{what} {own[0, k, 0]:.0f} s"] = float(np.median(own[:, k, column]))
-        rows.append(row)
+        rows.append(row | {"seeds": len(own)})
     return rows
 
 
 def risk_rows(name: str, every: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the predicted and the found rate of manoeuvres of the plan that leave the envelope."""
+    """Return the predicted and the found rate of manoeuvres that leave the envelope, of the plan and of all flights."""
     predicted = np.concatenate([found["manoeuvres"]["risk"] for found in every])
     left = np.concatenate([found["left"]["plan"] for found in every])
+    others = np.concatenate([one for found in every for kind, one in found["left"].items() if kind != "plan"] or [[]])
     return [{
         "aircraft": name, "allowed %": 100.0 * ENVELOPE.risk, "predicted %": float(100.0 * predicted.mean()),
         "found %": float(100.0 * left.mean()), "manoeuvres": len(left),
+        "of classical inputs, found %": float(100.0 * np.mean(others)) if len(others) else None,
+        "their manoeuvres": len(others), "seeds": len(every),
         "median planning, CPU s": float(np.median([found["took"]["plan"] for found in every])),
     }]  # fmt: skip
 

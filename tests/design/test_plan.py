@@ -149,9 +149,23 @@ def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
 
 
 def test_a_scale_fits_into_the_room_of_the_envelope():
-    hold = _plan._Hold(pd.DataFrame(), np.zeros((3, 2)), low=np.full((3, 2), 0.2), high=np.array([[0.1, np.inf]] * 3))
-    assert hold.room(np.array([[0.0, 0.0], [0.05, 9.0]])) == pytest.approx(2.0)
-    assert hold.room(np.array([[-0.8, 0.0], [0.05, 0.0]])) == pytest.approx(0.25)
+    low, high = np.full((3, 2), 0.2), np.array([[0.1, np.inf]] * 3)
+    for margin in (0.0, 0.25):
+        hold = _plan._Hold(pd.DataFrame(), np.zeros((3, 2)), low, high, np.full(2, margin))
+        assert (1 + margin) * hold.room(np.array([[0.0, 0.0], [0.05, 9.0]])) == pytest.approx(2.0)
+        assert (1 + margin) * hold.room(np.array([[-0.8, 0.0], [0.05, 0.0]])) == pytest.approx(0.25)
+
+
+@pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
+def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, uav):
+    found, _ = planned
+    trimmed, elevator, envelope = found.trims[0], 1 + NAMES.index("elevator"), Envelope(alpha=(-0.03, 0.055))
+    stronger = TABLE.copy()
+    stronger[:, elevator] *= 1 + envelope.margin
+    stronger[:, 0] -= envelope.margin * TABLE[:, elevator] * trimmed.controls["elevator"]  # the same trim
+    aircraft = Aerodynamics(lambda X: features(X) @ stronger.T, NAMES)
+    flown = simulate(aircraft, uav, trimmed, found.trains[0].table(50.0, trim=trimmed.controls, pause=3.0), 0.04)
+    assert not envelope.left(flown, uav, aircraft).to_numpy().any()
 
 
 def test_ctrl_c_keeps_what_was_checked(model, uav):

@@ -227,7 +227,7 @@ def identify(
             X = pipeline[:-1].fit_transform(table, targets)
             pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
             pipeline.turbulence_ = flown_turbulence(pipeline, table)
-        pipeline.noise_ = flight_noise(pipeline, table, aircraft, **loads)
+        pipeline.noise_ = flight_noise(pipeline, table, aircraft, regressors=X, **loads)
         seconds = time.monotonic() - began
 
         fit = {

@@ -409,7 +409,13 @@ def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:
 
 
 def flight_noise(
-    pipeline: Pipeline, flights: pd.DataFrame, aircraft: Aircraft, *, step: float = 0.04, **loads: Any
+    pipeline: Pipeline,
+    flights: pd.DataFrame,
+    aircraft: Aircraft,
+    *,
+    regressors: Matrix | None = None,
+    step: float = 0.04,
+    **loads: Any,
 ) -> pd.DataFrame | None:
     r"""Return the noise of measured coefficients before any smoothing: what decides the errors of derivatives.
 
@@ -425,6 +431,8 @@ def flight_noise(
     flights : DataFrame (n, ...)
         One or more flights at their full rate.
     aircraft : Aircraft
+    regressors : ndarray or DataFrame (n, d), optional
+        What the steps before the last make of the flights, if it is known already.
     step : float, default=0.04
         Interval between the rows that the noise is for [s]. White noise of the same power per frequency is larger in
         rows that are closer together.
@@ -453,7 +461,8 @@ def flight_noise(
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the fit has told them
-        smooth, table = flight_regressors(pipeline, flights)[0], flights
+        smooth = np.asarray(pipeline[:-1].transform(flights) if regressors is None else regressors)
+        table = flights
         for _, one in pipeline.steps[:-1]:
             if one in (None, "passthrough"):
                 continue

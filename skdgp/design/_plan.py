@@ -184,7 +184,7 @@ def plan(
     known: Information | None = None,
     noise: pd.DataFrame | Mapping[str, float] | None = None,
     bands: pd.DataFrame | None = None,
-    curvature: bool = True,
+    curvature: bool = False,
     pause: float = 3.0,
     rate: float = 50.0,
     n_paths: int = 60,
@@ -194,9 +194,9 @@ def plan(
     r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
 
     The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
-    Each is simulated from a trim with the mean of the model. Its information (`expected_information`, with unknown
-    curvature about the trims) adds to what is known. Manoeuvres are chosen one by one for the largest reduction per
-    second of the mean logarithm of the errors of the goal; then each is exchanged while that helps.
+    Each is simulated from a trim with the mean of the model. Its information (`expected_information`) adds to what is
+    known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the errors of
+    the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own, from an entry beside
     the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held controls 2 % of their limits). The
@@ -241,9 +241,9 @@ def plan(
         As for `expected_information`; by default `coefficient_noise` of the model.
     bands : DataFrame, optional
         As `input_bands` returns, for a model without recognisable modes.
-    curvature : bool, default=True
-        Whether coefficients have unknown curvature, from which the flight must tell the derivatives. False: they are
-        linear.
+    curvature : bool, default=False
+        Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
+        larger. False: coefficients are linear.
     pause : float, default=3.0
         After each manoeuvre [s]; the response in it counts.
     rate : float, default=50.0
@@ -357,7 +357,7 @@ class _Planner:
     gusts: Any
     thrust: Any
     seed: int
-    curvature: bool = True
+    curvature: bool = False
 
     def plan(self, airspeeds, seconds, axes, goal, limits, altitude, banks, known, noise, bands) -> Plan:
         """Return the plan: see `plan`."""

@@ -11,7 +11,7 @@ squares; predicted is their standard error, found their standard deviation. Colu
     predicted / found, within 25 %
                   quantiles over the 48 derivatives, and their share with a ratio of .75 to 1.25
     predicted with
-                  the noise of the model's residuals; that before smoothing, as `plan` does; unknown curvature too; and
+                  the noise of the model's residuals; that before smoothing; unknown curvature too, as this `plan` does; and
                   regressors of flights in gusts, each manoeuvre without the pause after it
 
 An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.
@@ -53,7 +53,7 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     nothing = Information(np.zeros((6, size, size)), COEFFICIENTS, tuple(REGRESSORS))
     make = partial(
         plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=SECONDS, axes=list(AXES),
-        limits=subject.limits, altitude=subject.altitude, rate=40.0, known=nothing,
+        limits=subject.limits, altitude=subject.altitude, rate=40.0, known=nothing, curvature=True,
     )  # fmt: skip
     for growth in GROWTH:
         try:
@@ -69,8 +69,8 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     still = partial(expected_information, found.flight, subject.aircraft, REGRESSORS)
     predicted = {
         "residuals of the model": still(coefficient_noise(model)),
-        "noise before smoothing (plan)": found.after,
-        "and curvature": still(noise, about=about),
+        "noise before smoothing": still(noise),
+        "and curvature": found.after,
         "and gusts": in_gusts(model, found, subject, noise, about),
     }
     errors = {name: one.std.to_numpy() for name, one in predicted.items()}
@@ -109,7 +109,7 @@ def toy() -> dict[str, Any]:
     rng = np.random.default_rng(0)
     basis = rng.standard_normal((20, 400, 8))
     rows = [(X, X @ rng.standard_normal((8, 6)) + 0.1 * rng.standard_normal((400, 6))) for X in basis]
-    return {"predicted": {"noise before smoothing (plan)": np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
+    return {"predicted": {"and curvature": np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
 
 
 def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -127,7 +127,7 @@ def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
 
 def each(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each coefficient: predicted / found standard errors of each derivative."""
-    predicted = found["predicted"]["noise before smoothing (plan)"]
+    predicted = found["predicted"]["and curvature"]
     return [
         {"aircraft": name, "air": air, "coefficient": one}
         | {key: f"{a:.2g} / {b:.2g}" for key, a, b in zip(REGRESSORS, predicted[i], found["found"][i], strict=True)}

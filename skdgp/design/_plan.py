@@ -286,7 +286,7 @@ def plan(
     >>> found = plan(Aerodynamics(linear, names), aircraft, airspeeds=20.0, seconds=16.0, axes=["elevator"],
     ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, noise={"Cm": 0.004})
     >>> found.manoeuvres["name"].tolist()
-    ['elevator multisine 5 s', 'elevator doublet 0.23 s']
+    ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
     planner = _Planner(
         as_aerodynamics(model), model, aircraft, envelope or Envelope(), pause, rate, n_paths, gusts, thrust,

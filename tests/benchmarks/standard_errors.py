@@ -11,7 +11,7 @@ squares; predicted is their standard error, found their standard deviation. Colu
     predicted / found, within 25 %
                   quantiles over the 48 derivatives, and their share with a ratio of .75 to 1.25
     predicted with
-                  the noise of the model's residuals; that before smoothing; unknown curvature too, as this `plan` does; and
+                  the noise of the model's residuals; that before smoothing; unknown curvature too, as this plan; and
                   regressors of flights in gusts, each manoeuvre without the pause after it
 
 An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.

@@ -193,7 +193,7 @@ PLAN = Command(
             ),
             opt.option(
                 "--margin X",
-                "by which part responses may be larger than the model's (default: 0.15)",
+                "fraction by which responses may exceed the model's (default: 0.15)",
                 opt.number("a number, 0 or more", lambda value: value >= 0),
                 default=0.15,
             ),

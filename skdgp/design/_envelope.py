@@ -37,8 +37,8 @@ class Envelope:
     risk : float, default=0.05
         Largest probability that a manoeuvre leaves any of these.
     margin : float, default=0.15
-        By which part the response to a manoeuvre may be larger than the model's: slopes learned in gusts err by more
-        than the posterior says.
+        Fraction by which the response to a manoeuvre may exceed the model's: slopes learned in gusts err by more than
+        the posterior says.
 
     Examples
     --------

@@ -16,7 +16,9 @@ from skdgp.dynamics import Aerodynamics, Aircraft, Trim
 from skdgp.dynamics._control.linearize import ANGLES, TURN, jacobian
 from skdgp.dynamics._equations.motion import Motion
 
-FUNCTION, FREE_FLIGHT = WHOLE = ("function", "free-flight")
+FUNCTION, FREE_FLIGHT = "function", "free-flight"
+WHOLE = (FUNCTION, FREE_FLIGHT)
+"""Goals that are errors of the whole model rather than of one derivative."""
 HORIZON = 2.0
 """Of free flight [s]."""
 ROWS = 500
@@ -41,8 +43,10 @@ def check_goal(goal: Sequence[str] | None, model: Aerodynamics, coefficients: Se
             f"{next(iter(known))!r}, or learn a model with that regressor."
         )
     for name in goal or ():
-        k = known[name][1] if name in known else 0
-        if name in known and model.limits is not None and np.ptp(model.limits[:, k]) == 0:
+        if name in WHOLE or model.limits is None:
+            continue
+        k = known[name][1]
+        if np.ptp(model.limits[:, k]) == 0:
             raise ValueError(
                 f"Got the goal {name!r}, but {model.regressors[k]} did not move in the flights that the model was "
                 "learned from, so it knows nothing of its effect: learn from a flight in which it moves, or ask for "

@@ -184,10 +184,10 @@ def expected_information(
     parts = [part for _, part in table.groupby("flight", sort=False, observed=True)] if "flight" in table else [table]
     fisher: Any = 0.0
     for part in parts:
-        X = regressors_of(part, aircraft, regressors)
-        z = X - X if about is None else X - np.asarray(about, dtype=float)
-        first, second = np.triu_indices(0 if about is None else len(regressors))
-        X = np.column_stack([np.ones(len(part)), X, z[:, first] * z[:, second]])
+        X = np.column_stack([np.ones(len(part)), regressors_of(part, aircraft, regressors)])
+        if about is not None:
+            z, (first, second) = X[:, 1:] - np.asarray(about, dtype=float), np.triu_indices(len(regressors))
+            X = np.column_stack([X, z[:, first] * z[:, second]])
         if not np.isfinite(X).all():
             raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
         whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory).swapaxes(0, 1)

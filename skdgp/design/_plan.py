@@ -403,7 +403,7 @@ class _Planner:
         peaks = [np.einsum("pdd->pd", one.information.fisher) for one in library.values()]
         peak = np.max(peaks, axis=0)
         self.vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
-        self.vague += (self._nothing(self.vague) + self.before).fisher
+        self.vague += (self._nothing(self.vague) + self.before).fisher  # the sum has the shape with curvature
         return self._plan_of(*self._searched(library))
 
     def _check_paths(self) -> None:
@@ -441,7 +441,10 @@ class _Planner:
         return float(room)
 
     def _flown_by(self, at: int, several: Sequence[Mapping[str, Signal]], drawn: bool = False) -> list[pd.DataFrame]:
-        """Return the simulated flights of manoeuvres from a trim, each with the pause after it; ``drawn``: of one."""
+        """Return the simulated flights of manoeuvres from a trim, each with the pause after it.
+
+        ``drawn``: the first alone, by aircraft, gusts and entries that are drawn.
+        """
         point = self.trims[at]
         trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
         longest = max(train.duration for train in trains) + self.pause

@@ -28,10 +28,10 @@ PARTS = {  # of Identification: arguments of make_identification_pipeline, param
     "gusts_in_bands": {"gusts": False},
     "trend": {"parameters": {"dependentgpregressor__trend": "constant"}},
     "sharing": {"parameters": {"dependentgpregressor__n_latent": 0}},
-    "evidence_for_sharing_two_latents_always": {"parameters": {"dependentgpregressor__n_latent": 2}},
-    "choice_of_structure_joint_always": {"parameters": {"dependentgpregressor__structure": "joint"}},
-    "choice_of_structure_additive_always": {"parameters": {"dependentgpregressor__structure": "additive"}},
-    "processes_trend_alone": {"parameters": {"dependentgpregressor__structure": "trend"}},
+    "evidence_for_sharing__always_two_latents": {"parameters": {"dependentgpregressor__n_latent": 2}},
+    "choice_of_structure__always_joint": {"parameters": {"dependentgpregressor__structure": "joint"}},
+    "choice_of_structure__always_additive": {"parameters": {"dependentgpregressor__structure": "additive"}},
+    "processes__the_trend_alone": {"parameters": {"dependentgpregressor__structure": "trend"}},
     "early_stopping": {"parameters": {"dependentgpregressor__early_stopping": False}},
     "all_samples_but_755": {"samples": 755},
 }
@@ -53,7 +53,7 @@ def table(runs):
     return [
         {
             "flight": run["flight"],
-            "without": "-" if run["part"] == "defaults" else run["part"].replace("_", " "),
+            "without": "-" if run["part"] == "defaults" else run["part"].replace("__", ": ").replace("_", " "),
             "NRMSE": errors[run["flight"], run["part"]],
             "over that of the defaults": ratio(errors, run),
             **{f"band of {kind} holds %": held(run, kind) for kind in ("truth", "measured")},
@@ -85,7 +85,7 @@ def main(words=None):
         parser.error("the folder of the shared data is needed")
     parameters = {"dependentgpregressor__max_iter": 2} if options.smoke else {}
     kept = Kept(options.out, "ablation")
-    asked = ["defaults", "reconstruction", "processes_trend_alone"] if options.smoke else options.parts
+    asked = ["defaults", "reconstruction", "processes__the_trend_alone"] if options.smoke else options.parts
     for flight in ["toy"] if options.smoke else options.flights:
         parts = [part for part in asked if options.redo or f"{flight}-{part}" not in kept]
         task = parts and (toy() if options.smoke else task_of(flight, options.data))

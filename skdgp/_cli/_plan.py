@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from functools import partial
 from typing import Any
 
@@ -67,6 +68,13 @@ def plan(run: Run) -> None:
             n_paths=options.paths,
             thrust=thrust,
             random_state=options.seed,
+        )
+    free = [f"--{name.replace('_', '-')}" for name in ("max_bank", "speeds", "floor") if getattr(options, name) is None]
+    if free:
+        warnings.warn(
+            f"No limit was given by {', '.join(free)}: a manoeuvre may turn the aircraft over or dive. Look at the "
+            "expected lowest and highest values of card.html, and give these limits.",
+            stacklevel=2,
         )
     seconds = sum(train.duration + options.pause for train in found.trains)
     numbers = {"model": options.model, "seconds": seconds, **found.to_dict()}

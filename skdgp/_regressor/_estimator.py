@@ -37,7 +37,6 @@ from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutpu
 EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
 
-AUTO_LATENT = 2  # shared latents that structure="auto" compares with the trend if n_latent="auto"
 ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
 MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 FIT_REMEDY = (
@@ -85,10 +84,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         prior.
     structure : {"joint", "additive", "trend", "auto"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
-        (main effects). "trend": the trend alone, with its weights integrated out. "auto" is the trend unless "joint"
-        lowers the mean squared error, averaged over the outputs, in flights (``flight`` of ``fit``) or blocks of rows
-        that are held out in turn; then it is "additive" up to 5000 samples, and else "joint". Rows must be in
-        the order of the log. The result is in ``structure_`` and ``structure_errors_``.
+        (main effects). "trend": the trend alone, with its weights integrated out. "auto" is "additive" up to 5000
+        samples, and else "joint", unless the trend alone has the smaller mean squared error, averaged over the outputs,
+        in quarters of the log that are held out in turn. Rows must be in the order of the log. The result is in
+        ``structure_`` and ``structure_errors_``.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -157,7 +156,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Structure of the fitted model.
     structure_errors_ : dict
         Mean squared error of each output in held-out blocks, over its variance, (P,), of the two structures that were
-        compared, "trend" and "joint"; empty unless ``structure="auto"``.
+        compared, "trend" and "additive" or "joint"; empty unless ``structure="auto"``.
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
@@ -322,7 +321,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None, self.normalize_y)
         modelled = clock if self.drift == "likelihood" else None
-        best = task.run(self._search, X, Z, modelled, None if clock is None else clock[:, 1])
+        best = task.run(self._search, X, Z, modelled)
         _checks.warn_of_search(best, self.max_iter)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_ = best.posterior
@@ -340,51 +339,31 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         task.end()
         return self
 
-    def _search(self, X, Z, clock, flights):
-        """Return the best fit over the starting points."""
-        search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
+    def _search(self, X, Z, clock):
+        """Return the best fit over the starting points, or that of the trend alone where it is better."""
+        self._check_structure()
         root = _checks.input_root(self.input_noise, X, self._regressor_names())
         options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root, "clock": clock}
         seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
         inputs = X if clock is None else np.column_stack([X, clock])
         record = fit_record(inputs, Z, seeds, self.get_params(deep=False))
         seeds = seeds if record is None else record.seeds
-        choosing = options | {"random_state": int(seeds[0]), "record": record}
-        kernel, known = self._choose_kernel(X, Z, flights, choosing)
+        kernel, known = self._choose_kernel(X, Z, options | {"random_state": int(seeds[0]), "record": record})
+        search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
+        search = partial(search, X=X, Y=Z, early_stopping=self.early_stopping, **options)
         names = [f"start-{k}" for k in range(len(seeds) if known is None else 1)]
         starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
-        search = partial(search, kernel, X, Z, found=known, early_stopping=self.early_stopping, **options)
-        start = partial(run_recorded, record, function=search)
+        start = partial(run_recorded, record, function=partial(search, kernel, found=known))
         fits = fit_map(start, starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.value)
-        return best._replace(interrupted=any(fit.interrupted for fit in fits))
+        best = best._replace(interrupted=any(fit.interrupted for fit in fits))
+        if self.structure != "auto" or self.structure_ == "trend" or best.interrupted or not self._has_trend():
+            return best
+        alone = partial(run_recorded, record, "trend", partial(search, self._make_trend()), random_state=int(seeds[0]))
+        return self._simplest(best, alone, X, Z)
 
-    def _choose_kernel(self, X, Z, flights, options):
-        """Return the kernel to fit, and the best hyperparameters so far if Ctrl-C ended its choice, else None."""
-        self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
-        self.structure_, hyperparameters = self._choose_structure(X, Z, flights, options)
-        if self.structure_ == "trend":
-            self.n_latent_ = 0
-            return self._make_trend(), hyperparameters
-        if hyperparameters is not None:
-            self.n_latent_ = AUTO_LATENT if self.n_latent_ == "auto" else self.n_latent_
-            return self._make_kernel(self.n_latent_, self.structure_), hyperparameters
-        if self.n_latent_ == "auto":
-            fewest = int(not self.private_latents)
-            numbers = range(fewest, (MAX_LATENT if Z.shape[1] > 1 else fewest) + 1)
-            choice = choose_kernel([self._make_kernel(k, self.structure_) for k in numbers], X, Z, **options)
-            self.n_latent_, hyperparameters = numbers[choice.index], choice.found
-            self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
-        return self._make_kernel(self.n_latent_, self.structure_), hyperparameters
-
-    def _choose_structure(self, X, Z, flights, options):
-        """Return the structure, and the hyperparameters so far if Ctrl-C ended its choice, else None.
-
-        It is the requested one or, of the trend and one with processes, that which predicts held-out blocks better.
-        """
-        self.structure_errors_ = {}
-        no_choice = self.kernel is not None or self.trend in ("constant", None)
-        if self.structure == "trend" and no_choice:
+    def _check_structure(self):
+        if self.structure == "trend" and not self._has_trend():
             raise ValueError(
                 f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
                 "kernel=None and a trend such as 'linear'."
@@ -394,23 +373,47 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 f"Got structure='additive' with kernel={self.kernel!r}, but expected kernel=None: add "
                 "ConvolvedGaussian(0, regressors=[k]) to the kernel."
             )
-        if self.structure in ("joint", "additive") or no_choice:
-            return "additive" if self.structure == "additive" else "joint", None
+
+    def _has_trend(self):
+        """Return whether the kernel is a trend below processes, either of which may do without the other."""
+        return self.kernel is None and self.trend not in ("constant", None)
+
+    def _choose_kernel(self, X, Z, options):
+        """Return the kernel to fit, and the best hyperparameters so far if Ctrl-C ended its choice, else None."""
+        self.structure_, self.structure_errors_ = self.structure, {}
+        self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
+        if self.structure == "trend":
+            self.n_latent_ = 0
+            return self._make_trend(), None
         if self.structure == "auto":
-            blocks = options | {"input_noise": None}  # exact regressors: faster, and the same for both structures
-            n_latent = AUTO_LATENT if self.n_latent == "auto" else self.n_latent
-            processes = "additive" if len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1 else "joint"
-            for name, kernel in (("trend", self._make_trend()), ("joint", self._make_kernel(n_latent, "joint"))):
-                errors, found = held_out_errors(name, kernel, X, Z, flights=flights, **blocks)
-                if found is not None and not isinstance(options["input_noise"], str):
-                    found = found._replace(root=options["input_noise"])
-                if errors is None:
-                    return ("joint" if found is None else name), found
-                self.structure_errors_[name] = errors
-            simple, rich = (np.nanmean(self.structure_errors_[name]) for name in ("trend", "joint"))
-            if rich <= simple:
-                return processes, None
-        return "trend", None
+            additive = self._has_trend() and len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1
+            self.structure_ = "additive" if additive else "joint"
+        hyperparameters = None
+        if self.n_latent_ == "auto":
+            fewest = int(not self.private_latents)
+            numbers = range(fewest, (MAX_LATENT if Z.shape[1] > 1 else fewest) + 1)
+            choice = choose_kernel([self._make_kernel(k, self.structure_) for k in numbers], X, Z, **options)
+            self.n_latent_, hyperparameters = numbers[choice.index], choice.found
+            self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
+        return self._make_kernel(self.n_latent_, self.structure_), hyperparameters
+
+    def _simplest(self, rich, fit_trend, X, Z):
+        """Return the fit, or that of the trend alone if it predicts held-out blocks better."""
+        try:
+            errors = held_out_errors(rich, X, Z, self.n_inducing)
+            if errors is None:
+                return rich
+            alone = fit_trend()
+            if alone.interrupted:
+                raise KeyboardInterrupt
+            simple = held_out_errors(alone, X, Z, self.n_inducing)
+        except KeyboardInterrupt:
+            return rich._replace(interrupted=True)
+        self.structure_errors_ = {"trend": simple, self.structure_: errors}
+        if np.nanmean(errors) <= np.nanmean(simple):
+            return rich
+        self.structure_, self.n_latent_ = "trend", 0
+        return alone
 
     def _make_kernel(self, n_latent, structure):
         options = {

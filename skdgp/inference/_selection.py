@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -13,8 +13,8 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
-from skdgp._compute.typing import Indices, Matrix, Seed, Vector
-from skdgp.inference._fit import Hyperparameters, fit_exact, some_rows, stratified
+from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp.inference._fit import Fit, Hyperparameters, fit_exact, fit_sparse, some_rows
 
 
 @dataclass(frozen=True)
@@ -93,80 +93,47 @@ def choose_kernel(
     return Choice(k, scores)
 
 
-FEWEST_FLIGHTS, MOST_GROUPS = 3, 8  # flights from which whole flights are held out, in at most so many groups
 BLOCKS = 4  # blocks of the log, held out in turn
-BLOCK_VALUES = 800  # largest number of observed values for a comparison by blocks
-BLOCK_ITERATIONS = 10  # largest number of iterations of each fit
+BLOCK_ROWS = 2000  # largest number of rows for a comparison by blocks
 GAP = 0.1  # rows left out on either side of a held-out block, over its length: neighbours are correlated
 FEWEST_ROWS = 40  # rows below which blocks are too short for a comparison
 
 
-def held_out_errors(
-    name: str,
-    kernel: Any,
-    X: Matrix,
-    Y: Matrix,
-    *,
-    optimizer: Any,
-    max_iter: int,
-    random_state: Seed,
-    input_noise: Any = None,
-    record: Any = None,
-    clock: Matrix | None = None,
-    flights: Vector | None = None,
-) -> tuple[Vector | None, Hyperparameters | None]:
-    """Return the mean squared error of each output in held-out flights or blocks of rows, over its variance.
+def held_out_errors(fit: Fit, X: Matrix, Y: Matrix, n_inducing: int) -> Vector | None:
+    """Return the mean squared error of each output in held-out blocks of rows, over its variance.
 
-    Up to 8 groups of flights are held out in turn, or 4 blocks of fewer than 3 flights. Rows are in the order of the
-    log, so predicting a block resembles predicting another flight. The marginal likelihood cannot replace this
-    comparison: it explains residuals that are correlated over seconds as structure.
+    Each quarter of the log is predicted from the others, with the hyperparameters of the fit. Rows are in the order of
+    the log, so predicting a block resembles predicting another flight. The marginal likelihood cannot replace this
+    comparison: it explains residuals that are correlated over seconds as structure. Fits to the other rows cannot,
+    either: fewer rows, which lack a manoeuvre, teach other hyperparameters.
 
     Parameters
     ----------
-    name : str
-        Name of these fits in a checkpoint.
-    kernel : MultiOutputKernel
-        Without values.
-    X, Y, optimizer, max_iter, random_state, input_noise, record, clock
-        As for ``choose_kernel``.
-    flights : ndarray (n,) or None
-        Number of the flight of each row, from 0 on.
+    fit : Fit
+        Of all rows.
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    n_inducing : int
+        As for ``fit_sparse``.
 
     Returns
     -------
-    errors : ndarray (P,) or None
-        NaN for an output without values in the blocks. None if there are too few rows or Ctrl-C stopped a fit.
-    hyperparameters : Hyperparameters or None
-        Those of the fit that Ctrl-C stopped.
+    ndarray (P,) or None
+        NaN for an output without values. None if there are too few rows.
     """
-    observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
-    n = max(1, int(BLOCK_VALUES * len(observed) / np.isfinite(Y).sum()))
-    rows = stratified(observed, n, check_random_state(random_state))
+    rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
+    rows = rows[:: -(-len(rows) // BLOCK_ROWS)]
     if len(rows) < FEWEST_ROWS:
-        return None, None
-    options = {"optimizer": optimizer, "max_iter": min(max_iter, BLOCK_ITERATIONS), "random_state": random_state}
+        return None
+    learned = Hyperparameters(fit.posterior.kernel, fit.noise, fit.root)
+    options = {"n_inducing": n_inducing, "optimizer": None, "max_iter": 0, "random_state": 0, "found": learned}
     error = np.full((len(rows), Y.shape[1]), np.nan)
-    for k, (train, test) in enumerate(_splits(rows, None if flights is None else flights[rows])):
-        if (np.isfinite(Y[train]).sum(axis=0) < 2).any():
-            return None, None
-        block = {"input_noise": input_noise, "clock": None if clock is None else clock[train], **options}
-        fit = run_recorded(record, f"{name}-block-{k}", partial(fit_exact, kernel, X[train], Y[train]), **block)
-        if fit.interrupted:
-            return None, fit.found(interrupted=True)
-        error[np.searchsorted(rows, test)] = (Y[test] - fit.posterior.predict(X[test])) ** 2
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # an output without values has no mean
-        return np.nanmean(error, axis=0) / np.nanvar(Y[rows], axis=0), None
-
-
-def _splits(rows: Indices, flights: Indices | None) -> Iterator[tuple[Indices, Indices]]:
-    """Yield training rows and test rows: groups of whole flights, or blocks with a gap on either side."""
-    labels = np.unique([] if flights is None else flights)
-    if flights is not None and len(labels) >= FEWEST_FLIGHTS:
-        for group in np.array_split(labels, min(len(labels), MOST_GROUPS)):
-            held_out = np.isin(flights, group)
-            yield rows[~held_out], rows[held_out]
-        return
     for a, b in pairwise(np.linspace(0, len(rows), BLOCKS + 1).astype(int)):
         gap = int(GAP * (b - a))
-        yield np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]
+        rest, block = np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]
+        posterior = fit_sparse(learned.kernel, X[rest], Y[rest], **options).posterior
+        error[a:b] = (Y[block] - posterior.predict(X[block])) ** 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # an output without values has no mean
+        return np.nanmean(error, axis=0) / np.nanvar(Y[rows], axis=0)

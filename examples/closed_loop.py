@@ -89,7 +89,7 @@ def main(arguments=None):
         if number < options.rounds:
             planned = plan(
                 model, aircraft, airspeeds=SPEED, altitude=ALTITUDE, seconds=options.seconds, axes=list(AXES),
-                goal=GOAL, limits=AXES, envelope=Envelope(bank=1.0, growth=0.5), random_state=number,
+                goal=GOAL, limits=AXES, envelope=Envelope(bank=1.0, altitude=120.0, growth=0.5), random_state=number,
             )  # fmt: skip
             print(planned.manoeuvres[["start", "name", "scale", "risk", "gain"]].round(2))
             trains.append(planned.trains[0])

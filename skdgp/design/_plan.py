@@ -19,7 +19,16 @@ from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._envelope import GROWTH, QUANTITIES, Envelope, quantities, with_band
+from skdgp.design._envelope import (
+    GROWTH,
+    OPTIONS,
+    QUANTITIES,
+    Envelope,
+    flown_quantities,
+    quantities,
+    remedy,
+    with_band,
+)
 from skdgp.design._goals import WHOLE, check_goal, goal_weights, weighted_error
 from skdgp.design._information import (
     Information,
@@ -178,7 +187,7 @@ def plan(
     goal: Sequence[str] | None = None,
     limits: Mapping[str, Limits | float] | None = None,
     envelope: Envelope | None = None,
-    altitude: float = 100.0,
+    altitude: float | None = None,
     banks: Sequence[float] = (0.0,),
     gusts: Turbulence | Literal["as flown"] | None = "as flown",
     known: Information | None = None,
@@ -227,9 +236,9 @@ def plan(
     limits : mapping of str to Limits or float, optional
         Of the axes; by default the deviation from trim that the model was learned from.
     envelope : Envelope, optional
-        By default that which was flown, and a fifth more.
-    altitude : float, default=100.0
-        [m].
+        By default that which was flown, and a fifth more; no lower than was flown.
+    altitude : float, optional
+        [m]; by default the highest that was flown, or 100 m if the model does not know it. More gives more room.
     banks : sequence of float, default=(0.0,)
         Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
     gusts : Turbulence, "as flown" or None
@@ -268,7 +277,8 @@ def plan(
     Warns
     -----
     UserWarning
-        If the model does not know the turbulence of its flights, and none is given.
+        If the model does not know the turbulence of its flights, and none is given; or if it does not know the range
+        of a quantity that the envelope does not limit.
 
     Examples
     --------
@@ -370,11 +380,21 @@ class _Planner:
                     UserWarning,
                     stacklevel=4,
                 )
+        if (free := self.envelope.unlimited(self.aerodynamics)) and self.aerodynamics.is_uncertain:
+            options = ", ".join(OPTIONS[name] for name in free)
+            warnings.warn(
+                f"The model does not know the flown range of {', '.join(free)}, so nothing limits them: a manoeuvre "
+                f"may turn the aircraft over or dive. Limit them by the envelope ({options}), or fit the model again.",
+                UserWarning,
+                stacklevel=4,
+            )
         self._check_paths()
         self.seconds, self.noise, self.axes = float(seconds), noise_table(noise), list(axes)
         self.coefficients = list(map(str, self.noise.index))
         self.goal_names = check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
+        if altitude is None:
+            altitude = flown_quantities(self.aerodynamics).get("altitude", (0.0, 100.0))[1]
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
         self.trims = [
             cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
@@ -485,10 +505,11 @@ class _Planner:
         flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], drawn=True)[0]
         risk, causes = self._risk_of(paths[paths["time"] <= self.pause + 1e-6])
         if risk > self.envelope.risk:
+            point = self.trims[at]
             raise ValueError(
-                f"Got an envelope that trimmed flight at {self.trims[at].airspeed:g} m/s leaves in {risk:.0%} of cases "
-                f"within {self.pause:g} s, by {causes}, but expected at most {self.envelope.risk:.0%}: widen this "
-                "limit, choose another airspeed or altitude, or weaker gusts."
+                f"Got an envelope that trimmed flight at {point.airspeed:g} m/s and {point.altitude:.0f} m leaves in "
+                f"{risk:.0%} of cases within {self.pause:g} s, but expected at most {self.envelope.risk:.0%}: by "
+                f"{causes}, choose another airspeed or altitude, or weaker gusts."
             )
         centre = self._channels(flight)
         margin = np.zeros_like(centre)
@@ -505,11 +526,13 @@ class _Planner:
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
     def _risk_of(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
-        """Return the risk that flights leave the envelope, and the limits that they leave."""
+        """Return the risk that flights leave the envelope, and the limits that they leave, with what widens them."""
         left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
-        causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
+        shares = shares[shares > 0]
+        causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items())
+        causes += f". Widen {remedy(shares.index, self.aerodynamics)}"
         n_left = int(by_path.any(axis=1).sum())
         if not self.aerodynamics.is_uncertain:
             return float(n_left), causes
@@ -655,8 +678,8 @@ class _Planner:
         if not chosen:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
-                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow more growth "
-                "or risk, plan for weaker gusts, or fly another airspeed or altitude."
+                f"{LEAST:.0%} of the limits; the last one by {causes}, allow more risk, plan for weaker gusts, or fly "
+                "another airspeed or altitude."
             )
         return chosen, library
 

@@ -19,6 +19,9 @@ from skdgp.design._envelope import OPTIONS, abort_limits
 from skdgp.design._wavetrain import AXES
 from skdgp.report import write_flight_card
 
+DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
+"""Of a pilot's controls [rad, or 1 of the throttle]."""
+
 
 def plan(run: Run) -> None:
     """Choose the manoeuvres of the next flight: those that lower the errors of a goal most in the given time.
@@ -64,6 +67,7 @@ def plan(run: Run) -> None:
             rate=options.rate,
             n_paths=options.paths,
             thrust=thrust,
+            detents=None if options.pilot is None else DETENTS | _by_axis(options.pilot),
             random_state=options.seed,
         )
     seconds = sum(train.duration + options.pause for train in found.trains)
@@ -166,6 +170,12 @@ PLAN = Command(
             opt.option("--altitude M", "[m] (default: the highest that was flown)", opt.number()),
             opt.option("--pause S", "after each manoeuvre (default: 3)", opt.positive("seconds"), default=3.0),
             opt.option("--rate HZ", "of the autopilot (default: 50)", opt.positive("Hz"), default=50.0),
+            opt.option(
+                "--pilot AXIS=X",
+                "steps to fly by hand alone: half seconds, multiples of X [rad] (default: 1 degree, 10 % of throttle)",
+                _axis_value,
+                nargs="*",
+            ),
             _axis_values("--full", "deflections [rad] at the ends of the servos' ranges, for the script"),
             opt.SEED,
             opt.FOLDER,

@@ -39,7 +39,7 @@ from skdgp.design._information import (
     regressors_of,
 )
 from skdgp.design._multisines import orthogonal_multisines
-from skdgp.design._signals import Limits, Signal, Steps, doublet, three_two_one_one
+from skdgp.design._signals import ROUNDING, Limits, Signal, Steps, doublet, three_two_one_one
 from skdgp.design._wavetrain import Wavetrain, wavetrain
 from skdgp.dynamics import (
     Aerodynamics,
@@ -59,6 +59,8 @@ WIDTHS = (1.0, 2.5)
 """Of pulses, in units of the suggested width."""
 MULTISINES = (5.0, 10.0)
 """Durations [s]."""
+TICK = 0.5
+"""Of the steps of a pilot [s]."""
 MOST_TONES = 8
 STARTS = 2
 """Searches for the phases of a multisine."""
@@ -198,6 +200,7 @@ def plan(
     rate: float = 50.0,
     n_paths: int = 60,
     thrust: Any = "auto",
+    detents: Mapping[str, float] | None = None,
     random_state: Seed = 0,
 ) -> Plan:
     r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
@@ -261,6 +264,9 @@ def plan(
         Aircraft drawn for each check.
     thrust
         As for :func:`skdgp.dynamics.simulate`.
+    detents : mapping of str to float, optional
+        Of all axes [rad, or 1 of the throttle]: a pilot flies. The library then holds only steps, whose times are half
+        seconds and whose levels are multiples of these.
     random_state : int, RandomState instance or None, default=0
         Of the draws.
 
@@ -300,7 +306,7 @@ def plan(
     """
     planner = _Planner(
         as_aerodynamics(model), model, aircraft, envelope or Envelope(), pause, rate, n_paths, gusts, thrust,
-        int(check_random_state(random_state).randint(2**31 - 1)), curvature,
+        int(check_random_state(random_state).randint(2**31 - 1)), curvature, detents or {},
     )  # fmt: skip
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
@@ -316,6 +322,8 @@ class _Manoeuvre:
 
     name: str
     at: int
+    full: dict[str, Signal]
+    """As large as the limits allow."""
     inputs: dict[str, Signal]
     seconds: float
     information: Information
@@ -368,6 +376,7 @@ class _Planner:
     thrust: Any
     seed: int
     curvature: bool = False
+    detents: Mapping[str, float] = field(default_factory=dict)
 
     def plan(self, airspeeds, seconds, axes, goal, limits, altitude, banks, known, noise, bands) -> Plan:
         """Return the plan: see `plan`."""
@@ -418,7 +427,7 @@ class _Planner:
         if not library:
             raise ValueError(
                 f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:g} s is that short and can be "
-                "flown: give more seconds, a shorter pause or smaller limits."
+                "flown: give more seconds, a shorter pause, smaller limits or smaller detents."
             )
         peaks = [np.einsum("pdd->pd", one.information.fisher) for one in library.values()]
         peak = np.max(peaks, axis=0)
@@ -441,6 +450,9 @@ class _Planner:
         """Return the limits of the axes; by default what the model was learned from."""
         check_names(limits or (), self.axes, "axes")
         given = {axis: one if isinstance(one, Limits) else Limits(one) for axis, one in (limits or {}).items()}
+        if self.detents:  # a pilot's ramps are his own
+            check_names(self.axes, self.detents, "axes with detents")
+            given = {axis: Limits(one.amplitude) for axis, one in given.items()}
         return {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in self.axes}
 
     def _flown(self, axis: str) -> float:
@@ -580,12 +592,13 @@ class _Planner:
             for factor in WIDTHS:
                 for kind, make in (("doublet", doublet), ("3-2-1-1", three_two_one_one)):
                     width = factor * bands.loc[axis, f"{make.__name__}_width"]
+                    width = TICK * max(1, round(width / TICK)) if self.detents else width
                     signal = limit.largest(make(width, limit.amplitude, limits=replace(limit, rms=np.inf)))
                     yield f"{axis} {kind} {width:.2f} s", {axis: signal}
         groups = {tuple(group) for n in (1, len(self.axes)) for group in combinations(self.axes, n)}
         for group in sorted(groups, key=lambda one: (len(one), self.axes.index(one[0]))):
             low, high = bands.loc[list(group), "lowest"].min(), bands.loc[list(group), "highest"].max()
-            for duration in MULTISINES:
+            for duration in () if self.detents else MULTISINES:
                 n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
                 tones = min(MOST_TONES, n // len(group))
                 if tones > 1:
@@ -601,15 +614,23 @@ class _Planner:
         named = {name: inputs for name, inputs in named.items() if lasting[name] + self.pause <= self.seconds}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
-            rest = {name: _scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
+            rest = {name: self._scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
             for name, flight in self._flights(at, rest).items():
                 scales[name] = float(np.clip(factor * self.holds[at].room(self._channels(flight)), LEAST, 1.0))
         found = []
-        scaled = {name: _scaled(named[name], scale) for name, scale in scales.items()}
-        for name, flight in self._flights(at, scaled).items():
-            information = self._information(flight)
-            label = self._label(at) + name
-            found.append(_Manoeuvre(label, at, scaled[name], lasting[name], information, flight, scales[name]))
+        scaled = {name: self._scaled(named[name], scale) for name, scale in scales.items()}
+        for name, flight in self._flights(at, {name: one for name, one in scaled.items() if _moves(one)}).items():
+            facts = scaled[name], lasting[name], self._information(flight), flight, scales[name]
+            found.append(_Manoeuvre(self._label(at) + name, at, named[name], *facts))
+        return found
+
+    def _scaled(self, inputs: Mapping[str, Signal], factor: float) -> dict[str, Signal]:
+        """Return inputs of another size, the levels of a pilot's in whole detents."""
+        found = {axis: signal.scaled(factor) for axis, signal in inputs.items()}
+        for axis, signal in found.items():
+            if self.detents and isinstance(signal, Steps):
+                counts = np.trunc(np.divide(signal.levels, self.detents[axis]) * (1 + ROUNDING))
+                found[axis] = Steps(signal.durations, (self.detents[axis] * counts).tolist())
         return found
 
     def _flights(self, at: int, named: Mapping[str, Mapping[str, Signal]]) -> dict[str, pd.DataFrame]:
@@ -685,9 +706,11 @@ class _Planner:
 
     def _safe(self, one: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
-        scale, best = one.scale, 0.0
+        scale, best, causes = one.scale, 0.0, "steps smaller than a detent. Widen the limits"
         while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
-            inputs = _scaled(one.inputs, scale / one.scale)
+            inputs = self._scaled(one.full, scale)
+            if not _moves(inputs):  # smaller than a detent
+                break
             flight, hold = self._flown_by(one.at, [inputs])[0], self.holds[one.at]
             paths = self._flown_by(one.at, [inputs], drawn=True)[0] if self.aerodynamics.is_uncertain else flight
             more = hold.margin * hold.response(self._channels(flight))
@@ -703,7 +726,9 @@ class _Planner:
                 scale *= SHRINK
         if not best:
             return None, causes
-        inputs, flight = _scaled(one.inputs, best / one.scale), best_flight
+        inputs, flight = self._scaled(one.full, best), best_flight
+        if self.detents:
+            best = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())
         found = self._information(flight)
         if not self.aerodynamics.is_uncertain:
             best_risk = np.nan
@@ -745,8 +770,8 @@ class _Planner:
         )  # fmt: skip
 
 
-def _scaled(inputs: Mapping[str, Signal], factor: float) -> dict[str, Signal]:
-    return {axis: signal.scaled(factor) for axis, signal in inputs.items()}
+def _moves(inputs: Mapping[str, Signal]) -> bool:
+    return any(signal.peak for signal in inputs.values())
 
 
 def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:

@@ -287,16 +287,20 @@ def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mappi
     sticks = bool(set(inputs) & set(full))
     head = [text(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by [deg]", "to [deg]"]
     head += ["of full<br>deflection [%]"] if sticks else []
-    rows = []
+    rows, said = [], []
     for axis, signal in inputs.items():
-        factor = display_unit(axis)[0]
+        factor, unit = display_unit(axis)
         for time, level, hold in zip(signal.edges, [*signal.levels, 0.0], [*signal.durations, np.nan], strict=True):
             way = DIRECTIONS.get(axis, ("up", "down"))[int(level < 0)] if level else "back to trim"
             cells = [_signed(factor * level, ".1f"), number(factor * (controls.get(axis, 0.0) + level), ".1f")]
             stick = [_signed(100.0 * level / full[axis], ".0f") if axis in full else ""] if sticks else []
             what = way if len(inputs) == 1 else f"{text(axis)}: {way}"
+            size = f" {number(abs(factor * level), '.2g')}{THIN}{unit} for {number(hold, 'g')}{THIN}s" if level else ""
+            said.append(what + size)
             rows.append((time, [what, number(time, ".2f"), number(hold, ".2f"), *cells, *stick]))
     rows.sort(key=lambda one: one[0])
+    if quick >= QUICK:
+        by_hand += f" {', '.join(said).capitalize()}."
     caption = "Steps, from the start of the manoeuvre; hold the other controls at trim."
     return by_hand, table(head, [row for _, row in rows], caption=caption, classes="narrow")
 

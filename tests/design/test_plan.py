@@ -172,6 +172,21 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
     assert not envelope.left(flown, uav, aircraft).to_numpy().any()
 
 
+def test_a_pilot_flies_steps_that_he_can_count(model, uav):
+    options = AXES | {"seconds": 20.0, "bands": BANDS, "goal": ["Cm_q"], "envelope": Envelope(alpha=(-0.03, 0.055))}
+    found = plan(model, uav, **options, detents={"elevator": 0.008})
+    whole = []
+    for k, row in found.manoeuvres.iterrows():
+        (signal,) = found.inputs(k).values()
+        whole += [*np.divide(signal.durations, 0.5), row["start"] / 0.5, *np.divide(signal.levels, 0.008)]
+        assert row["scale"] == pytest.approx(signal.peak / 0.06)
+    np.testing.assert_allclose(whole, np.round(whole), atol=1e-9)
+    with pytest.raises(ValueError, match="axes with detents"):
+        plan(model, uav, **options, detents={"rudder": 0.02})
+    with pytest.raises(ValueError, match=r"no manoeuvre .* smaller detents"):
+        plan(model, uav, **options, detents={"elevator": 0.1})
+
+
 def test_ctrl_c_keeps_what_was_checked(model, uav):
     def stop(stage, *_):
         if ", 1 kinds checked" in stage:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +19,8 @@ OPTIONS = {
 """What an envelope limits, and the options of the command line."""
 QUANTITIES = tuple(OPTIONS)
 GROWTH = "growth of "
-SOURCES = {"": "asked", GROWTH: "flown"}
-"""Of limits, by the beginning of their names."""
+SOURCES = {"asked": "", "flown": GROWTH}
+"""Of limits, with the beginning of their names."""
 
 
 @dataclass(frozen=True)
@@ -137,17 +136,15 @@ def abort_limits(limits: pd.DataFrame) -> pd.DataFrame:
     found = both.loc[list(QUANTITIES)]
     found["low"] = found["low"].mask((found.index == "airspeed") & (found["low"] == 0.0), -np.inf)
     finite, names = found.where(np.isfinite(found)), found.index
-    same = {word: finite.eq(limits.reindex(start + names).set_axis(names)) for start, word in SOURCES.items()}
+    same = {word: finite.eq(limits.reindex(start + names).set_axis(names)) for word, start in SOURCES.items()}
     found["source"] = [", ".join(word for word, is_of in same.items() if is_of.loc[name].any()) for name in names]
     return found[found["source"] != ""]
 
 
-def remedy(causes: Iterable[str], model: Aerodynamics) -> str:
-    """Return which limits to widen, and the options that do so, where flights leave some."""
-    grown = {GROWTH + name for name in model.regressors}
-    names = dict.fromkeys("growth" if one in grown else one.removeprefix(GROWTH) for one in causes)
-    options = OPTIONS | {"growth": "--growth"}
-    return ", ".join(f"{name} ({options[name]})" for name in names if name in options) or "the limits"
+def option_of(limit: str, model: Aerodynamics) -> str:
+    """Return the option of the command line that changes a limit of an envelope."""
+    grown = {GROWTH + name: "--growth" for name in model.regressors}
+    return grown.get(limit) or OPTIONS.get(limit.removeprefix(GROWTH), "--limits")
 
 
 def quantities(flight: pd.DataFrame) -> pd.DataFrame:

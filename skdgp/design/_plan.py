@@ -25,8 +25,8 @@ from skdgp.design._envelope import (
     QUANTITIES,
     Envelope,
     flown_quantities,
+    option_of,
     quantities,
-    remedy,
     with_band,
 )
 from skdgp.design._goals import WHOLE, check_goal, goal_weights, weighted_error
@@ -520,8 +520,8 @@ class _Planner:
             point = self.trims[at]
             raise ValueError(
                 f"Got an envelope that trimmed flight at {point.airspeed:g} m/s and {point.altitude:.0f} m leaves in "
-                f"{risk:.0%} of cases within {self.pause:g} s, but expected at most {self.envelope.risk:.0%}: by "
-                f"{causes}, choose another airspeed or altitude, or weaker gusts."
+                f"{risk:.0%} of cases within {self.pause:g} s, by {causes}, but expected at most "
+                f"{self.envelope.risk:.0%}: widen this limit, choose another airspeed or altitude, or weaker gusts."
             )
         centre = self._channels(flight)
         margin = np.zeros_like(centre)
@@ -538,13 +538,13 @@ class _Planner:
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
     def _risk_of(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
-        """Return the risk that flights leave the envelope, and the limits that they leave, with what widens them."""
+        """Return the risk that flights leave the envelope, and the limits that they leave, with their options."""
         left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
         shares = shares[shares > 0]
-        causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items())
-        causes += f". Widen {remedy(shares.index, self.aerodynamics)}"
+        options = {name: option_of(str(name), self.aerodynamics) for name in shares.index}
+        causes = ", ".join(f"{name} ({share:.0%}, {options[name]})" for name, share in shares.items())
         n_left = int(by_path.any(axis=1).sum())
         if not self.aerodynamics.is_uncertain:
             return float(n_left), causes
@@ -699,14 +699,14 @@ class _Planner:
         if not chosen:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
-                f"{LEAST:.0%} of the limits; the last one by {causes}, allow more risk, plan for weaker gusts, or fly "
-                "another airspeed or altitude."
+                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow more risk, plan for "
+                "weaker gusts, or fly another airspeed or altitude."
             )
         return chosen, library
 
     def _safe(self, one: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
-        scale, best, causes = one.scale, 0.0, "steps smaller than a detent. Widen the limits"
+        scale, best, causes = one.scale, 0.0, "steps smaller than a detent"
         while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
             inputs = self._scaled(one.full, scale)
             if not _moves(inputs):  # smaller than a detent

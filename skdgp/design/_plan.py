@@ -544,7 +544,8 @@ class _Planner:
         shares = by_path.mean().sort_values(ascending=False)
         shares = shares[shares > 0]
         options = {name: option_of(str(name), self.aerodynamics) for name in shares.index}
-        causes = ", ".join(f"{name} ({share:.0%}, {options[name]})" for name, share in shares.items())
+        named = [f"{name} ({share:.0%}, {options[name]})" for name, share in shares.items()]
+        causes = ", ".join(named).replace(GROWTH, "flown ")
         n_left = int(by_path.any(axis=1).sum())
         if not self.aerodynamics.is_uncertain:
             return float(n_left), causes

@@ -251,7 +251,7 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"rate": 10.0}, "Got a rate of 10 Hz"),
         ({"n_paths": 5}, "at least 18"),
         ({"envelope": Envelope(altitude=200.0)}, "trimmed flight at 20 m/s and 100 m leaves .* by altitude .*--floor"),
-        ({"seconds": 7.0, "limits": {"elevator": 1.8}}, "every manoeuvre leaves .* by growth of .*--growth"),
+        ({"seconds": 7.0, "limits": {"elevator": 1.8}}, "every manoeuvre leaves .* by flown .*--growth"),
         ({"known": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
     ],
 )

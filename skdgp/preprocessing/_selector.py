@@ -114,14 +114,14 @@ class RegressorSelector(TableTransformer):
         super().fit(X, y)
         if self._passes:
             return self
-        values, table = numeric(X, self.regressors_), X
+        values, observed = numeric(X, self.regressors_), np.ones(len(X), dtype=bool)
         if y is not None and len(y) == len(X):
             observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
-            values, table = values[observed], table[observed]
+            values = values[observed]
             _warn_of_little_information(values[np.isfinite(values).all(axis=1)], self.regressors_)
-        channels = table[[name for name in table if name in CHANNELS]].select_dtypes("number")
-        ends = channels.agg(["min", "max"]).dropna(axis=1)
-        self.ranges_ = {str(name): (float(low), float(high)) for name, (low, high) in ends.items()}
+        channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
+        known = {str(name): kept for name, column in channels if len(kept := column[observed].dropna())}
+        self.ranges_ = {name: (float(kept.min()), float(kept.max())) for name, kept in known.items()}
         values = values[np.isfinite(values).all(axis=1)]
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None

@@ -36,6 +36,7 @@ NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rud
 NOISE = dict.fromkeys(("alpha", "beta", "phi", "theta", "psi"), 0.005) | dict.fromkeys("pqr", 0.002)
 NOISE |= dict.fromkeys(("ax", "ay", "az"), 0.05) | {"airspeed": 0.3}
 SPEED, ALTITUDE, PAUSE = 35.0, 200.0, 3.0
+ENVELOPE = Envelope(bank=1.0, airspeed=(28.0, 42.0), altitude=120.0, growth=0.5)
 
 
 def fly(truth, aircraft, train, seconds, seed):
@@ -89,7 +90,7 @@ def main(arguments=None):
         if number < options.rounds:
             planned = plan(
                 model, aircraft, airspeeds=SPEED, altitude=ALTITUDE, seconds=options.seconds, axes=list(AXES),
-                goal=GOAL, limits=AXES, envelope=Envelope(bank=1.0, growth=0.5), random_state=number,
+                goal=GOAL, limits=AXES, envelope=ENVELOPE, random_state=number,
             )  # fmt: skip
             print(planned.manoeuvres[["start", "name", "scale", "risk", "gain"]].round(2))
             trains.append(planned.trains[0])

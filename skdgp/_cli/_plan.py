@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import warnings
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -17,11 +15,12 @@ from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
 from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
 from skdgp.design import plan as plan_flight
+from skdgp.design._envelope import OPTIONS, abort_limits
 from skdgp.design._wavetrain import AXES
 from skdgp.report import write_flight_card
 
-BOTH = {"alpha": "alpha", "beta": "beta", "load_factor": "load_factor", "speeds": "airspeed"}
-"""Options of limits that have two ends, and their names in an envelope."""
+DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
+"""Of a pilot's controls [rad, or 1 of the throttle]."""
 
 
 def plan(run: Run) -> None:
@@ -29,8 +28,9 @@ def plan(run: Run) -> None:
 
     Doublets, 3-2-1-1s and multisines are simulated from trims of the model. Each that is chosen is flown by aircraft
     drawn from its posterior, in gusts as those of its training flights, and is made smaller or left out if it leaves
-    the envelope too often. The controls are open loop during a manoeuvre; return to the trim in the pause after it.
-    Ctrl-C ends the search with the best of what has been checked.
+    the limits too often. These are the range of the training flights, with --growth, but for those that are given. The
+    controls are open loop during a manoeuvre; return to the trim in the pause after it. Ctrl-C ends the search with
+    the best of what has been checked.
 
     Writes into DIR, all or none:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1]; plan_1.csv, plan_2.csv ... of
@@ -67,14 +67,8 @@ def plan(run: Run) -> None:
             rate=options.rate,
             n_paths=options.paths,
             thrust=thrust,
+            detents=None if options.pilot is None else DETENTS | _by_axis(options.pilot),
             random_state=options.seed,
-        )
-    free = [f"--{name.replace('_', '-')}" for name in ("max_bank", "speeds", "floor") if getattr(options, name) is None]
-    if free:
-        warnings.warn(
-            f"No limit was given by {', '.join(free)}: a manoeuvre may turn the aircraft over or dive. Look at the "
-            "expected lowest and highest values of card.html, and give these limits.",
-            stacklevel=2,
         )
     seconds = sum(train.duration + options.pause for train in found.trains)
     numbers = {"model": options.model, "seconds": seconds, **found.to_dict()}
@@ -83,12 +77,8 @@ def plan(run: Run) -> None:
 
 
 def _envelope(options: argparse.Namespace) -> Envelope:
-    given: dict[str, Any] = {
-        name: tuple(value) for key, name in BOTH.items() if (value := getattr(options, key)) is not None
-    }
-    others = {"bank": options.max_bank, "altitude": options.floor}
-    given |= {name: value for name, value in others.items() if value is not None}
-    return Envelope(**given, growth=options.growth, risk=options.risk, margin=options.margin)
+    given = {name: getattr(options, option[2:].replace("-", "_")) for name, option in OPTIONS.items()}
+    return Envelope(**given, growth=float(options.growth), risk=options.risk, margin=options.margin)
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:
@@ -124,6 +114,12 @@ def _text(found: Plan, options: argparse.Namespace, files: list) -> str:
             lines.append(
                 f"{row['start']:>5.1f} s  {row['name']:<{width}}{row['scale']:>10.0%}{risk:>8}{-row['gain']:>9.0%}"
             )
+    limits = abort_limits(found.limits).join(found.expected(range(len(rows))), rsuffix="est")
+    lines += ["", f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} expected"]
+    lines += [
+        f"{name:<18}" + "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source")) + f" {row['source']}"
+        for name, row in limits.iterrows()
+    ]
     lines += ["", f"{'standard error of':<18}{'before':>10}{'after':>10}"]
     lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in found.errors.iterrows()]
     pairs = found.confounded
@@ -171,9 +167,15 @@ PLAN = Command(
                 str,
                 nargs="+",
             ),
-            opt.option("--altitude M", "[m] (default: 100)", opt.number(), default=100.0),
+            opt.option("--altitude M", "[m] (default: the highest that was flown)", opt.number()),
             opt.option("--pause S", "after each manoeuvre (default: 3)", opt.positive("seconds"), default=3.0),
             opt.option("--rate HZ", "of the autopilot (default: 50)", opt.positive("Hz"), default=50.0),
+            opt.option(
+                "--pilot AXIS=X",
+                "steps to fly by hand alone: half seconds, multiples of X [rad] (default: a degree, throttle 0.1)",
+                _axis_value,
+                nargs="*",
+            ),
             _axis_values("--full", "deflections [rad] at the ends of the servos' ranges, for the script"),
             opt.SEED,
             opt.FOLDER,
@@ -186,11 +188,11 @@ PLAN = Command(
             _ends("--load-factor", "of -az / g"),
             _ends("--speeds", "[m/s]"),
             opt.option("--max-bank RAD", "to either side", opt.positive("rad")),
-            opt.option("--floor M", "lowest altitude [m]", opt.number()),
+            opt.option("--floor M", "lowest altitude [m] (default: the lowest that was flown)", opt.number()),
             opt.option(
                 "--growth X",
-                "part of its range by which a regressor may leave what was flown (default: 0.2)",
-                opt.number("a number, 0 or more", lambda value: value >= 0),
+                "part of its range by which a quantity may leave what was flown; inf: no limit (default: 0.2)",
+                opt.number("a number, 0 or more, or inf", lambda value: value >= 0, words=("inf",)),
                 default=0.2,
             ),
             opt.option(

@@ -12,28 +12,40 @@ from skdgp.design._information import regressors_of
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
-QUANTITIES = ("alpha", "beta", "load_factor", "bank", "airspeed", "altitude")
+OPTIONS = {
+    "alpha": "--alpha", "beta": "--beta", "load_factor": "--load-factor", "bank": "--max-bank", "airspeed": "--speeds",
+    "altitude": "--floor",
+}  # fmt: skip
+"""What an envelope limits, and the options of the command line."""
+QUANTITIES = tuple(OPTIONS)
 GROWTH = "growth of "
+SOURCES = {"asked": "", "flown": GROWTH}
+"""Of limits, with the beginning of their names."""
 
 
 @dataclass(frozen=True)
 class Envelope:
     """What a flight must not leave, and the risk that is accepted.
 
+    What is not given is limited to the range that was flown, and ``growth`` of it more. A model of
+    :class:`skdgp.preprocessing.RegressorSelector` knows this range where its flights have the channels airspeed, phi,
+    az, altitude.
+
     Parameters
     ----------
-    alpha, beta : tuple of float
+    alpha, beta : tuple of float, optional
         Lowest and highest [rad].
-    load_factor : tuple of float
+    load_factor : tuple of float, optional
         Lowest and highest of -az / g.
-    bank : float
+    bank : float, optional
         Largest, to either side [rad].
-    airspeed : tuple of float
+    airspeed : tuple of float, optional
         Lowest and highest [m/s].
-    altitude : float
-        Lowest [m].
+    altitude : float, optional
+        Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
-        By which part of its range a regressor may leave what the model was learned from; inf: no limit.
+        By which part of its range a regressor, or a quantity above that is not given, may leave what the model was
+        learned from: half of it at either end. inf: no limit.
     risk : float, default=0.05
         Largest probability that a manoeuvre leaves any of these.
     margin : float, default=0.15
@@ -43,46 +55,62 @@ class Envelope:
     Examples
     --------
     >>> from skdgp.design import Envelope
-    >>> Envelope(bank=0.8, altitude=60.0, risk=0.01).alpha
-    (-inf, inf)
+    >>> from skdgp.dynamics import Aerodynamics
+    >>> flown = Aerodynamics(lambda X: 0 * X, ["alpha"], flown={"airspeed": (20.0, 30.0)})
+    >>> bounds = Envelope(bank=0.8, growth=0.2).bounds(flown)
+    >>> bounds["bank"], bounds["growth of airspeed"]
+    ((-0.8, 0.8), (19.0, 31.0))
     """
 
-    alpha: tuple[float, float] = (-np.inf, np.inf)
-    beta: tuple[float, float] = (-np.inf, np.inf)
-    load_factor: tuple[float, float] = (-np.inf, np.inf)
-    bank: float = np.inf
-    airspeed: tuple[float, float] = (0.0, np.inf)
-    altitude: float = -np.inf
+    alpha: tuple[float, float] | None = None
+    beta: tuple[float, float] | None = None
+    load_factor: tuple[float, float] | None = None
+    bank: float | None = None
+    airspeed: tuple[float, float] | None = None
+    altitude: float | None = None
     growth: float = 0.2
     risk: float = 0.05
     margin: float = 0.15
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):
-            low, high = getattr(self, name)
-            if not low < high:
-                raise ValueError(f"Got {name}=({low}, {high}), but expected the lowest and the highest value.")
-        if not (self.bank > 0 and self.growth >= 0 and 0 < self.risk < 1 and self.margin >= 0):
+            if (pair := getattr(self, name)) is not None and not pair[0] < pair[1]:
+                raise ValueError(f"Got {name}=({pair[0]}, {pair[1]}), but expected the lowest and the highest value.")
+        if not ((self.bank is None or self.bank > 0) and self.growth >= 0 and 0 < self.risk < 1 and self.margin >= 0):
             raise ValueError(
                 f"Got bank={self.bank}, growth={self.growth}, risk={self.risk}, margin={self.margin}, but expected "
                 "bank > 0, growth >= 0, margin >= 0 and a risk between 0 and 1."
             )
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
-        """Return the lowest and the highest value of each channel of `channels`."""
-        found = {name: getattr(self, name) for name in ("alpha", "beta", "airspeed", "load_factor")}
-        found |= {"bank": (-self.bank, self.bank), "altitude": (self.altitude, np.inf)}
-        if model.limits is not None and np.isfinite(self.growth):
-            grown = 0.5 * self.growth * np.ptp(model.limits, axis=0)
-            for name, low, high in zip(model.regressors, model.limits[0] - grown, model.limits[1] + grown, strict=True):
-                found[GROWTH + name] = (low, high)
+        """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
+        given = {name: value for name in QUANTITIES if (value := getattr(self, name)) is not None}
+        found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
+        if self.bank is not None:
+            found["bank"] = (-self.bank, self.bank)
+        if self.altitude is not None:
+            found["altitude"] = (self.altitude, np.inf)
+        if np.isfinite(self.growth):
+            ranges = {name: pair for name, pair in flown_quantities(model).items() if name not in given}
+            if model.limits is not None:
+                ranges |= dict(zip(model.regressors, model.limits.T, strict=True))
+            for name, (low, high) in ranges.items():
+                more = 0.5 * self.growth * (high - low)
+                found[GROWTH + name] = (low, np.inf) if name == "altitude" else (low - more, high + more)
         return found
+
+    def unlimited(self, model: Aerodynamics) -> list[str]:
+        """Return what is neither given nor known to have been flown."""
+        bounds = self.bounds(model)
+        free = [name for name in QUANTITIES if getattr(self, name) is None and GROWTH + name not in bounds]
+        return free if np.isfinite(self.growth) else []
 
     def channels(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
         """Return what is limited, along one simulated flight."""
+        limited = quantities(flight)
         X = regressors_of(flight, aircraft, model.regressors)
-        growth = pd.DataFrame(X, flight.index, [GROWTH + name for name in model.regressors])
-        return pd.concat([quantities(flight), growth], axis=1)[[*self.bounds(model)]]
+        growth = limited.assign(**dict(zip(model.regressors, X.T, strict=True))).add_prefix(GROWTH)
+        return pd.concat([limited, growth], axis=1)[[*self.bounds(model)]]
 
     def left(
         self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics, more: Matrix | float = 0.0
@@ -96,8 +124,32 @@ class Envelope:
         return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")
 
 
+def flown_quantities(model: Aerodynamics) -> dict[str, tuple[float, float]]:
+    """Return lowest and highest value of what an envelope limits in the flights of a model, where these changed it."""
+    ends = quantities(pd.DataFrame(model.flown, index=["low", "high"]))
+    return {str(name): (min(pair), max(pair)) for name, pair in ends.items() if np.ptp(pair) > 0}
+
+
+def abort_limits(limits: pd.DataFrame) -> pd.DataFrame:
+    """Return ``low``, ``high`` and ``source`` of the quantities that have a limit, the narrower of asked and flown."""
+    both = limits.groupby(lambda name: name.removeprefix(GROWTH)).agg({"low": "max", "high": "min"})
+    found = both.loc[list(QUANTITIES)]
+    found["low"] = found["low"].mask((found.index == "airspeed") & (found["low"] == 0.0), -np.inf)
+    finite, names = found.where(np.isfinite(found)), found.index
+    same = {word: finite.eq(limits.reindex(start + names).set_axis(names)) for word, start in SOURCES.items()}
+    found["source"] = [", ".join(word for word, is_of in same.items() if is_of.loc[name].any()) for name in names]
+    return found[found["source"] != ""]
+
+
+def option_of(limit: str, model: Aerodynamics) -> str:
+    """Return the option of the command line that changes a limit of an envelope."""
+    grown = {GROWTH + name: "--growth" for name in model.regressors}
+    return grown.get(limit) or OPTIONS.get(limit.removeprefix(GROWTH), "--limits")
+
+
 def quantities(flight: pd.DataFrame) -> pd.DataFrame:
     """Return what an envelope limits, of each row of a flight; angles in radians, load factor -az / g."""
+    flight = flight.reindex(columns=["alpha", "beta", "airspeed", "altitude", "az", "phi"])
     found = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
     found["load_factor"] = -flight["az"].to_numpy(float) / STANDARD_GRAVITY
     found["bank"] = flight["phi"].to_numpy(float)

@@ -218,7 +218,7 @@ def _window(
     one = plan["manoeuvres"][k]
     part = dict(_segments(flights))[number]
     part = part[part["time"].between(start, start + one["duration"] + plan["pause"])]
-    values = quantities(part.reindex(columns=["alpha", "beta", "airspeed", "altitude", "az", "phi"]))
+    values = quantities(part)
     facts: dict[str, Any] = {
         "flight": part["flight"].iloc[0], "start": start, "name": one["name"], "likeness": like, "size": size
     }  # fmt: skip
@@ -228,7 +228,7 @@ def _window(
     left = []
     for name, limit in plan["limits"].items():
         column = name.removeprefix(GROWTH)
-        flown = values[name] if name in values else part[column] if column in part else pd.Series(dtype=float)
+        flown = values[column] if column in values else part[column] if column in part else pd.Series(dtype=float)
         low, high = (np.nan if limit[end] is None else limit[end] for end in ("low", "high"))
         if (flown < low).any() or (flown > high).any():
             left.append(name)

@@ -19,7 +19,16 @@ from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._envelope import GROWTH, QUANTITIES, Envelope, quantities, with_band
+from skdgp.design._envelope import (
+    GROWTH,
+    OPTIONS,
+    QUANTITIES,
+    Envelope,
+    flown_quantities,
+    option_of,
+    quantities,
+    with_band,
+)
 from skdgp.design._goals import WHOLE, check_goal, goal_weights, weighted_error
 from skdgp.design._information import (
     Information,
@@ -30,7 +39,7 @@ from skdgp.design._information import (
     regressors_of,
 )
 from skdgp.design._multisines import orthogonal_multisines
-from skdgp.design._signals import Limits, Signal, Steps, doublet, three_two_one_one
+from skdgp.design._signals import ROUNDING, Limits, Signal, Steps, doublet, three_two_one_one
 from skdgp.design._wavetrain import Wavetrain, wavetrain
 from skdgp.dynamics import (
     Aerodynamics,
@@ -50,6 +59,8 @@ WIDTHS = (1.0, 2.5)
 """Of pulses, in units of the suggested width."""
 MULTISINES = (5.0, 10.0)
 """Durations [s]."""
+TICK = 0.5
+"""Of the steps of a pilot [s]."""
 MOST_TONES = 8
 STARTS = 2
 """Searches for the phases of a multisine."""
@@ -178,7 +189,7 @@ def plan(
     goal: Sequence[str] | None = None,
     limits: Mapping[str, Limits | float] | None = None,
     envelope: Envelope | None = None,
-    altitude: float = 100.0,
+    altitude: float | None = None,
     banks: Sequence[float] = (0.0,),
     gusts: Turbulence | Literal["as flown"] | None = "as flown",
     known: Information | None = None,
@@ -189,6 +200,7 @@ def plan(
     rate: float = 50.0,
     n_paths: int = 60,
     thrust: Any = "auto",
+    detents: Mapping[str, float] | None = None,
     random_state: Seed = 0,
 ) -> Plan:
     r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
@@ -227,9 +239,9 @@ def plan(
     limits : mapping of str to Limits or float, optional
         Of the axes; by default the deviation from trim that the model was learned from.
     envelope : Envelope, optional
-        By default that which was flown, and a fifth more.
-    altitude : float, default=100.0
-        [m].
+        By default that which was flown, and a fifth more; no lower than was flown.
+    altitude : float, optional
+        [m]; by default the highest that was flown, or 100 m if the model does not know it. More gives more room.
     banks : sequence of float, default=(0.0,)
         Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
     gusts : Turbulence, "as flown" or None
@@ -252,6 +264,9 @@ def plan(
         Aircraft drawn for each check.
     thrust
         As for :func:`skdgp.dynamics.simulate`.
+    detents : mapping of str to float, optional
+        Of all axes [rad, or 1 of the throttle]: a pilot flies. The library then holds only steps, whose times are half
+        seconds and whose levels are multiples of these.
     random_state : int, RandomState instance or None, default=0
         Of the draws.
 
@@ -268,7 +283,8 @@ def plan(
     Warns
     -----
     UserWarning
-        If the model does not know the turbulence of its flights, and none is given.
+        If the model does not know the turbulence of its flights, and none is given; or if it does not know the range
+        of a quantity that the envelope does not limit.
 
     Examples
     --------
@@ -290,7 +306,7 @@ def plan(
     """
     planner = _Planner(
         as_aerodynamics(model), model, aircraft, envelope or Envelope(), pause, rate, n_paths, gusts, thrust,
-        int(check_random_state(random_state).randint(2**31 - 1)), curvature,
+        int(check_random_state(random_state).randint(2**31 - 1)), curvature, detents or {},
     )  # fmt: skip
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
@@ -306,6 +322,8 @@ class _Manoeuvre:
 
     name: str
     at: int
+    full: dict[str, Signal]
+    """As large as the limits allow."""
     inputs: dict[str, Signal]
     seconds: float
     information: Information
@@ -358,6 +376,7 @@ class _Planner:
     thrust: Any
     seed: int
     curvature: bool = False
+    detents: Mapping[str, float] = field(default_factory=dict)
 
     def plan(self, airspeeds, seconds, axes, goal, limits, altitude, banks, known, noise, bands) -> Plan:
         """Return the plan: see `plan`."""
@@ -370,11 +389,21 @@ class _Planner:
                     UserWarning,
                     stacklevel=4,
                 )
+        if (free := self.envelope.unlimited(self.aerodynamics)) and self.aerodynamics.is_uncertain:
+            options = ", ".join(OPTIONS[name] for name in free)
+            warnings.warn(
+                f"The model does not know the flown range of {', '.join(free)}, so nothing limits them: a manoeuvre "
+                f"may turn the aircraft over or dive. Limit them by the envelope ({options}), or fit the model again.",
+                UserWarning,
+                stacklevel=4,
+            )
         self._check_paths()
         self.seconds, self.noise, self.axes = float(seconds), noise_table(noise), list(axes)
         self.coefficients = list(map(str, self.noise.index))
         self.goal_names = check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
+        if altitude is None:
+            altitude = flown_quantities(self.aerodynamics).get("altitude", (0.0, 100.0))[1]
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
         self.trims = [
             cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
@@ -398,7 +427,7 @@ class _Planner:
         if not library:
             raise ValueError(
                 f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:g} s is that short and can be "
-                "flown: give more seconds, a shorter pause or smaller limits."
+                "flown: give more seconds, a shorter pause, smaller limits or smaller detents."
             )
         peaks = [np.einsum("pdd->pd", one.information.fisher) for one in library.values()]
         peak = np.max(peaks, axis=0)
@@ -421,6 +450,9 @@ class _Planner:
         """Return the limits of the axes; by default what the model was learned from."""
         check_names(limits or (), self.axes, "axes")
         given = {axis: one if isinstance(one, Limits) else Limits(one) for axis, one in (limits or {}).items()}
+        if self.detents:  # a pilot's ramps are his own
+            check_names(self.axes, self.detents, "axes with detents")
+            given = {axis: Limits(one.amplitude) for axis, one in given.items()}
         return {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in self.axes}
 
     def _flown(self, axis: str) -> float:
@@ -485,10 +517,11 @@ class _Planner:
         flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], drawn=True)[0]
         risk, causes = self._risk_of(paths[paths["time"] <= self.pause + 1e-6])
         if risk > self.envelope.risk:
+            point = self.trims[at]
             raise ValueError(
-                f"Got an envelope that trimmed flight at {self.trims[at].airspeed:g} m/s leaves in {risk:.0%} of cases "
-                f"within {self.pause:g} s, by {causes}, but expected at most {self.envelope.risk:.0%}: widen this "
-                "limit, choose another airspeed or altitude, or weaker gusts."
+                f"Got an envelope that trimmed flight at {point.airspeed:g} m/s and {point.altitude:.0f} m leaves in "
+                f"{risk:.0%} of cases within {self.pause:g} s, by {causes}, but expected at most "
+                f"{self.envelope.risk:.0%}: widen this limit, choose another airspeed or altitude, or weaker gusts."
             )
         centre = self._channels(flight)
         margin = np.zeros_like(centre)
@@ -505,11 +538,14 @@ class _Planner:
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
     def _risk_of(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
-        """Return the risk that flights leave the envelope, and the limits that they leave."""
+        """Return the risk that flights leave the envelope, and the limits that they leave, with their options."""
         left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
-        causes = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
+        shares = shares[shares > 0]
+        options = {name: option_of(str(name), self.aerodynamics) for name in shares.index}
+        named = [f"{name} ({share:.0%}, {options[name]})" for name, share in shares.items()]
+        causes = ", ".join(named).replace(GROWTH, "flown ")
         n_left = int(by_path.any(axis=1).sum())
         if not self.aerodynamics.is_uncertain:
             return float(n_left), causes
@@ -557,12 +593,13 @@ class _Planner:
             for factor in WIDTHS:
                 for kind, make in (("doublet", doublet), ("3-2-1-1", three_two_one_one)):
                     width = factor * bands.loc[axis, f"{make.__name__}_width"]
+                    width = TICK * max(1, round(width / TICK)) if self.detents else width
                     signal = limit.largest(make(width, limit.amplitude, limits=replace(limit, rms=np.inf)))
                     yield f"{axis} {kind} {width:.2f} s", {axis: signal}
         groups = {tuple(group) for n in (1, len(self.axes)) for group in combinations(self.axes, n)}
         for group in sorted(groups, key=lambda one: (len(one), self.axes.index(one[0]))):
             low, high = bands.loc[list(group), "lowest"].min(), bands.loc[list(group), "highest"].max()
-            for duration in MULTISINES:
+            for duration in () if self.detents else MULTISINES:
                 n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
                 tones = min(MOST_TONES, n // len(group))
                 if tones > 1:
@@ -578,15 +615,23 @@ class _Planner:
         named = {name: inputs for name, inputs in named.items() if lasting[name] + self.pause <= self.seconds}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
-            rest = {name: _scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
+            rest = {name: self._scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
             for name, flight in self._flights(at, rest).items():
                 scales[name] = float(np.clip(factor * self.holds[at].room(self._channels(flight)), LEAST, 1.0))
         found = []
-        scaled = {name: _scaled(named[name], scale) for name, scale in scales.items()}
-        for name, flight in self._flights(at, scaled).items():
-            information = self._information(flight)
-            label = self._label(at) + name
-            found.append(_Manoeuvre(label, at, scaled[name], lasting[name], information, flight, scales[name]))
+        scaled = {name: self._scaled(named[name], scale) for name, scale in scales.items()}
+        for name, flight in self._flights(at, {name: one for name, one in scaled.items() if _moves(one)}).items():
+            facts = scaled[name], lasting[name], self._information(flight), flight, scales[name]
+            found.append(_Manoeuvre(self._label(at) + name, at, named[name], *facts))
+        return found
+
+    def _scaled(self, inputs: Mapping[str, Signal], factor: float) -> dict[str, Signal]:
+        """Return inputs of another size, the levels of a pilot's in whole detents."""
+        found = {axis: signal.scaled(factor) for axis, signal in inputs.items()}
+        for axis, signal in found.items():
+            if self.detents and isinstance(signal, Steps):
+                counts = np.trunc(np.divide(signal.levels, self.detents[axis]) * (1 + ROUNDING))
+                found[axis] = Steps(signal.durations, (self.detents[axis] * counts).tolist())
         return found
 
     def _flights(self, at: int, named: Mapping[str, Mapping[str, Signal]]) -> dict[str, pd.DataFrame]:
@@ -655,16 +700,18 @@ class _Planner:
         if not chosen:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
-                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow more growth "
-                "or risk, plan for weaker gusts, or fly another airspeed or altitude."
+                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow more risk, plan for "
+                "weaker gusts, or fly another airspeed or altitude."
             )
         return chosen, library
 
     def _safe(self, one: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
-        scale, best = one.scale, 0.0
+        scale, best, causes = one.scale, 0.0, "steps smaller than a detent"
         while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
-            inputs = _scaled(one.inputs, scale / one.scale)
+            inputs = self._scaled(one.full, scale)
+            if not _moves(inputs):  # smaller than a detent
+                break
             flight, hold = self._flown_by(one.at, [inputs])[0], self.holds[one.at]
             paths = self._flown_by(one.at, [inputs], drawn=True)[0] if self.aerodynamics.is_uncertain else flight
             more = hold.margin * hold.response(self._channels(flight))
@@ -680,7 +727,9 @@ class _Planner:
                 scale *= SHRINK
         if not best:
             return None, causes
-        inputs, flight = _scaled(one.inputs, best / one.scale), best_flight
+        inputs, flight = self._scaled(one.full, best), best_flight
+        if self.detents:
+            best = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())
         found = self._information(flight)
         if not self.aerodynamics.is_uncertain:
             best_risk = np.nan
@@ -722,8 +771,8 @@ class _Planner:
         )  # fmt: skip
 
 
-def _scaled(inputs: Mapping[str, Signal], factor: float) -> dict[str, Signal]:
-    return {axis: signal.scaled(factor) for axis, signal in inputs.items()}
+def _moves(inputs: Mapping[str, Signal]) -> bool:
+    return any(signal.peak for signal in inputs.values())
 
 
 def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:

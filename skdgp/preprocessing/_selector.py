@@ -12,7 +12,7 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import ELEVONS, HAT, RATES, SPECIFIC_FORCE, SURFACES, TRUTH_SUFFIX, VANES
+from skdgp._flight.channels import CHANNELS, ELEVONS, HAT, RATES, SPECIFIC_FORCE, SURFACES, TRUTH_SUFFIX, VANES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._elevons import MIXED
@@ -66,6 +66,8 @@ class RegressorSelector(TableTransformer):
         Controls of the named set that the table does not have.
     data_min_, data_max_ : ndarray (d,)
         Range of each regressor over the rows of ``fit`` that have a target.
+    ranges_ : dict of str to tuple of float
+        Smallest and largest value of each flight channel of the table over these rows.
     n_features_in_, feature_names_in_
         Columns seen in ``fit``.
 
@@ -112,10 +114,14 @@ class RegressorSelector(TableTransformer):
         super().fit(X, y)
         if self._passes:
             return self
-        values = numeric(X, self.regressors_)
+        values, observed = numeric(X, self.regressors_), np.ones(len(X), dtype=bool)
         if y is not None and len(y) == len(X):
-            values = values[np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)]
+            observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
+            values = values[observed]
             _warn_of_little_information(values[np.isfinite(values).all(axis=1)], self.regressors_)
+        channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
+        known = {str(name): kept for name, column in channels if len(kept := column[observed].dropna())}
+        self.ranges_ = {name: (float(kept.min()), float(kept.max())) for name, kept in known.items()}
         values = values[np.isfinite(values).all(axis=1)]
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ import pandas as pd
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._flight.channels import HAT
 from skdgp.design import FlownPlan, Plan, Steps
-from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
+from skdgp.design._envelope import GROWTH, QUANTITIES, abort_limits, quantities
 from skdgp.design._plan import errors_of
 from skdgp.plotting._style import PALETTE, ROLES, display_unit, tidy
 from skdgp.report._figures import figure
@@ -209,7 +209,10 @@ def _order(plan: Plan) -> str:
 
 
 def _limits(plan: Plan) -> str:
-    words = "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b></p>"
+    words = (
+        "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the range of the training "
+        "flights, with the growth that this plan allows (none of the floor). Asked: given for this plan.</p>"
+    )
     if any(name.startswith(GROWTH) for name in plan.limits.index):
         words += (
             '<p class="note">The plan also keeps rates and deflections near what was flown before; the risk of a '
@@ -220,10 +223,13 @@ def _limits(plan: Plan) -> str:
 
 def _limit_table(plan: Plan, rows: Sequence[int]) -> str:
     """Return the limits, and what is expected of some manoeuvres."""
-    limits, expected = _abort(plan), plan.expected(rows)
+    limits, expected = abort_limits(plan.limits), plan.expected(rows)
     cells = [(frame, end) for frame in (limits, expected) for end in ("low", "high")]
-    lines = [[_name(name), _unit(name), *(_value(name, *cell) for cell in cells)] for name in QUANTITIES]
-    head = ["", "unit", "abort<br>below", "abort<br>above", "expected<br>lowest", "expected<br>highest"]
+    lines = [
+        [_name(name), _unit(name), *(_value(name, *cell) for cell in cells), limits["source"].get(name, "no limit")]
+        for name in QUANTITIES
+    ]
+    head = ["", "unit", "abort<br>below", "abort<br>above", "expected<br>lowest", "expected<br>highest", "limit is"]
     of = "95 % of the aircraft and gusts drawn" if "alpha_low" in plan.flight else "the mean of the model"
     return table(head, lines, caption=f"Limits, and what is expected of {of}.", classes="narrow")
 
@@ -281,23 +287,27 @@ def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mappi
     sticks = bool(set(inputs) & set(full))
     head = [text(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by [deg]", "to [deg]"]
     head += ["of full<br>deflection [%]"] if sticks else []
-    rows = []
+    rows, said = [], []
     for axis, signal in inputs.items():
-        factor = display_unit(axis)[0]
+        factor, unit = display_unit(axis)
         for time, level, hold in zip(signal.edges, [*signal.levels, 0.0], [*signal.durations, np.nan], strict=True):
             way = DIRECTIONS.get(axis, ("up", "down"))[int(level < 0)] if level else "back to trim"
             cells = [_signed(factor * level, ".1f"), number(factor * (controls.get(axis, 0.0) + level), ".1f")]
             stick = [_signed(100.0 * level / full[axis], ".0f") if axis in full else ""] if sticks else []
             what = way if len(inputs) == 1 else f"{text(axis)}: {way}"
+            size = f" {number(abs(factor * level), '.2g')}{THIN}{unit} for {number(hold, 'g')}{THIN}s" if level else ""
+            said.append(what + size)
             rows.append((time, [what, number(time, ".2f"), number(hold, ".2f"), *cells, *stick]))
     rows.sort(key=lambda one: one[0])
+    if quick >= QUICK:
+        by_hand += f" {', '.join(said).capitalize()}."
     caption = "Steps, from the start of the manoeuvre; hold the other controls at trim."
     return by_hand, table(head, [row for _, row in rows], caption=caption, classes="narrow")
 
 
 def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
     flight = plan.flight[plan.flight["flight"] == k]
-    time, values, limits = flight["time"].to_numpy(float), quantities(flight), _abort(plan)
+    time, values, limits = flight["time"].to_numpy(float), quantities(flight), abort_limits(plan.limits)
     end = plan.manoeuvres["duration"].iloc[k]
     fine = np.linspace(0.0, time[-1], 2000)
     panels = []
@@ -313,7 +323,7 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
             ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
         ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
         bottom, top = ax.get_ylim()
-        for limit in factor * limits.loc[name].to_numpy() if name in limits.index else ():
+        for limit in factor * limits.loc[name, ["low", "high"]] if name in limits.index else ():
             if bottom - NEAR * (top - bottom) < limit < top + NEAR * (top - bottom):
                 ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
 
@@ -352,14 +362,6 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
         for name in map(str, left.index[:most]) if left[name] < SOME
     ]  # fmt: skip
     return f"Errors it leaves, by itself: {', '.join(shown)}." if shown else "It teaches nothing of the goal by itself."
-
-
-def _abort(plan: Plan) -> pd.DataFrame:
-    """Return the limits of quantities that have one, the narrower of the envelope and of its growth."""
-    both = plan.limits.groupby(lambda name: name.removeprefix(GROWTH)).agg({"low": "max", "high": "min"})
-    limits = both.loc[list(QUANTITIES)]
-    limits["low"] = limits["low"].mask((limits.index == "airspeed") & (limits["low"] == 0.0), -np.inf)
-    return cast("pd.DataFrame", limits[np.isfinite(limits).any(axis=1)])
 
 
 def _pause(plan: Plan, train: int) -> float:

@@ -61,7 +61,8 @@ KEPT = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
 REGRESSORS = [name + HAT if name in RATE_LENGTHS else name for name in KEPT]
 COLUMNS = [NAMES.index(name) for name in KEPT]
 EXPLORED, CUTS, AIR = 60.0, 5.0, "light"
-ENVELOPE = Envelope(bank=1.0, growth=0.5)
+ANY = (-np.inf, np.inf)
+ENVELOPE = Envelope(bank=1.0, load_factor=ANY, airspeed=ANY, altitude=-np.inf, growth=0.5)
 
 
 class Truth(NamedTuple):

@@ -373,7 +373,7 @@ class TestDerivatives:
 
 
 class TestPlan:
-    WORDS = ("--airspeed", "35", "--seconds", "8", "--axes", "rudder", "--altitude", "200", "--gusts", "none")
+    WORDS = ("--airspeed", "35", "--seconds", "8", "--axes", "rudder", "--altitude", "300", "--gusts", "none")
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
         more = (

@@ -89,6 +89,7 @@ class TestRepeat:
                 "--beta",
                 "-.1",
                 ".1",
+                "--pilot",
             ],
         ],
         ids=lambda words: words[0],

@@ -30,7 +30,8 @@ def plan(uav):
         rows.append({"name": name, "duration": duration, "inputs": sampled, "expected": expected})
     return {
         "aircraft": uav.to_dict(), "at": dict.fromkeys(REGRESSORS, 0.0), "pause": 2.0, "manoeuvres": rows,
-        "limits": {"alpha": {"low": None, "high": 0.25}, "growth of elevator": {"low": -0.5, "high": 0.5}},
+        "limits": {"alpha": {"low": None, "high": 0.25}}
+        | {name: {"low": -0.5, "high": 0.5} for name in ("growth of elevator", "growth of bank")},
         "errors": {"Cm_elevator": {"before": 0.05, "after": 0.02}},
         "known": {name: np.asarray(value).tolist() for name, value in vars(BEFORE).items()},
     }  # fmt: skip
@@ -78,12 +79,12 @@ def test_what_was_found_is_the_information_of_what_was_flown(plan, uav):
 
 
 def test_limits_that_were_left_are_named(plan, uav):
-    """The first leaves a limit of its response in the pause after it, the second one of its regressors."""
+    """The first leaves limits of its response in the pause after it, the second one of its regressors."""
     flight = flown([("doublet", 20.0, 1.0), ("doublet", 30.0, 1.0)])
-    flight.loc[flight["time"].between(22, 22.2), "alpha"] = 0.3
+    flight.loc[flight["time"].between(22, 22.2), ["alpha", "phi"]] = 0.3, 0.6
     flight.loc[flight["time"].between(32, 32.1), "elevator"] = 0.6
     left = compare_with_plan(plan, flight, uav, NOISE, BEFORE).manoeuvres["left"]
-    assert left.tolist() == ["alpha", "growth of elevator"]
+    assert left.tolist() == ["alpha, growth of bank", "growth of elevator"]
 
 
 def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):

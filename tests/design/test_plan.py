@@ -1,5 +1,7 @@
 """A planned flight: what it teaches, what it risks, and what cannot be planned."""
 
+from copy import copy
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -28,6 +30,7 @@ TABLE = np.array([
     [0.02, -0.6, 0, 0, -9, 0, -1, 0, 0],
     [0, 0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
 ])  # fmt: skip
+FLOWN = {"airspeed": (5.0, 35.0), "altitude": (50.0, 100.0), "phi": (-1.0, 1.0), "az": (-30.0, 10.0)}
 SPREAD = 0.08
 NOISE = pd.DataFrame({"white": 0.002, "drift": 0.002, "memory": 0.5}, index=["CZ", "Cm"])
 AXES = {
@@ -66,7 +69,7 @@ def model():
     low = np.array([-0.1, -0.2, -0.1, -0.03, -0.1, -0.3, -0.3, -0.3])
     return Aerodynamics(
         lambda X: features(X) @ TABLE.T, NAMES, gradient=lambda X: np.broadcast_to(TABLE[:, 1:], (len(X), 6, 8)),
-        sampler=sampler, covariance=covariance, limits=[low, -low + [0.2, 0, 0, 0, 0, 0, 0, 0]],
+        sampler=sampler, covariance=covariance, limits=[low, -low + [0.2, 0, 0, 0, 0, 0, 0, 0]], flown=FLOWN,
     )  # fmt: skip
 
 
@@ -169,6 +172,21 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
     assert not envelope.left(flown, uav, aircraft).to_numpy().any()
 
 
+def test_a_pilot_flies_steps_that_he_can_count(model, uav):
+    options = AXES | {"seconds": 20.0, "bands": BANDS, "goal": ["Cm_q"], "envelope": Envelope(alpha=(-0.03, 0.055))}
+    found = plan(model, uav, **options, detents={"elevator": 0.008})
+    whole = []
+    for k, row in found.manoeuvres.iterrows():
+        (signal,) = found.inputs(k).values()
+        whole += [*np.divide(signal.durations, 0.5), row["start"] / 0.5, *np.divide(signal.levels, 0.008)]
+        assert row["scale"] == pytest.approx(signal.peak / 0.06)
+    np.testing.assert_allclose(whole, np.round(whole), atol=1e-9)
+    with pytest.raises(ValueError, match="axes with detents"):
+        plan(model, uav, **options, detents={"rudder": 0.02})
+    with pytest.raises(ValueError, match=r"no manoeuvre .* smaller detents"):
+        plan(model, uav, **options, detents={"elevator": 0.1})
+
+
 def test_ctrl_c_keeps_what_was_checked(model, uav):
     def stop(stage, *_):
         if ", 1 kinds checked" in stage:
@@ -232,8 +250,8 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"seconds": 5.0}, "give more seconds, a shorter pause"),
         ({"rate": 10.0}, "Got a rate of 10 Hz"),
         ({"n_paths": 5}, "at least 18"),
-        ({"envelope": Envelope(altitude=200.0)}, "trimmed flight at 20 m/s leaves .* by altitude"),
-        ({"seconds": 7.0, "limits": {"elevator": 1.8}}, "every manoeuvre leaves .* by growth of"),
+        ({"envelope": Envelope(altitude=200.0)}, "trimmed flight at 20 m/s and 100 m leaves .* by altitude .*--floor"),
+        ({"seconds": 7.0, "limits": {"elevator": 1.8}}, "every manoeuvre leaves .* by flown .*--growth"),
         ({"known": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
     ],
 )
@@ -241,6 +259,51 @@ def test_what_cannot_be_planned_is_said(model, uav, changed, words):
     options = {"seconds": 20.0, "bands": BANDS} | AXES | changed
     with pytest.raises(ValueError, match=words):
         plan(model, uav, **options)
+
+
+@pytest.mark.parametrize(
+    ("axis", "channel", "flown", "given"),
+    [
+        ("elevator", "az", (-12.5, -7.0), {"load_factor": (-9.0, 9.0)}),
+        ("aileron", "phi", (-0.3, 0.2), {"bank": 3.0}),
+    ],
+)
+def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch, axis, channel, flown, given):
+    monkeypatch.setattr(_plan, "MULTISINES", ())  # for time
+    narrow = copy(model)
+    narrow.flown = FLOWN | {channel: flown}
+    options = AXES | {"axes": [axis], "limits": {axis: 0.12}, "bands": BANDS.set_axis([axis])}
+    inside = []
+    for words in ({}, given):
+        found = plan(narrow, uav, **options, seconds=8.0, goal=[f"Cm_{axis}"], envelope=Envelope(**words))
+        assert found.trims[0].altitude == 100.0  # the highest
+        table = found.trains[0].table(50.0, trim=found.trims[0].controls, pause=3.0)
+        values = simulate(narrow, uav, found.trims[0], table, 0.04)[channel]
+        inside.append(values.between(flown[0] - 0.1 * np.ptp(flown), flown[1] + 0.1 * np.ptp(flown)).all())
+    assert inside == [True, False]
+
+
+def test_what_was_flown_limits_what_is_not_given(model):
+    bounds = Envelope(airspeed=(0.0, np.inf)).bounds(model)
+    assert "growth of airspeed" not in bounds
+    assert bounds["growth of bank"] == pytest.approx((-1.2, 1.2))
+    assert bounds["growth of altitude"] == (50.0, np.inf)
+    assert bounds["growth of load_factor"] == pytest.approx(np.array([-14.0, 34.0]) / 9.80665)
+    assert bounds["growth of alpha"] == pytest.approx((-0.14, 0.34))  # a regressor
+    assert not any(name.startswith("growth of") for name in Envelope(growth=np.inf).bounds(model))
+
+
+def test_a_model_that_does_not_know_what_was_flown_says_so(model, uav):
+    """Such as one of an earlier version, or of flights with a constant in a column."""
+    old = copy(model)
+    del old.flown
+    words = r"range of load_factor, bank, airspeed, altitude, .* --max-bank, --speeds"
+    with pytest.warns(UserWarning, match=words), pytest.raises(ValueError, match="Got the goal"):
+        plan(old, uav, **AXES | {"seconds": 8.0, "goal": []})
+    old.flown = FLOWN | {"altitude": (100.0, 100.0)}
+    assert Envelope().unlimited(old) == ["altitude"]
+    assert not Envelope(altitude=0.0).unlimited(old)
+    assert not Envelope(growth=np.inf).unlimited(old)
 
 
 def test_limits_are_what_was_flown(model, uav):

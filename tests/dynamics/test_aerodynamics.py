@@ -167,6 +167,7 @@ def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targe
 
         def fit(self, X, y=None):
             self.regressors_, self.data_min_, self.data_max_ = ["alpha", "beta"], np.zeros(2), np.ones(2)
+            self.ranges_ = {"phi": (-0.5, 0.4)}
             return self
 
         def transform(self, X):
@@ -177,6 +178,7 @@ def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targe
     aerodynamics = as_aerodynamics(model)
     assert aerodynamics.regressors == ("alpha", "beta")
     np.testing.assert_array_equal(aerodynamics.limits, [[0, 0], [1, 1]])
+    assert aerodynamics.flown == {"phi": (-0.5, 0.4)}
     point = flight[["alpha", "beta"]].iloc[:1]
     np.testing.assert_allclose(aerodynamics(point.to_numpy()), model[-1].predict(point))
 

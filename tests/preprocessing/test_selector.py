@@ -77,6 +77,15 @@ def test_controls_that_the_aircraft_does_not_have(absent):
     assert selector.regressors_ == [name for name in CLASSICAL if name not in absent]
 
 
+def test_ranges_are_those_of_the_channels_in_rows_with_a_target():
+    table = pd.DataFrame({
+        "flight": list("aaab"), "alpha": [0.0, 0.1, 0.3, 9.0], "phi": [-0.5, np.nan, 0.2, 9.0],
+        "alpha_true": 1.0, "mine": 2.0,
+    })  # fmt: skip
+    selector = RegressorSelector(["alpha"]).fit(table, [1.0, 2.0, 0.0, np.nan])
+    assert selector.ranges_ == {"alpha": (0.0, 0.3), "phi": (-0.5, 0.2)}
+
+
 def test_a_misspelt_control_is_not_an_absent_one():
     with pytest.raises(ValueError, match=r"'throttle' \(nearest: 'Throttle'\)"):
         RegressorSelector("classical").fit(EVERY.rename(columns={"throttle": "Throttle"}))

@@ -84,9 +84,9 @@ def test_steps_are_the_inputs(html):
 
 def test_limits_are_the_narrower_and_in_degrees(html):
     words = words_of(html)
-    assert f"alpha deg {np.rad2deg(-0.05):.1f} {np.rad2deg(0.2):.1f} ".replace("-", "−") in words
-    assert "altitude m 60 – " in words
-    assert "load factor g – – −3.0 3.0" in words
+    assert f"alpha deg {np.rad2deg(-0.05):.1f} {np.rad2deg(0.2):.1f} −57.3 57.3 asked, flown".replace("-", "−") in words
+    assert "altitude m 60 – −6 6 asked" in words
+    assert "load factor g – – −3.0 3.0 no limit" in words
 
 
 def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):

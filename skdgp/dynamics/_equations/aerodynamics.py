@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import takewhile
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -105,6 +105,8 @@ class Aerodynamics:
         Of the flights that the model was learned from.
     limits : array-like of shape (2, d), optional
         Smallest and largest value of each regressor that the model was learned from.
+    flown : mapping of str to tuple of float, optional
+        The same of other channels, such as ``phi``, ``airspeed``, ``az``, ``altitude``.
     span, chord : float, optional
         Lengths [m] of the non-dimensional rates; by default those of the aircraft that flies.
     mixing : Mixing, optional
@@ -128,6 +130,7 @@ class Aerodynamics:
     """
 
     turbulence: Any = None  # of models of earlier versions
+    flown: Mapping[str, tuple[float, float]] = {}
     slope_errors: Callable | None = None
     """Regressors (n, d) to errors of the slopes that the paths do not contain, see ``DependentGPRegressor``."""
 
@@ -142,6 +145,7 @@ class Aerodynamics:
         drift: Drift | None = None,
         turbulence: Any = None,
         limits: ArrayLike | None = None,
+        flown: Mapping[str, tuple[float, float]] | None = None,
         span: float | None = None,
         chord: float | None = None,
         mixing: Mixing | None = None,
@@ -153,6 +157,7 @@ class Aerodynamics:
         if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
             raise ValueError(f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)}).")
         self.span, self.chord, self.mixing, self.drift, self.turbulence = span, chord, mixing, drift, turbulence
+        self.flown = dict(flown or {})
         self.n_paths: int | None = None
         self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
 
@@ -248,7 +253,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
     A transformer declares by its class attribute ``in_simulation`` what becomes of it in a simulation, which has exact
     states and no neighbours in time:
 
-    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,). The last counts.
+    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,), and ``ranges_`` of
+      channels by name. The last counts.
     - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
     - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
     - "measurements": treats measurements, and is left out. So is a step without the attribute.
@@ -308,6 +314,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         drift=chain.drift(),
         turbulence=turbulence_of(model),
         limits=None if limits[0] is None else np.array(limits),
+        flown=getattr(chosen, "ranges_", None),
         span=None if rates is None else rates.span,
         chord=None if rates is None else rates.chord,
         mixing=mixing,

@@ -9,9 +9,8 @@ from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
 from skdgp._compute.checkpoint import checkpointing
 from skdgp._compute.progress import listening
-from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.identification import Identification
+from skdgp.identification import Identification, default_regressor
 from skdgp.identification import identify as learn
 
 CHECKPOINT = "checkpoint"  # in the folder of the outputs, until these are written
@@ -77,7 +76,7 @@ def demo(run: Run) -> None:
 def _learn(run, train, aircraft, test, title=None, **known):
     options, console = run.options, run.console
     given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
-    regressor = DependentGPRegressor(
+    regressor = default_regressor(
         structure=options.structure,
         trend=opt.none_of(options.trend),
         inference=options.inference,
@@ -148,7 +147,11 @@ LEARNING = [
         "(default: auto)",
     ),
     opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
-    opt.option("--latents M|auto", "latent processes that the outputs share (default: 2)", opt.at_least(0, "auto")),
+    opt.option(
+        "--latents M|auto",
+        "latents that the outputs share (default: 2, none above 5000 samples)",
+        opt.at_least(0, "auto"),
+    ),
     opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),
     opt.flag("--symmetric", "the aircraft is symmetric: learn from mirrored flights, too"),
     opt.flag("--gusty", "learn the aircraft without its gusts, to simulate or linearise; not to predict gusty flights"),

@@ -38,6 +38,7 @@ EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
 
 ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
+SHARED_LATENTS = 2  # of n_latent=None
 MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 FIT_REMEDY = (
     "Use inference='sparse' or fewer values: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over "
@@ -72,9 +73,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Covariance of the processes. None: ``ConvolvedGaussian(n_latent, private_latents=private_latents,
         covariance_type=covariance_type, length_scale_prior=length_scale_prior)``. Missing values are estimated from
         the data.
-    n_latent : int or "auto"
+    n_latent : int, "auto" or None
         Number of latent processes that all outputs share. "auto" adds latents, up to 3, as long as the Bayesian
-        information criterion improves.
+        information criterion improves. None: 2, but none where ``structure="auto"`` learns from more than 5000 samples
+        of all outputs, which then have little to teach each other and take half as long again.
     private_latents : bool
         Whether each output also has a private latent process.
     covariance_type : {"spherical", "diag", "full", "tied"}
@@ -183,7 +185,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     _parameter_constraints = {
         "kernel": [MultiOutputKernel, None],
-        "n_latent": [Interval(Integral, 0, None, closed="left"), StrOptions({"auto"})],
+        "n_latent": [Interval(Integral, 0, None, closed="left"), StrOptions({"auto"}), None],
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
         "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
@@ -206,7 +208,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self,
         kernel: Any = None,
         *,
-        n_latent: Any = 2,
+        n_latent: Any = None,
         private_latents: bool = True,
         covariance_type: str = "diag",
         length_scale_prior: Any = None,
@@ -389,6 +391,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             additive = self._has_trend() and len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1
             self.structure_ = "additive" if additive else "joint"
         hyperparameters = None
+        if self.kernel is None and self.n_latent is None:
+            independent = self.structure == "auto" and self.private_latents and len(X) > ADDITIVE_SAMPLES
+            self.n_latent_ = 0 if independent and np.isfinite(Z).all() else SHARED_LATENTS
         if self.n_latent_ == "auto":
             fewest = int(not self.private_latents)
             numbers = range(fewest, (MAX_LATENT if Z.shape[1] > 1 else fewest) + 1)

@@ -121,7 +121,7 @@ def identify(
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     regressor : DependentGPRegressor, optional
-        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``.
+        By default :func:`default_regressor`.
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
         show that are held out in turn. It takes one more fit for each of up to 5 groups of flights.

@@ -84,7 +84,7 @@ def make_identification_pipeline(
         What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
         elevator or an aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``. It is cloned.
+        By default :func:`default_regressor`. It is cloned.
         Any regressor of several outputs will do: a linear model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
@@ -140,9 +140,34 @@ def make_identification_pipeline(
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def default_regressor(**options) -> DependentGPRegressor:
-    """Return the default regressor: it learns the noise of the regressors, and held-out blocks choose its structure."""
-    return DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True, **options)
+def default_regressor(**parameters: Any) -> DependentGPRegressor:
+    """Return the regressor that pipelines and the command line learn with, with some parameters changed.
+
+    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure.
+
+    Parameters
+    ----------
+    **parameters
+        Of :class:`skdgp.DependentGPRegressor`.
+
+    Returns
+    -------
+    DependentGPRegressor
+        Not fitted.
+
+    Raises
+    ------
+    TypeError
+        If a parameter is not one of the regressor.
+
+    Examples
+    --------
+    >>> from skdgp.identification import default_regressor
+    >>> default_regressor(n_latent=2, random_state=0)
+    DependentGPRegressor(early_stopping=True, input_noise='learned', n_latent=2,
+                         random_state=0, structure='auto')
+    """
+    return DependentGPRegressor(**{"structure": "auto", "input_noise": "learned", "early_stopping": True} | parameters)
 
 
 def check_aircraft(aircraft) -> Aircraft:

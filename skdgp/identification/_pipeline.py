@@ -146,9 +146,9 @@ def default_regressor(*, gusty: bool = False, **options) -> DependentGPRegressor
 
     What gusts leave in the targets looks like a function of very small width; ``gusty`` sets a prior against these.
     """
-    prior = {"length_scale_prior": "auto"} if gusty else {}
-    defaults = {"structure": "auto", "input_noise": "learned", "early_stopping": True} | prior
-    return DependentGPRegressor(**(defaults | options))
+    prior = "auto" if gusty else None
+    defaults: dict[str, Any] = {"structure": "auto", "input_noise": "learned", "early_stopping": True}
+    return DependentGPRegressor(**{**defaults, "length_scale_prior": prior, **options})
 
 
 def check_aircraft(aircraft) -> Aircraft:

@@ -9,10 +9,10 @@ from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
 from skdgp._compute.checkpoint import checkpointing
 from skdgp._compute.progress import listening
-from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.identification import Identification
 from skdgp.identification import identify as learn
+from skdgp.identification._pipeline import default_regressor
 
 CHECKPOINT = "checkpoint"  # in the folder of the outputs, until these are written
 CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model", "config.toml": "options"}
@@ -77,7 +77,9 @@ def demo(run: Run) -> None:
 def _learn(run, train, aircraft, test, title=None, **known):
     options, console = run.options, run.console
     given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
-    regressor = DependentGPRegressor(
+    regressor = default_regressor(
+        gusty=options.gusty,
+        early_stopping=False,
         structure=options.structure,
         trend=opt.none_of(options.trend),
         inference=options.inference,

@@ -121,7 +121,7 @@ def identify(
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     regressor : DependentGPRegressor, optional
-        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``.
+        By default that of :func:`make_identification_pipeline`.
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
         show that are held out in turn. It takes one more fit for each of up to 5 groups of flights.
@@ -170,7 +170,7 @@ def identify(
     (400, 6)
     """
     if regressor is None:
-        regressor = default_regressor(random_state=random_state, n_jobs=n_jobs)
+        regressor = default_regressor(gusty=gusty, random_state=random_state, n_jobs=n_jobs)
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
             f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "

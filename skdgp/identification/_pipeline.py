@@ -84,8 +84,9 @@ def make_identification_pipeline(
         What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
         elevator or an aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``. It is cloned.
-        Any regressor of several outputs will do: a linear model for comparison.
+        By default ``DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True)``, and with
+        ``gusty`` also ``length_scale_prior="auto"``. It is cloned. Any regressor of several outputs will do: a linear
+        model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
     lags : "auto", dict or None, default=None
@@ -131,7 +132,7 @@ def make_identification_pipeline(
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
         RegressorSelector(regressors),
         StandardScaler(),
-        default_regressor() if regressor is None else clone(regressor),
+        default_regressor(gusty=gusty) if regressor is None else clone(regressor),
     )
     pipeline = FlightPipeline(steps.steps, memory=memory, symmetric=symmetric, gusty=gusty)
     pipeline.set_params(flightpathreconstruction=reconstruction)
@@ -140,9 +141,14 @@ def make_identification_pipeline(
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def default_regressor(**options) -> DependentGPRegressor:
-    """Return the default regressor: it learns the noise of the regressors, and held-out blocks choose its structure."""
-    return DependentGPRegressor(structure="auto", input_noise="learned", early_stopping=True, **options)
+def default_regressor(*, gusty: bool = False, **options) -> DependentGPRegressor:
+    """Return the default regressor: it learns the noise of the regressors, and held-out blocks choose its structure.
+
+    What gusts leave in the targets looks like a function of very small width; ``gusty`` sets a prior against these.
+    """
+    prior = "auto" if gusty else None
+    defaults: dict[str, Any] = {"structure": "auto", "input_noise": "learned", "early_stopping": True}
+    return DependentGPRegressor(**{**defaults, "length_scale_prior": prior, **options})
 
 
 def check_aircraft(aircraft) -> Aircraft:

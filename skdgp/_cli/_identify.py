@@ -77,6 +77,7 @@ def _learn(run, train, aircraft, test, title=None, **known):
     options, console = run.options, run.console
     given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
     regressor = default_regressor(
+        gusty=options.gusty,
         structure=options.structure,
         trend=opt.none_of(options.trend),
         inference=options.inference,
@@ -149,7 +150,7 @@ LEARNING = [
     opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
     opt.option(
         "--latents M|auto",
-        "latents that the outputs share (default: 2, none above 5000 samples)",
+        "latents that the outputs share (default: 2, none if all rows are complete)",
         opt.at_least(0, "auto"),
     ),
     opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),

@@ -38,7 +38,7 @@ EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
 
 ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
-SHARED_LATENTS = 2  # of n_latent=None
+SHARED_LATENTS, COMPLETE = 2, 0.95  # of n_latent=None, and the part of observed values from which on there are none
 MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 FIT_REMEDY = (
     "Use inference='sparse' or fewer values: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over "
@@ -75,8 +75,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         the data.
     n_latent : int, "auto" or None
         Number of latent processes that all outputs share. "auto" adds latents, up to 3, as long as the Bayesian
-        information criterion improves. None: 2, but none where ``structure="auto"`` learns from more than 5000 samples
-        of all outputs, which then have little to teach each other and take half as long again.
+        information criterion improves. None: 2, but none where ``structure="auto"`` learns from outputs of which
+        at least 95 % of the values are observed: they have little to teach each other (docs/sharing.md).
     private_latents : bool
         Whether each output also has a private latent process.
     covariance_type : {"spherical", "diag", "full", "tied"}
@@ -392,8 +392,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             self.structure_ = "additive" if additive else "joint"
         hyperparameters = None
         if self.kernel is None and self.n_latent is None:
-            independent = self.structure == "auto" and self.private_latents and len(X) > ADDITIVE_SAMPLES
-            self.n_latent_ = 0 if independent and np.isfinite(Z).all() else SHARED_LATENTS
+            complete = np.isfinite(Z).mean() >= COMPLETE
+            independent = self.structure == "auto" and self.private_latents and complete
+            self.n_latent_ = 0 if independent else SHARED_LATENTS
         if self.n_latent_ == "auto":
             fewest = int(not self.private_latents)
             numbers = range(fewest, (MAX_LATENT if Z.shape[1] > 1 else fewest) + 1)

@@ -170,7 +170,7 @@ def identify(
     (400, 6)
     """
     if regressor is None:
-        regressor = default_regressor(random_state=random_state, n_jobs=n_jobs)
+        regressor = default_regressor(gusty=gusty, random_state=random_state, n_jobs=n_jobs)
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
             f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "

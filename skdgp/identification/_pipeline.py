@@ -131,7 +131,7 @@ def make_identification_pipeline(
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
         RegressorSelector(regressors),
         StandardScaler(),
-        default_regressor() if regressor is None else clone(regressor),
+        default_regressor(gusty=gusty) if regressor is None else clone(regressor),
     )
     pipeline = FlightPipeline(steps.steps, memory=memory, symmetric=symmetric, gusty=gusty)
     pipeline.set_params(flightpathreconstruction=reconstruction)
@@ -140,13 +140,16 @@ def make_identification_pipeline(
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def default_regressor(**parameters: Any) -> DependentGPRegressor:
+def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPRegressor:
     """Return the regressor that pipelines and the command line learn with, with some parameters changed.
 
     It learns the noise of the regressors. Held-out blocks stop its search and choose its structure.
 
     Parameters
     ----------
+    gusty : bool, default=False
+        As for :class:`FlightPipeline`. What gusts leave in the targets looks like a function of very small width, so a
+        prior stands against these (``length_scale_prior="auto"``).
     **parameters
         Of :class:`skdgp.DependentGPRegressor`.
 
@@ -167,7 +170,9 @@ def default_regressor(**parameters: Any) -> DependentGPRegressor:
     DependentGPRegressor(early_stopping=True, input_noise='learned', n_latent=2,
                          random_state=0, structure='auto')
     """
-    return DependentGPRegressor(**{"structure": "auto", "input_noise": "learned", "early_stopping": True} | parameters)
+    defaults: dict[str, Any] = {"structure": "auto", "input_noise": "learned", "early_stopping": True}
+    prior = {"length_scale_prior": "auto"} if gusty else {}
+    return DependentGPRegressor(**{**defaults, **prior, **parameters})
 
 
 def check_aircraft(aircraft) -> Aircraft:

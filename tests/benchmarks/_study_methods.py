@@ -173,7 +173,7 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
     X, Y = case.table(seen)
     options = {name: value for name, value in changes.items() if name in ("symmetric", "gusty")}
     changes = {"structure": "joint"} | {name: value for name, value in changes.items() if name not in options}
-    model = default_regressor(random_state=seed, max_iter=max_iter).set_params(**changes)
+    model = default_regressor(gusty=options.get("gusty", False), random_state=seed, max_iter=max_iter, **changes)
     if kernel is not None:
         model.set_params(kernel=kernel, trend="constant", optimizer=None, input_noise=None, inference="sparse")
     pipeline = learned(model, X, Y, case, seen.log.table, **options)

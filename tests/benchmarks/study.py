@@ -63,11 +63,11 @@ ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical", AGITATED: "quasi-steady
 ASKED |= {case: f"classical, {name}" for name, case in GIVEN.items()}
 QUADRATIC = {"trend": PolynomialFeatures(2)}
 SYMMETRIC, OTHER_AIR = {"symmetric": True}, {"symmetric": True, "gusty": True}
+WIDE = {"length_scale_prior": "auto"}  # as gusty has it
 JUDGED = {  # what the model for other air is compared with: case, and what is changed of the default
     "default": (LOGGED, {}),
     "gusty and symmetric": (LOGGED, OTHER_AIR),
-    "rates of the air given": (Case(rates="air"), SYMMETRIC),
-    "noise-free regressors": (Case(inputs="exact", rates="air"), SYMMETRIC),
+    "rates of the air given": (Case(rates="air"), SYMMETRIC | WIDE),
 }
 DEFAULTS = [(air, case, {}) for case in (LOGGED, CLASSICAL) for air in ("light", "moderate", "calm")]
 AIRED = [(air, *task) for air in ("light", "moderate") for task in JUDGED.values()]
@@ -135,13 +135,17 @@ def kept(folder, name, function):
     return result
 
 
+def named(changes):
+    return [f"{name}={value}" for name, value in changes.items()]
+
+
 def method_of(changes):
-    return ", ".join(["default", *(f"{name}={value}" for name, value in changes.items())])
+    return ", ".join(["default", *named(changes)])
 
 
 def process_task(subject, seen, air, seed, case, changes, folder, max_iter, until):
     """Return key and result of a fit; None if it is too late to begin one."""
-    name = "-".join([subject.name, air, str(seed), *case[:4], *({case.rows} - {"all"}), *map(str, changes.values())])
+    name = "-".join([subject.name, air, str(seed), *case[:4], *({case.rows} - {"all"}), *named(changes)])
     if time.monotonic() > until and not (folder and (folder / f"{name}.joblib").exists()):
         return None
     start = time.process_time()
@@ -242,7 +246,7 @@ def viggen_table(folder):
     tasks |= {"symmetric": (X, SYMMETRIC), "symmetric, rates q and r of the air given": (given, SYMMETRIC)}
     rows = []
     for name, (regressors, options) in tasks.items():
-        model = default_regressor(random_state=0).set_params(structure="joint")
+        model = default_regressor(gusty=options.get("gusty", False), structure="joint", random_state=0)
         pipeline = learned(model, regressors, Y, LOGGED, task.train, **options)
         at = pipeline[:-1].transform(pd.DataFrame(asked.mean(axis=0, keepdims=True), columns=LOGGED.regressors))
         slopes = pipeline[-1].predict_gradient(at)[0] / pipeline[-2].scale_

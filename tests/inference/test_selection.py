@@ -1,5 +1,7 @@
 """How many latents outputs share, chosen by the evidence."""
 
+import warnings
+
 import numpy as np
 import pytest
 from sklearn.exceptions import ConvergenceWarning
@@ -162,6 +164,16 @@ class TestStructure:
         model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=20, random_state=0).fit(x, y)
         assert model.structure_ == "joint"
         assert model.structure_errors_["joint"].mean() < 0.7 * model.structure_errors_["trend"].mean()
+
+    @pytest.mark.parametrize(("missing", "n_latent"), [(0, 0), (40, 2)])
+    def test_shares_latents_where_an_output_lacks_values(self, missing, n_latent):
+        x, y = self.record(curve=1.0, n=60)
+        Y = np.column_stack([y, -y])
+        Y[:missing, 1] = np.nan
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            model = DependentGPRegressor(structure="auto", max_iter=2, random_state=0).fit(x, Y)
+        assert (model.structure_, model.n_latent_) == ("joint", n_latent)
 
     def test_few_rows_are_not_cut_into_blocks(self):
         x, y = self.record(curve=0.0, n=30)

@@ -24,6 +24,7 @@ from skdgp._flight.faults import (
 )
 from skdgp.preprocessing._table import WRAPPED, TableTransformer, numeric, unwrapped, with_columns, wrapped_near
 
+NO_ERRORS = ("gap", "saturated")  # kinds in ``findings_`` of which no warning tells
 COLUMNS = ("flight", "channel", "kind", "start", "end", "n_samples", "message")
 
 
@@ -42,7 +43,7 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     ``impossible`` a value that no aircraft has; in more than 5 % of the samples it is another unit, and no fault
     ``spike``      up to three samples that jump away from their neighbours
     ``constant``   a sensor that never changes while similar ones do
-    ``saturated``  a surface at its extreme value for 0.5 s or longer, as at a stop
+    ``saturated``  a surface at its extreme value for 0.5 s or longer, as at a stop; not warned of
     ============== ===========================================================================================
 
     Parameters
@@ -141,7 +142,7 @@ class FlightCheck(TableTransformer):
     def _transform_table(self, table):
         check_columns(table, ["time"])
         table, findings = _inspect(table, self.ignore)
-        faults = [finding for finding in findings if finding.kind != "gap"]
+        faults = [finding for finding in findings if finding.kind not in NO_ERRORS]
         if faults:
             then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
             warnings.warn(faults_message(faults, f"Faulty values are NaN{then}."), FlightDataWarning, stacklevel=4)

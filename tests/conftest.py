@@ -3,13 +3,18 @@
 import os
 import signal
 import tempfile
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
+from joblib import Memory
 from threadpoolctl import threadpool_limits
 
+from skdgp import datasets
+from skdgp._cli import _identify
+from skdgp.datasets import _example_flights
 from skdgp.inference import _fit
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -38,6 +43,32 @@ def _threads():
     """Hold BLAS to one thread, or as many as the environment says: small problems are faster so."""
     with threadpool_limits(int(os.environ.get("OPENBLAS_NUM_THREADS", "1"))):
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _flown_once(tmp_path_factory):
+    """Let all processes of a test run share the example flights: to simulate them takes 10 s."""
+    folder = tmp_path_factory.getbasetemp()
+    memory = Memory(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder, verbose=0)
+    with pytest.MonkeyPatch.context() as patch:
+        flights = memory.cache(_example_flights._flights.__wrapped__)
+        patch.setattr(_example_flights, "_flights", lru_cache(maxsize=2)(flights))
+        yield
+
+
+@pytest.fixture
+def short_flights(monkeypatch):
+    """Let pages, examples and the command ``demo`` have the first 50 s of each example flight."""
+    load = datasets.load_example_flights
+
+    def first(**options):
+        data = load(**options)
+        data.train = data.train.groupby("flight", observed=True).head(2000)
+        data.test = data.test.head(2000)
+        return data
+
+    for module in (datasets, _identify):
+        monkeypatch.setattr(module, "load_example_flights", first)
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp import DependentGPRegressor, checkpointing, datasets
+from skdgp import DependentGPRegressor, checkpointing
 from skdgp._cli import _console, main
 from skdgp._cli import _identify as _command
 from skdgp._cli._console import CLEAR, Console
@@ -132,7 +132,8 @@ class TestIdentify:
         np.testing.assert_allclose(error, [of[name]["median_relative_error"] for name in COEFFICIENTS], rtol=1e-9)
         np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9)
 
-    def test_the_function_gives_what_the_command_gives(self, folder, tmp_path, capsys):
+    def test_the_function_gives_what_the_command_gives(self, folder, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         train = ["lateral.csv", "latlon.csv"]
         assert identify("--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
         printed = capsys.readouterr().out.splitlines()
@@ -157,7 +158,8 @@ class TestIdentify:
         assert "python -m skdgp identify lateral.csv" in page
         assert page.count("<svg") > 10
 
-    def test_holds_out_the_last_flight(self, tmp_path, capsys):
+    def test_holds_out_the_last_flight(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_identify, "render_report", lambda content: "; ".join(content.messages))
         assert identify(output=tmp_path, train=["lateral.csv", "latlon.csv"]) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert metrics["held_out"] == "the last flight, latlon"
@@ -426,7 +428,8 @@ class TestCalibrate:
     """Bands that hold on training flights, each held out in turn, wherever the model is used."""
 
     @pytest.fixture
-    def calibrated(self, tmp_path, capsys):
+    def calibrated(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_identify, "render_report", lambda content: content.model.extra["Calibration"])
         train = ["lateral.csv", "latlon.csv"]
         assert identify("--calibrate", "--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
         assert "2 flights guarantee no more than 0.667" in capsys.readouterr().err
@@ -616,6 +619,7 @@ class TestKilled:
             with pytest.raises(self.Killed):
                 self.identify(monkeypatch, output)
         assert {path.name for path in output.iterdir()} == {"checkpoint"}
+        monkeypatch.setattr(_identify, "render_report", lambda content: "")
         assert self.identify(monkeypatch, output) == 0
         assert {path.name for path in output.iterdir()} == OUTPUTS
         assert json.loads((output / "metrics.json").read_text())["fit"]["evaluations"] > 100
@@ -765,20 +769,6 @@ def test_demo_is_honest(tmp_path, capsys, monkeypatch):
     assert (pipeline.turbulence_.intensity > 0.2).all()  # as flown
     assert coefficient_noise(pipeline) is pipeline.noise_
     assert (pipeline.noise_["white"] > 0).all()
-
-
-@pytest.fixture
-def short_flights(monkeypatch):
-    """Let pages and examples have the first 50 s of each example flight."""
-
-    def first(**options):
-        data = load_example_flights(**options)
-        data.train = data.train.groupby("flight", observed=True).head(2000)
-        data.test = data.test.head(2000)
-        return data
-
-    monkeypatch.setattr(datasets, "load_example_flights", first)
-    monkeypatch.setattr(_command, "load_example_flights", first)
 
 
 @pytest.mark.usefixtures("short_flights", "short_fits")

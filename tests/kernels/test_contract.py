@@ -116,6 +116,14 @@ def equal(a, b, **tolerance):
     np.testing.assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
 
 
+def assert_gradient(gradient, function, x):
+    """Compare a gradient with differences along random directions: a wrong entry shows in every one of them."""
+    assert gradient.shape == x.shape
+    for way in np.random.default_rng(0).choice([-1.0, 1.0], (5, len(x))):
+        slope = central_difference(lambda t, way=way: function(x + t[0] * way), [0.0])[0]
+        equal(gradient @ way, slope, rtol=1e-7, atol=1e-7)
+
+
 def prior_paths(kernel, n_paths, n_frequencies, seed):
     try:
         return kernel.prior_paths(n_paths, n_frequencies, np.random.RandomState(seed))
@@ -248,12 +256,10 @@ class TestContract:
 
         W = rng.normal(size=(features.size, features.size))
         W += W.T
-        found = central_difference(lambda theta: np.sum(W * at(theta).Kuu()), start)
-        equal(features.gradient_uu(W), found, rtol=1e-7, atol=1e-8)
+        assert_gradient(features.gradient_uu(W), lambda theta: np.sum(W * at(theta).Kuu()), start)
         for i in range(kernel.n_outputs):
             w = rng.normal(size=(len(X), len(features.columns(i))))
-            found = central_difference(lambda theta, i=i, w=w: np.sum(w * at(theta).Kfu(i, X)), start)
-            equal(features.gradient_fu(i, X, w), found, rtol=1e-7, atol=1e-8)
+            assert_gradient(features.gradient_fu(i, X, w), lambda t, i=i, w=w: np.sum(w * at(t).Kfu(i, X)), start)
 
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))

@@ -11,7 +11,7 @@ from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _charts as charts
-from skdgp.report import _figures as figures
+from skdgp.report import _figure_html as figures
 from skdgp.report import _pictures as pictures
 from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
 from skdgp.report._tables import SCORES, THIN, error_table, facts, number, replay_table, text

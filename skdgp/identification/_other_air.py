@@ -1,4 +1,4 @@
-"""Samples of the aircraft rather than of its air: mirrored flights, and targets without the effect of past gusts."""
+"""Training data of a model for other air: mirrored flights, and targets without the effect of past gusts."""
 
 from __future__ import annotations
 

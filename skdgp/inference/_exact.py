@@ -12,7 +12,7 @@ from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular
 from skdgp._compute.threads import n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
-from skdgp.inference._paths import Paths, exact_paths
+from skdgp.inference._posterior_paths import Paths, exact_paths
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
 FEW = 16  # up to this many points the mean is one matrix product instead of many tiles

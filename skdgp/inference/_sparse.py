@@ -31,7 +31,7 @@ from skdgp._compute.threads import thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
-from skdgp.inference._paths import Paths, sparse_paths
+from skdgp.inference._posterior_paths import Paths, sparse_paths
 from skdgp.inference._sums import (
     ROWS,
     Sums,

@@ -18,7 +18,7 @@ from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 from skdgp._compute.linalg import cluster_centres, column_scale
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._features import Features, PointFeatures, SumFeatures
-from skdgp.kernels._paths import KernelPaths, PathBundle
+from skdgp.kernels._prior_paths import KernelPaths, PathBundle
 
 DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
 STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size

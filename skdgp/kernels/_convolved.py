@@ -14,7 +14,7 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
-from skdgp.kernels._paths import PathBundle, ValuePaths, convolved_paths
+from skdgp.kernels._prior_paths import PathBundle, ValuePaths, convolved_paths
 from skdgp.kernels._start import log_normal, resolve_prior, starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 

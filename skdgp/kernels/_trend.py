@@ -14,7 +14,7 @@ from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._features import TrendFeatures
-from skdgp.kernels._paths import PathBundle, TrendPaths
+from skdgp.kernels._prior_paths import PathBundle, TrendPaths
 
 STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
 

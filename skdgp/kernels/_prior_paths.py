@@ -1,4 +1,4 @@
-"""Sample paths: functions of the regressors with random coefficients."""
+"""Sample paths of the prior: functions of the regressors with random coefficients."""
 
 from __future__ import annotations
 

@@ -9,10 +9,9 @@ import pandas as pd
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT
 from skdgp._flight.clock import flight_segments
 from skdgp.inference._unpredicted import unpredicted
-from skdgp.preprocessing._elevons import ELEVONS
 
 LATERAL = frozenset(("beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder", "CY", "Cl", "Cn"))
 """Regressors and coefficients whose sign changes in a mirror."""

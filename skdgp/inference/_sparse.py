@@ -271,14 +271,8 @@ class Readout:
     """Mean and variance of every output from the features it covaries with.
 
     With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V. With I - B^-1 = R R^T for the features of
-    output i this is |Kfu Lu^-T R|^2, one matrix product and a sum of squares.
-
-    Parameters
-    ----------
-    kernel : MultiOutputKernel
-    features : Features
-    weights : ndarray (K,)
-        Kuu^-1 times the posterior mean of the features.
+    output i this is |Kfu Lu^-T R|^2, one matrix product and a sum of squares. The weights (K,) are Kuu^-1 times the
+    posterior mean of the features.
     """
 
     def __init__(self, kernel: Any, features: Any, weights) -> None:

@@ -477,9 +477,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         return self.k2.residual(X, self.k1.residual(X, Y))
 
-    def diag(self, X: Matrix) -> Vector:
-        return self.k1.diag(X) + self.k2.diag(X)
-
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         n = self.k1.n_dims
         return Sum(self.k1.clone_with_theta(theta[:n]), self.k2.clone_with_theta(theta[n:]))

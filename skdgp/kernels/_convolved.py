@@ -287,9 +287,6 @@ class ConvolvedGaussian(MultiOutputKernel):
             0, covariance_type=kind, regressors=self.regressors, length_scale_prior=self.length_scale_prior
         )
 
-    def stationary_part(self) -> Any:
-        return self
-
     def paths(self, X: Matrix, coefficients: Any) -> Any:
         return ValuePaths(self, X, coefficients)
 
@@ -579,10 +576,7 @@ def check_equal_scales(covariance_type: str, lengths, feeds: Any) -> None:
 def common_scale(scales, X: Matrix) -> np.ndarray:
     """Return the geometric mean of scales (M, P, d, ...) over the regressors that vary in X, for all regressors.
 
-    Raises
-    ------
-    ValueError
-        If the scales of the regressors differ too much for a common length scale.
+    Raises ValueError if they differ too much for a common length scale.
     """
     varies = ~constant_columns(X)
     if not varies.any():

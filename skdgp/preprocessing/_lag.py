@@ -186,13 +186,10 @@ def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
     flights = flights_of(table)
     surfaces = surface_lag(flights)
     found = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
-    return found | _kinematic_lags(table) if flights and all(has_values(table, name) for name in NEEDED) else found
-
-
-def _kinematic_lags(table: pd.DataFrame) -> dict[str, Lag]:
-    """Return the lags of attitude and GPS against integrated gyros and accelerometers."""
-    found = kinematic_lags(table)
-    return {group: Lag(*found[constant], np.nan) for group, constant in KINEMATIC.items()}
+    if flights and all(has_values(table, name) for name in NEEDED):
+        of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
+        found |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
+    return found
 
 
 def _applied(found: Lag) -> tuple[float, str]:

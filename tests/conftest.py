@@ -45,13 +45,18 @@ def _threads():
         yield
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _flown_once(tmp_path_factory):
-    """Let all processes of a test run share the example flights: to simulate them takes 10 s."""
+@pytest.fixture(scope="session")
+def common_folder(tmp_path_factory) -> Path:
+    """Return the folder of all processes of this test run."""
     folder = tmp_path_factory.getbasetemp()
-    memory = Memory(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder, verbose=0)
+    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _flown_once(common_folder):
+    """Let all processes of a test run share the example flights: to simulate them takes 10 s."""
     with pytest.MonkeyPatch.context() as patch:
-        flights = memory.cache(_example_flights._flights.__wrapped__)
+        flights = Memory(common_folder, verbose=0).cache(_example_flights._flights.__wrapped__)
         patch.setattr(_example_flights, "_flights", lru_cache(maxsize=2)(flights))
         yield
 

@@ -12,9 +12,10 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import ELEVONS, HAT, MIXED, RATES, SPECIFIC_FORCE, SURFACES, TRUTH_SUFFIX, VANES
+from skdgp._flight.channels import ELEVONS, HAT, RATES, SPECIFIC_FORCE, SURFACES, TRUTH_SUFFIX, VANES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
+from skdgp.preprocessing._elevons import MIXED
 from skdgp.preprocessing._table import TableTransformer, numeric
 
 OPTIONAL = ("throttle", *SURFACES)

@@ -205,24 +205,24 @@ class TestIdentify:
         assert flight["states"] == {}
         assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0
 
-    def test_rows_between_gaps_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
+    def test_what_makes_a_model_poor_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
+        """Rows between gaps, a surface that never moves, a test on what was learned, no pictures."""
         monkeypatch.setattr(_identify, "render_report", lambda content: "")
-        table = pd.read_csv(folder / "latlon.csv").drop(index=[*range(100, 150), *range(151, 200)])
+        monkeypatch.setattr(_identify, "find_spec", lambda name: None)
+        table = pd.read_csv(folder / "latlon.csv").drop(index=[*range(100, 150), *range(151, 200)]).assign(rudder=0.01)
         table.to_csv(tmp_path / "gaps.csv", index=False)
-        assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]) == 0
-        assert "1 rows that stand alone between gaps are left out" in capsys.readouterr().err
+        assert identify("--test", "latlon.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]) == 0
+        said = capsys.readouterr().err
+        assert "1 rows that stand alone between gaps are left out" in said
+        assert "['rudder'] never change, so the model cannot learn" in said
+        assert "'latlon' is both learned from and tested on" in said
+        assert 'No pictures in the report: they need pip install "skdgp[plot]"' in said
 
     def test_a_flight_too_short_for_its_model_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
         monkeypatch.setattr(_identify, "render_report", lambda content: "")
         pd.read_csv(folder / "latlon.csv").iloc[:160].to_csv(tmp_path / "short.csv", index=False)
         assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "short.csv")]) == 0
         assert "The training flights last 3.98 s, in which" in capsys.readouterr().err
-
-    def test_a_surface_that_was_never_moved_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
-        pd.read_csv(folder / "latlon.csv").assign(rudder=0.01).to_csv(tmp_path / "still.csv", index=False)
-        assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "still.csv")]) == 0
-        assert "['rudder'] never change, so the model cannot learn" in capsys.readouterr().err
 
     def test_several_test_flights_are_scored_together_too(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_identify, "render_report", lambda content: "")
@@ -235,17 +235,6 @@ class TestIdentify:
         assert together["measured"]["CY"]["interval_coverage"] == pytest.approx(shares)
         assert "truth" not in together  # the lateral flight does not know it
         assert "2 test flights together" in capsys.readouterr().out
-
-    def test_without_matplotlib_there_are_no_pictures(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
-        monkeypatch.setattr(_identify, "find_spec", lambda name: None)
-        assert identify("--test", "test.csv", output=tmp_path) == 0
-        assert 'No pictures in the report: they need pip install "skdgp[plot]"' in capsys.readouterr().err
-
-    def test_testing_on_what_was_learned_is_remarked_on(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
-        assert identify("--test", "latlon.csv", output=tmp_path) == 0
-        assert "'latlon' is both learned from and tested on" in capsys.readouterr().err
 
 
 class TestBadInput:

@@ -62,14 +62,14 @@ def _flown_once(common_folder):
 
 
 @pytest.fixture
-def short_flights(monkeypatch):
-    """Let pages, examples and the command ``demo`` have the first 50 s of each example flight."""
-    load = datasets.load_example_flights
+def short_flights(monkeypatch, request):
+    """Let pages, examples and the command ``demo`` have the first 25 s of each example flight, or other rows."""
+    load, n_rows = datasets.load_example_flights, getattr(request, "param", 1000)
 
     def first(**options):
         data = load(**options)
-        data.train = data.train.groupby("flight", observed=True).head(2000)
-        data.test = data.test.head(2000)
+        data.train = data.train.groupby("flight", observed=True).head(n_rows)
+        data.test = data.test.head(n_rows)
         return data
 
     for module in (datasets, _identify):

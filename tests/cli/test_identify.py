@@ -542,8 +542,8 @@ class TestInterrupt:
     def test_the_real_thing(self, folder, tmp_path):
         pty = pytest.importorskip("pty")
         ours, theirs = pty.openpty()
-        arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
-        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "100", "--max-iter", "5000", "-o", tmp_path]
+        arguments = ["identify", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv", "--horizons", "1"]
+        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "60", "--max-iter", "5000", "-o", tmp_path]
         command += ["--structure", "joint"]
         seen, begun = bytearray(), threading.Event()
 
@@ -746,6 +746,7 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
 
 
 @pytest.mark.usefixtures("short_flights", "short_fits")
+@pytest.mark.parametrize("short_flights", [2000], indirect=True)
 def test_demo_is_honest(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(_identify, "render_report", lambda content: "")  # other tests draw
     assert main(["demo", "--samples", "100", "-o", str(tmp_path)]) == 0

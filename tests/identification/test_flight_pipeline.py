@@ -37,7 +37,7 @@ def model(flights):
 
 @pytest.fixture(scope="module")
 def test_flight(flights):
-    return flights.test.iloc[:800]
+    return flights.test.iloc[:400]
 
 
 def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
@@ -85,7 +85,7 @@ class TestPredict:
         )
         linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
         Y = aerodynamic_coefficients(flights.train, flights.aircraft)
-        assert linear.fit(flights.train, Y).predict(test_flight).shape == (800, 6)
+        assert linear.fit(flights.train, Y).predict(test_flight).shape == (400, 6)
         with pytest.raises(TypeError, match="return_std"):
             linear.predict(test_flight, return_std=True)
 
@@ -95,7 +95,7 @@ class TestPredict:
         mean, std = model.predict(test_flight, return_std=True, include_noise=True)
         scorer = SCORERS["interval_coverage"]
         assert scorer(model, test_flight, measured) == pytest.approx(interval_coverage(measured, mean, std))
-        train = flights.train.groupby("flight", observed=True).head(1000)
+        train = flights.train.groupby("flight", observed=True).head(600)
         Y = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 40)
         nlpd = SCORERS["log_predictive_density"]
         search = GridSearchCV(

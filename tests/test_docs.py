@@ -20,7 +20,7 @@ RUN_ELSEWHERE = {
     "scaling.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
 UNJUDGED = {"README.md", "command_line.md", "ten_minutes.md"}  # what their models learned matters little: short fits do
-SHORT = {"README.md"}  # and short flights
+SHORT = {"README.md", "ten_minutes.md"}  # and short flights
 CALM = {"reconstruction.md"}  # has the first 75 s of a flight that no other page has: no more of it is simulated
 PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
 

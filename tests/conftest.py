@@ -3,13 +3,18 @@
 import os
 import signal
 import tempfile
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
+from joblib import Memory
 from threadpoolctl import threadpool_limits
 
+from skdgp import datasets
+from skdgp._cli import _identify
+from skdgp.datasets import _example_flights
 from skdgp.inference import _fit
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -38,6 +43,37 @@ def _threads():
     """Hold BLAS to one thread, or as many as the environment says: small problems are faster so."""
     with threadpool_limits(int(os.environ.get("OPENBLAS_NUM_THREADS", "1"))):
         yield
+
+
+@pytest.fixture(scope="session")
+def common_folder(tmp_path_factory) -> Path:
+    """Return the folder of all processes of this test run."""
+    folder = tmp_path_factory.getbasetemp()
+    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _flown_once(common_folder):
+    """Let all processes of a test run share the example flights: to simulate them takes 10 s."""
+    with pytest.MonkeyPatch.context() as patch:
+        flights = Memory(common_folder, verbose=0).cache(_example_flights._flights.__wrapped__)
+        patch.setattr(_example_flights, "_flights", lru_cache(maxsize=2)(flights))
+        yield
+
+
+@pytest.fixture
+def short_flights(monkeypatch, request):
+    """Let pages, examples and the command ``demo`` have the first 25 s of each example flight, or other rows."""
+    load, n_rows = datasets.load_example_flights, getattr(request, "param", 1000)
+
+    def first(**options):
+        data = load(**options)
+        data.train = data.train.groupby("flight", observed=True).head(n_rows)
+        data.test = data.test.head(n_rows)
+        return data
+
+    for module in (datasets, _identify):
+        monkeypatch.setattr(module, "load_example_flights", first)
 
 
 @pytest.fixture

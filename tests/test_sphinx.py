@@ -45,13 +45,13 @@ def test_every_page_is_in_one_toctree():
     assert set(named) - {"gallery/index.md"} == {page.as_posix() for page in pages()} - {"index.md"}
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_every_public_name_is_in_the_reference(module):
-    text = (DOCS / "api" / f"{module}.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"^   (\w+)$", text, flags=re.MULTILINE)) | set(
-        re.findall(rf"^\.\. data:: {re.escape(module)}\.(\w+)$", text, flags=re.MULTILINE)
-    )
-    assert named == set(importlib.import_module(module).__all__)
+def test_every_public_name_is_in_the_reference():
+    for module in MODULES:
+        text = (DOCS / "api" / f"{module}.md").read_text(encoding="utf-8")
+        named = set(re.findall(r"^   (\w+)$", text, flags=re.MULTILINE)) | set(
+            re.findall(rf"^\.\. data:: {re.escape(module)}\.(\w+)$", text, flags=re.MULTILINE)
+        )
+        assert named == set(importlib.import_module(module).__all__), module
 
 
 def test_the_site_builds_without_a_warning(tmp_path):

@@ -165,8 +165,7 @@ def _warn_of_versions(path, made_by) -> None:
     if others:
         now = ", ".join(f"{name} {here.get(name)}" for name in COMPARED)
         warnings.warn(
-            f"{path} is of a run with {', '.join(others)}, and this is {now}: the numbers may differ.",
-            stacklevel=2,
+            f"{path} is of a run with {', '.join(others)}, and this is {now}: the numbers may differ.", stacklevel=2
         )
 
 

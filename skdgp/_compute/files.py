@@ -22,25 +22,8 @@ def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
     """Let ``write(temporary)`` fill a file beside ``path``, put it in place in one step, and return ``path``.
 
     A reader sees the old file or the complete new one. If ``write`` fails or is interrupted, the temporary file is
-    removed and an earlier file stays as it was. A symbolic link is followed, not replaced.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist.
-    IsADirectoryError
-        If ``path`` is a folder.
-    OSError
-        If it cannot be written; ``filename`` is ``path``, not the temporary file.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> folder = Path(tempfile.mkdtemp())
-    >>> written = write_atomically(folder / "a.txt", text_writer("whole"))
-    >>> written.read_text(), [file.name for file in folder.iterdir()]
-    ('whole', ['a.txt'])
+    removed and an earlier file stays as it was. A symbolic link is followed, not replaced. Raises FileNotFoundError
+    without the folder, IsADirectoryError for a folder, and OSError with ``path`` if it cannot be written.
     """
     path = Path(path)
     target = path.resolve()

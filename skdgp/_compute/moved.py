@@ -8,11 +8,13 @@ from importlib.machinery import ModuleSpec
 
 MOVED = {
     "skdgp.inference._factor": "skdgp.inference._exact",
+    "skdgp.inference._paths": "skdgp.inference._posterior_paths",
     "skdgp.inference._readout": "skdgp.inference._sparse",
     "skdgp.inference._samples": "skdgp.inference._sums",
     "skdgp.inference._shares": "skdgp.inference._sums",
     "skdgp.kernels._basis": "skdgp.kernels._trend",
     "skdgp.kernels._parts": "skdgp.kernels._features",
+    "skdgp.kernels._paths": "skdgp.kernels._prior_paths",
     "skdgp.preprocessing._reconstruction": "skdgp.preprocessing",  # a folder in version 0.1
     "skdgp.preprocessing._reconstruction.reconstruction": "skdgp.preprocessing._flight_path",
     "skdgp.metrics._point": "skdgp.metrics._metrics",

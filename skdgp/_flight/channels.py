@@ -19,7 +19,8 @@ class Channel(NamedTuple):
 
 VANES = ("alpha", "beta")
 AIR_DATA = ("airspeed", *VANES)
-POSITION = ("north", "east", "down")
+HORIZONTAL = ("north", "east")
+POSITION = (*HORIZONTAL, "down")
 BODY_VELOCITY, EARTH_VELOCITY = ("u", "v", "w"), ("v_north", "v_east", "v_down")
 """Velocity over the ground."""
 EULER = ("phi", "theta", "psi")
@@ -27,7 +28,9 @@ EULER = ("phi", "theta", "psi")
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
-SURFACES, ELEVONS = ("elevator", "aileron", "rudder"), ("elevon_left", "elevon_right")
+MIXED, ELEVONS = ("elevator", "aileron"), ("elevon_left", "elevon_right")
+"""Two elevons move as elevator and aileron at once."""
+SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
 
 CHANNELS = {

@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import (
-    AIR_DATA,
     ALL_SURFACES,
     BODY_VELOCITY,
     EARTH_VELOCITY,
@@ -24,11 +23,12 @@ from skdgp._flight.channels import (
     POSITION,
     RATES,
     SPECIFIC_FORCE,
+    VANES,
 )
 from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
 from skdgp._flight.clock import GAP, flight_codes, true_runs
 
-SIBLINGS = (AIR_DATA[1:], RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
+SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
 """Channels of one sensor: where one moves, all do."""
 SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
 """Channels that noise and motion never let stand still."""

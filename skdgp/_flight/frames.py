@@ -194,11 +194,7 @@ def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
     x, y, z = _components(vector)
     s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
     cx, cy, cz = s * (e2 * z - e3 * y), s * (e3 * x - e1 * z), s * (e1 * y - e2 * x)
-    return _vector(
-        x + q0 * cx + e2 * cz - e3 * cy,
-        y + q0 * cy + e3 * cx - e1 * cz,
-        z + q0 * cz + e1 * cy - e2 * cx,
-    )
+    return _vector(x + q0 * cx + e2 * cz - e3 * cy, y + q0 * cy + e3 * cx - e1 * cz, z + q0 * cz + e1 * cy - e2 * cx)
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:

@@ -23,17 +23,18 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import (
-    AIR_DATA,
     ALL_SURFACES,
     BODY_VELOCITY,
     CHANNELS,
     EARTH_VELOCITY,
     ELEVONS,
     EULER,
+    MIXED,
     POSITION,
     RATES,
     SPECIFIC_FORCE,
     SURFACES,
+    VANES,
 )
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.frames import air_velocity, euler_to_matrix
@@ -65,7 +66,7 @@ FLYING = 0.5
 CONTROLS = frozenset(ALL_SURFACES)
 INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))
 """Channels that only slopes, and only equalities, depend on."""
-MOTION = (*AIR_DATA[1:], *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *BODY_VELOCITY, *POSITION, "altitude")
+MOTION = (*VANES, *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *BODY_VELOCITY, *POSITION, "altitude")
 SIGNED = (*MOTION, *SURFACES)
 USED = ("airspeed", *SIGNED, *ELEVONS, "throttle")
 SIGNS = {
@@ -272,7 +273,7 @@ def _corrected(windows: Windows, signals: Signals, cause: Cause, before: dict[st
 
 def _equalities(windows: Windows, signals: Signals) -> dict[str, Relation]:
     return {
-        name: _agreement(words, y, x, 0.01 if name in (*EULER, *AIR_DATA[1:]) else 0.1)
+        name: _agreement(words, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
         for name, words, y, x in _kinematics(windows, signals)
     }
 
@@ -342,7 +343,7 @@ def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     if "airspeed" not in signals:
         return
     speed = signals["airspeed"]
-    terms = {name: speed**2 * signals[name] for name in (*AIR_DATA[1:], *SURFACES, "throttle") if name in signals}
+    terms = {name: speed**2 * signals[name] for name in (*VANES, *SURFACES, "throttle") if name in signals}
     terms |= {name: speed * signals[name] for name in RATES if name in signals}
     if all(name in signals for name in ELEVONS):
         left, right = (signals[name] for name in ELEVONS)
@@ -464,7 +465,7 @@ def _message(cause: Cause, rivals: list[str], before: Relation, after: Relation)
 
 def _causes(signals: Signals) -> Iterator[Cause]:
     for name in SIGNED:
-        if name in signals and not (name in SURFACES[:2] and all(elevon in signals for elevon in ELEVONS)):
+        if name in signals and not (name in MIXED and all(elevon in signals for elevon in ELEVONS)):
             remedy = f"change it ({CHANNELS[name].meaning})"
             yield Cause((name,), f"the sign of {name} is probably wrong", remedy, _scaled([name], -1.0))
     for words, cause in SIGNS.items():

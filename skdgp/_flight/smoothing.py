@@ -35,25 +35,15 @@ def smooth(
 
     NaN means not sampled: such rows stay NaN, and the channel is filtered on the clock of its other rows (a slow sensor
     in a fast table). Unwrap angles that pass through +-pi first. Jittered clocks are resampled to a uniform grid and
-    back.
+    back. Time (n,) [s] increases within a flight.
 
-    Parameters
-    ----------
-    values, time, flight : array-like
-        Channels; time (n,) [s], increasing within a flight; identifiers of flights (n,).
-    cutoff : float, "auto" or None
-        Corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2 there); the Wiener smoother of
-        the channel's spectrum over its flight, which needs a segment of 128 samples, else it warns and leaves the
-        channel as it is; or no smoothing.
-    joint : bool
-        With "auto": estimate each channel from all channels sampled at the same rows, through their cross-spectra.
-        For few channels that move together, such as alpha and q.
+    ``cutoff`` is the corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2 there); "auto", the
+    Wiener smoother of the channel's spectrum over its flight, which needs a segment of 128 samples, else it warns and
+    leaves the channel as it is; or None, no smoothing. With ``joint``, "auto" estimates each channel from all channels
+    sampled at the same rows, through their cross-spectra: for few channels that move together, such as alpha and q.
 
-    Raises
-    ------
-    ValueError
-        If time does not increase or is too irregular, a value is infinite, or the cutoff is not below half the
-        sampling rate.
+    Raises ValueError if time does not increase or is too irregular, a value is infinite, or the cutoff is not below
+    half the sampling rate.
     """
     return _per_channel(values, time, flight, cutoff, joint, derivative=False)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import HAT, RATE_LENGTHS
-from skdgp.datasets._autopilot import ALPHA, FlightControls
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets._flight_controls import ALPHA, FlightControls
 from skdgp.datasets._flight_plans import FlightPlan
 from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body
 from skdgp.dynamics._equations.motion import Air, Instant, Motion

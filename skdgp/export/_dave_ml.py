@@ -125,8 +125,9 @@ def write_dave_ml(
         values = build.evaluate(build.samples)
     else:
         portable = portable_model(model, cast("Aircraft", aircraft))
-        shown = reduced(portable, _n_functions, MAX_FUNCTIONS)
-        of_std, facts = reduced(portable, _n_entries, MAX_ENTRIES), _facts(portable, shown)
+        shown = reduced(portable, lambda m: sum(block.size for block in m.blocks), MAX_FUNCTIONS)
+        of_std = reduced(portable, lambda m: sum(len(m.readouts[k].packed_root) for k in m.readout_of), MAX_ENTRIES)
+        facts = _facts(portable, shown)
         _check_loss(facts.loss, of_std)
         _add_header(root, facts)
         _add_inputs(root, facts)
@@ -180,14 +181,6 @@ def _order(model: PortableModel) -> list[int]:
     if lacking:
         raise ValueError(f"Got a model without {lacking}, but expected one of all six coefficients.")
     return [model.outputs.index(name) for name in COEFFICIENTS]
-
-
-def _n_functions(model: PortableModel) -> int:
-    return sum(block.size for block in model.blocks)
-
-
-def _n_entries(model: PortableModel) -> int:
-    return sum(len(model.readouts[k].packed_root) for k in model.readout_of)
 
 
 def _correlation(model: Any, portable: PortableModel, samples: Matrix) -> Matrix:

@@ -14,8 +14,8 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import Posterior
 from skdgp.export._pipeline import sparse_form
-from skdgp.kernels._paths import FeaturePaths, SumPaths, TrendPaths
-from skdgp.kernels._paths import Waves as WavePaths
+from skdgp.kernels._prior_paths import FeaturePaths, SumPaths, TrendPaths
+from skdgp.kernels._prior_paths import Waves as WavePaths
 
 
 class Gaussians(NamedTuple):

@@ -135,12 +135,7 @@ def write_jsbsim(
         names = list(ratio.index[ratio > max_loss])
     if model is not build and names:
         functions = gaussian_sums(
-            model,
-            aircraft,
-            X=options.get("X"),
-            tolerance=tolerance,
-            n_draws=n_draws,
-            random_state=random_state,
+            model, aircraft, X=options.get("X"), tolerance=tolerance, n_draws=n_draws, random_state=random_state
         )
     tables = [] if build is None else [build, *build.sample(n_draws, random_state)]
     written = [

@@ -18,9 +18,9 @@ from skdgp._flight.channels import (
     COEFFICIENTS,
     EARTH_VELOCITY,
     EULER,
+    HORIZONTAL,
     LATERAL,
     LONGITUDINAL,
-    POSITION,
     RATES,
     TRUTH_SUFFIX,
 )
@@ -28,17 +28,12 @@ from skdgp._flight.clock import flight_segments
 from skdgp._flight.smoothing import noise_level
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
-from skdgp.metrics import (
-    interval_coverage,
-    median_relative_error,
-    negative_log_predictive_density,
-    normalized_rmse,
-)
+from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
 from skdgp.report import FlightResult
 
 STD_ROWS = 3000
 """Rows of a flight at which standard deviations are computed; they cost N^2 each, means only N."""
-STATES = (*POSITION[:2], *EARTH_VELOCITY, *EULER, *RATES)
+STATES = (*HORIZONTAL, *EARTH_VELOCITY, *EULER, *RATES)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE, SURFACES
+from skdgp._flight.channels import ELEVONS, MIXED, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
@@ -27,7 +27,7 @@ MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
 FORCES = (*MEASURED, "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")
 """Columns that an unknown thrust depends on."""
-MIXED = (*SURFACES[:2], *ELEVONS)
+INTERCHANGEABLE = (*MIXED, *ELEVONS)
 """Elevons may stand for elevator and aileron, and the other way round."""
 
 
@@ -144,7 +144,7 @@ def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flig
     lacks one of the columns, which the model's flights have, or no row of it is left.
     """
     for table in flights.values():
-        check_columns(table, [name for name in columns if name not in MIXED])
+        check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
     check = FlightCheck(bridge=0)
     checked = {name: check.fit_transform(table) for name, table in flights.items()}
     _warn_of_contradictions(checked)

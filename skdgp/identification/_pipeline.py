@@ -19,7 +19,7 @@ from skdgp._flight.channels import SENSOR_GUST
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
-from skdgp.identification._samples import mirrored, named_targets, without_gusts
+from skdgp.identification._other_air import mirrored, named_targets, without_gusts
 from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, residual_drift
 from skdgp.inference._noise import fit_drift_to_integrals
 from skdgp.preprocessing import (

@@ -12,7 +12,7 @@ from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular
 from skdgp._compute.threads import n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
-from skdgp.inference._paths import Paths, exact_paths
+from skdgp.inference._posterior_paths import Paths, exact_paths
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
 FEW = 16  # up to this many points the mean is one matrix product instead of many tiles
@@ -242,17 +242,10 @@ class ExactPosterior:
 
 
 class Factor:
-    """L of K = L L^T, (N, N): a large head, and a small tail of appended rows.
+    """L of K = L L^T, (N, N): a large head (n, n), and a small tail of appended rows [below (m, n), tail (m, m)].
 
-    Appending copies the tail only. When the tail is large, both are merged.
-
-    Parameters
-    ----------
-    head : ndarray (n, n), Fortran order
-        A lower Cholesky factor; entries above its diagonal are not read.
-    below : ndarray (m, n), Fortran order, optional
-    tail : ndarray (m, m), Fortran order, optional
-        The next rows of L are [below, tail].
+    All are in Fortran order; what stands above the diagonals is not read. Appending copies the tail only. When the tail
+    is large, both are merged.
     """
 
     def __init__(self, head, below=None, tail=None) -> None:
@@ -292,17 +285,9 @@ class Factor:
     def extended(self, half, K) -> tuple[Factor, np.ndarray]:
         """Return the factor of the matrix with further rows and columns, and its last diagonal block, (m, m).
 
-        Parameters
-        ----------
-        half : ndarray (N, m)
-            ``solve_lower`` of the covariance of the old rows with the new rows.
-        K : ndarray (m, m), Fortran order
-            Covariance of the new rows. Only its lower triangle is read; it is overwritten.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the matrix is not positive definite, see ``jittered_cholesky``.
+        ``half`` (N, m) is ``solve_lower`` of the covariance of the old rows with the new rows. The lower triangle of K
+        (m, m), in Fortran order, is the covariance of the new rows; it is overwritten. Raises LinAlgError as
+        ``jittered_cholesky``.
         """
         K -= half.T @ half
         corner = jittered_cholesky(lambda: K.copy(order="F"))

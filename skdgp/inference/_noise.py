@@ -102,15 +102,7 @@ class NoiseParts(NamedTuple):
 
 
 def add_noise(K, noise, data) -> None:
-    """Add the noise covariance to the upper triangle of a covariance matrix of the values, (N, N) in C order.
-
-    Parameters
-    ----------
-    K : ndarray (N, N)
-    noise : ndarray
-        White noise variance of each output and the other learned parts, see ``NoiseParts``.
-    data : Data
-    """
+    """Add the covariance of ``noise``, see ``NoiseParts``, to the upper triangle of that of the values, (N, N)."""
     parts = NoiseParts.split(noise, data)
     np.einsum("ii->i", K)[:] += np.repeat(parts.white, [len(y) for y in data.y])
     for i, rows in _drift_slices(parts, data):
@@ -171,20 +163,10 @@ def _drift_slices(parts, data):
 
 
 def drift_precision(clock, variance, memory):
-    """Return the tridiagonal inverse covariance of the drifts: diagonal, upper diagonal, and log |covariance|.
+    """Return the tridiagonal inverse covariance of drifts of variance and memory (p,), and log |covariance| (p,).
 
-    Parameters
-    ----------
-    clock : ndarray (n, 2)
-        Time and flight of samples in the order of the log.
-    variance, memory : ndarray (p,)
-
-    Returns
-    -------
-    diagonal : ndarray (n, p)
-    off_diagonal : ndarray (n - 1, p)
-        Between a sample and the next; zero between flights.
-    log_determinant : ndarray (p,)
+    The diagonal is (n, p), the upper diagonal (n - 1, p), zero between flights. The clock (n, 2) holds time and flight
+    of samples in the order of the log.
     """
     time, flight = clock.T
     step = np.maximum(np.abs(np.diff(time))[:, None] / memory, SMALLEST_STEP)
@@ -200,14 +182,8 @@ def drift_precision(clock, variance, memory):
 def fit_drift(residual, clock, least):
     """Return the maximum likelihood estimates of sigma^2, tau^2 and T of white noise plus drift.
 
-    Parameters
-    ----------
-    residual : ndarray (n,)
-        In the order of the log.
-    clock : ndarray (n, 2)
-        Time and flight.
-    least : float
-        Smallest variance.
+    The residuals (n,) and the clock (n, 2), time and flight, are in the order of the log; no variance is smaller than
+    ``least``.
     """
     step = np.median(np.abs(np.diff(clock[:, 0]))[np.diff(clock[:, 1]) == 0]) if len(clock) > 1 else 1.0
     longest = max(np.ptp(clock[clock[:, 1] == flight, 0]) for flight in np.unique(clock[:, 1]))
@@ -230,7 +206,7 @@ def fit_drift(residual, clock, least):
 
 
 def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tuple[float, float, float]:
-    r"""Return sigma^2, tau^2 and T of white noise plus drift, fitted to the integrals of the residuals over time.
+    r"""Return sigma^2, tau^2 and T of white noise plus drift, fitted to the integrals of the residuals (n,) over time.
 
     A simulated flight integrates the errors of the coefficients, so the estimate is judged by integrals. Over a time h,
     the integral of white noise with the sample interval d and of a drift has the variance
@@ -244,20 +220,7 @@ def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tup
     neighbouring samples best, and integrals over seconds worse.
 
     The constant of the function takes up the mean of the residuals, so the mean square of n independent integrals is
-    multiplied by n / (n - 1).
-
-    Parameters
-    ----------
-    residual : ndarray (n,)
-    clock : ndarray (n, 2)
-        Time and flight.
-    least : float
-        Smallest variance.
-
-    Returns
-    -------
-    tuple of float
-        sigma^2, tau^2 and T.
+    multiplied by n / (n - 1). The clock (n, 2) holds time and flight; no variance is smaller than ``least``.
     """
     order = np.lexsort(clock.T)
     residual, (time, flight) = residual[order], clock[order].T

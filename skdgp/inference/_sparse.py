@@ -31,7 +31,7 @@ from skdgp._compute.threads import thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
-from skdgp.inference._paths import Paths, sparse_paths
+from skdgp.inference._posterior_paths import Paths, sparse_paths
 from skdgp.inference._sums import (
     ROWS,
     Sums,
@@ -271,14 +271,8 @@ class Readout:
     """Mean and variance of every output from the features it covaries with.
 
     With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V. With I - B^-1 = R R^T for the features of
-    output i this is |Kfu Lu^-T R|^2, one matrix product and a sum of squares.
-
-    Parameters
-    ----------
-    kernel : MultiOutputKernel
-    features : Features
-    weights : ndarray (K,)
-        Kuu^-1 times the posterior mean of the features.
+    output i this is |Kfu Lu^-T R|^2, one matrix product and a sum of squares. The weights (K,) are Kuu^-1 times the
+    posterior mean of the features.
     """
 
     def __init__(self, kernel: Any, features: Any, weights) -> None:

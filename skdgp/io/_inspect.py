@@ -127,7 +127,10 @@ class LogSummary:
             f"  {'columns':<22}{'rate':>9}  from",
             *self._column_lines(),
             "",
-            *(_hanging(f"{step:<18}{_step_words(names)}", 20) for step, names in self.missing.items()),
+            *(
+                _hanging(f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20)
+                for step, names in self.missing.items()
+            ),
             *(f"  {'':<18}- {advice}" for advice in self._advice()),
             *self._remark_lines(),
             *self._topic_lines(),
@@ -325,7 +328,3 @@ def _often(topic) -> str:
 
 def _hanging(words, indent) -> str:
     return fill(words, WIDTH, initial_indent="  ", subsequent_indent=" " * indent, break_long_words=False)
-
-
-def _step_words(names) -> str:
-    return "nothing missing" if not names else "lacks " + ", ".join(names)

@@ -18,7 +18,7 @@ from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 from skdgp._compute.linalg import cluster_centres, column_scale
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._features import Features, PointFeatures, SumFeatures
-from skdgp.kernels._paths import KernelPaths, PathBundle
+from skdgp.kernels._prior_paths import KernelPaths, PathBundle
 
 DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
 STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
@@ -476,9 +476,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         return self.k2.residual(X, self.k1.residual(X, Y))
-
-    def diag(self, X: Matrix) -> Vector:
-        return self.k1.diag(X) + self.k2.diag(X)
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         n = self.k1.n_dims

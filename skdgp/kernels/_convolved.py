@@ -14,7 +14,7 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
-from skdgp.kernels._paths import PathBundle, ValuePaths, convolved_paths
+from skdgp.kernels._prior_paths import PathBundle, ValuePaths, convolved_paths
 from skdgp.kernels._start import log_normal, resolve_prior, starting_values
 from skdgp.kernels._strips import Exponent, signed_sum, weighted_sums
 
@@ -286,9 +286,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         return ConvolvedGaussian(
             0, covariance_type=kind, regressors=self.regressors, length_scale_prior=self.length_scale_prior
         )
-
-    def stationary_part(self) -> Any:
-        return self
 
     def paths(self, X: Matrix, coefficients: Any) -> Any:
         return ValuePaths(self, X, coefficients)
@@ -579,10 +576,7 @@ def check_equal_scales(covariance_type: str, lengths, feeds: Any) -> None:
 def common_scale(scales, X: Matrix) -> np.ndarray:
     """Return the geometric mean of scales (M, P, d, ...) over the regressors that vary in X, for all regressors.
 
-    Raises
-    ------
-    ValueError
-        If the scales of the regressors differ too much for a common length scale.
+    Raises ValueError if they differ too much for a common length scale.
     """
     varies = ~constant_columns(X)
     if not varies.any():

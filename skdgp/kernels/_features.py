@@ -14,7 +14,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp.kernels._paths import FeaturePaths, PathBundle, TrendPaths, joint_paths
+from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, joint_paths
 from skdgp.kernels._strips import ExponentialRows
 
 JITTER = 1e-6  # variance of white noise in the inducing variables, over their variance; the bound remains a bound
@@ -171,21 +171,11 @@ class LatentFeatures(Features):
     Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances are those of a
     ConvolvedGaussian with one further output for every block f of variables. There are two kinds of filter g_f:
 
-    - a window with variational length scales ``width``: one block for all outputs of the latent;
+    - a window with variational length scales ``width`` (F, d): one block for all outputs of the latent;
     - the filter of output i, ``outputs[f] = i``: the block is the contribution of the latent to this output. One window
       cannot represent outputs of different widths well, while this filter loses no information about its output.
 
-    Parameters
-    ----------
-    kernel : ConvolvedGaussian
-    latents : sequence of int (F,)
-        Latent m of each block.
-    Z : sequence of ndarray (k_f, d)
-        Inducing inputs of each block.
-    width : ndarray (F, d) or None
-        Length scales of windows; None if ``outputs`` is given.
-    outputs : sequence of int (F,) or None
-        Outputs whose filters are used; None for windows.
+    Either ``width`` or ``outputs`` is None. Block f is of latent ``latents[f]``, at the inducing inputs ``Z[f]``.
     """
 
     def __init__(self, kernel, latents, Z, width=None, outputs=None):
@@ -208,7 +198,7 @@ class LatentFeatures(Features):
             latents, outputs = zip(*state["parts"], strict=True)
             state = {"kernel": state["kernel"], "latents": latents, "Z": state["Z"], "outputs": outputs}
         elif "latents" not in state:  # ConvolvedFeatures of version 0.1
-            state = {"kernel": state["kernel"], "latents": range(len(state["Z"])), **_only(state, "Z", "width")}
+            state = {name: state[name] for name in ("kernel", "Z", "width")} | {"latents": range(len(state["Z"]))}
         vars(self).update(vars(LatentFeatures(**state)))
 
     def _with_blocks(self):
@@ -467,10 +457,6 @@ class SumRows:
     def __call__(self, X) -> np.ndarray:
         """Return all columns at X (n, d), (n, C)."""
         return np.take(np.hstack([self.first(X), self.second(X)]), self.order, axis=1)
-
-
-def _only(state, *names):
-    return {name: state[name] for name in names}
 
 
 def _add_entries(total, entries):

@@ -86,16 +86,10 @@ def resolve_prior(prior, X) -> np.ndarray | None:
 
 
 def log_normal(index, lengths, prior):
-    """Return the log density of the logarithms of free length scales, and its derivative by entry.
+    """Return the log density of the logarithms of free length scales (M, P, d), and its derivative by entry.
 
-    Parameters
-    ----------
-    index : ndarray (M, P, d)
-        As in ``FreeParameter``: entries with the same number are one hyperparameter. It enters the density once, and
-        its derivative is distributed over its entries.
-    lengths : ndarray (M, P, d)
-    prior : ndarray (d, 2)
-        Medians and spreads.
+    The prior (d, 2) holds medians and spreads. Entries of the same number in ``index`` (M, P, d), as in
+    ``FreeParameter``, are one hyperparameter: it enters once, and its derivative is distributed over its entries.
     """
     median, spread = np.moveaxis(np.broadcast_to(prior, (*index.shape, 2)), -1, 0)
     free = index >= 0

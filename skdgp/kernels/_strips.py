@@ -103,14 +103,9 @@ def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
 class ExponentialRows:
     """Covariances of the outputs of a convolved Gaussian with given values of other outputs, as columns.
 
-    Each latent shared by the two outputs has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x relative to a
-    central point, the square is |F x|^2, which is the same for all columns of a pair and latent, plus a linear term.
-
-    Parameters
-    ----------
-    joint : ConvolvedGaussian
-    columns : list of lists of (j, Z)
-        For each output: another output and its inputs (k, d).
+    ``columns`` lists for each output pairs (j, Z): another output and its inputs (k, d). Each latent shared by the two
+    has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x relative to a central point, the square is |F x|^2,
+    which is the same for all columns of a pair and latent, plus a linear term.
     """
 
     def __init__(self, joint, columns):

@@ -14,7 +14,7 @@ from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default
 from skdgp.kernels._features import TrendFeatures
-from skdgp.kernels._paths import PathBundle, TrendPaths
+from skdgp.kernels._prior_paths import PathBundle, TrendPaths
 
 STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
 
@@ -30,16 +30,9 @@ def check_transformer(transformer: Any) -> None:
 
 
 class FittedBasis:
-    """A fitted transformer; clones of a kernel share it, since hyperparameters do not change it.
+    """A fitted transformer with K columns; clones of a kernel share it, since hyperparameters do not change it.
 
-    Parameters
-    ----------
-    transformer : scikit-learn transformer
-        Fitted.
-    step : ndarray (d,)
-        Step in each regressor for numerical slopes.
-    n_columns : int
-        Number of columns K of its output.
+    ``step`` (d,) is that of numerical slopes in each regressor.
     """
 
     def __init__(self, transformer: Any, step, n_columns) -> None:
@@ -216,15 +209,6 @@ class Trend(MultiOutputKernel):
         intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_weights - 1))
         intercept[i], slope[i] = by_intercept, by_slope
         return self.theta_gradient({"intercept_scale": intercept, "slope_scale": slope})
-
-    def peaks(self, i: int, j: int) -> Matrix:
-        return np.zeros((0, self.n_features))
-
-    def coarse(self) -> MultiOutputKernel:
-        return self
-
-    def stationary_part(self) -> Any:
-        return None
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         phi = self.columns(X)

@@ -149,7 +149,7 @@ class FlightDisplay(Display):
     def inputs(self) -> list[str]:
         """Names of the inputs that some flight has."""
         columns = set().union(*(table.columns for table in self.flights.values()))
-        wanted = INPUTS if "elevator" in columns else (INPUTS[0], *ELEVONS, *INPUTS[2:])
+        wanted = INPUTS if "elevator" in columns else ("throttle", *ELEVONS, "rudder")
         found = [name for name in wanted if name in columns]
         if not found:
             raise ValueError(f"Got flights without any of {[*INPUTS, *ELEVONS]}: name the columns as channels=...")

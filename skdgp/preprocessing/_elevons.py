@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from skdgp._flight.channels import ELEVONS
+from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.checks import check_columns
 from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
 
-MIXED = ("elevator", "aileron")
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 
 

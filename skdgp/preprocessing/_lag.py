@@ -19,6 +19,7 @@ from skdgp._flight.channels import (
     EARTH_VELOCITY,
     ELEVONS,
     EULER,
+    MIXED,
     POSITION,
     RATES,
     SPECIFIC_FORCE,
@@ -26,7 +27,6 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
-from skdgp.preprocessing._elevons import MIXED
 from skdgp.preprocessing._flight_path import MIN_LAG, MIN_SIGNIFICANCE, kinematic_lags
 from skdgp.preprocessing._path_equations import NEEDED
 from skdgp.preprocessing._table import (
@@ -40,12 +40,7 @@ from skdgp.preprocessing._table import (
     wrapped_near,
 )
 
-GROUPS = {
-    "air": AIR_DATA,
-    "surfaces": ALL_SURFACES,
-    "attitude": EULER,
-    "gps": (*EARTH_VELOCITY, *POSITION),
-}
+GROUPS = {"air": AIR_DATA, "surfaces": ALL_SURFACES, "attitude": EULER, "gps": (*EARTH_VELOCITY, *POSITION)}
 CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
@@ -191,13 +186,10 @@ def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
     flights = flights_of(table)
     surfaces = surface_lag(flights)
     found = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
-    return found | _kinematic_lags(table) if flights and all(has_values(table, name) for name in NEEDED) else found
-
-
-def _kinematic_lags(table: pd.DataFrame) -> dict[str, Lag]:
-    """Return the lags of attitude and GPS against integrated gyros and accelerometers."""
-    found = kinematic_lags(table)
-    return {group: Lag(*found[constant], np.nan) for group, constant in KINEMATIC.items()}
+    if flights and all(has_values(table, name) for name in NEEDED):
+        of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
+        found |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
+    return found
 
 
 def _applied(found: Lag) -> tuple[float, str]:

@@ -47,12 +47,9 @@ def expected_errors(table: pd.DataFrame, found: Flights, noise: Mapping[str, flo
     is more exact than the path would be too large: where the residual exceeds 1.4 times the noise,
     :math:`\sigma` is zero.
 
-    Returns
-    -------
-    DataFrame
-        By airspeed, alpha, beta, gyro, accelerometer: ``noise`` (of the sensor by itself, from third differences),
-        ``residual`` (noise learned with the path), and of air data ``reconstruction`` and ``smoothing``, expected
-        root mean square errors, and ``deviation`` (standard deviation of the channel).
+    Rows are airspeed, alpha, beta, gyro, accelerometer; columns ``noise`` (of the sensor by itself), ``residual`` (the
+    noise learned with the path), ``deviation`` (of the channel), and of air data the expected root mean square errors
+    ``reconstruction`` and ``smoothing``.
     """
     raw = numeric(table, AIR_DATA)
     path, slope = _path_air(raw.shape, found)

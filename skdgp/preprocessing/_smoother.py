@@ -13,10 +13,7 @@ from skdgp._flight.smoothing import differentiate, noise_level, smooth
 from skdgp.preprocessing._table import WRAPPED, TableTransformer, numeric, unwrapped, with_columns, wrapped_near
 
 SMOOTHED = (*(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),)
-PARTNERS = {
-    "rates": ("airspeed", *RATES),
-    "inertial": ("airspeed", *RATES, *SPECIFIC_FORCE),
-}
+PARTNERS = {"rates": ("airspeed", *RATES), "inertial": ("airspeed", *RATES, *SPECIFIC_FORCE)}
 IN_RADIANS = (*VANES, *RATES)
 
 

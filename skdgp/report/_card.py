@@ -17,7 +17,7 @@ from skdgp.design import FlownPlan, Plan, Steps
 from skdgp.design._envelope import GROWTH, QUANTITIES, abort_limits, quantities
 from skdgp.design._plan import errors_of
 from skdgp.plotting._style import PALETTE, ROLES, display_unit, tidy
-from skdgp.report._figures import figure
+from skdgp.report._figure_html import figure
 from skdgp.report._page import can_draw, render_page
 from skdgp.report._pictures import strip
 from skdgp.report._tables import DASH, THIN, number, percent, symbol, table, text

@@ -65,10 +65,7 @@ def coefficient_chart(result: FlightResult, band: str, span, every: int) -> str:
     for k, name in enumerate(COEFFICIENTS):
         mean = result.mean[:, k]
         # What is thin lies over what is broad: so all are seen where they agree.
-        series = [
-            Series(band, "sky", mean, std=result.noisy_std[:, k]),
-            Series("estimated", "blue", mean, width=2.5),
-        ]
+        series = [Series(band, "sky", mean, std=result.noisy_std[:, k]), Series("estimated", "blue", mean, width=2.5)]
         if result.truth is not None:
             series.append(Series("truth", "vermillion", result.truth[:, k], dashed=True))
         series.append(Series("measured", "measured", result.measured[:, k], width=0.8))

@@ -11,7 +11,7 @@ from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._style import CYCLE, PALETTE
 from skdgp.report import _charts as charts
-from skdgp.report import _figures as figures
+from skdgp.report import _figure_html as figures
 from skdgp.report import _pictures as pictures
 from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
 from skdgp.report._tables import SCORES, THIN, error_table, facts, number, replay_table, text
@@ -73,7 +73,10 @@ def what_was_done(content: ReportContent) -> str:
         ("Tested on", ", ".join(_flown(result.name, result.time) for result in content.test)),
         ("Samples", _samples(model)),
         ("Regressors", ", ".join(map(str, model.regressors))),
-        ("Latent processes", _latents(model)),
+        (
+            "Latent processes",
+            ", ".join(f"{n} {kind}" for n, kind in ((model.n_latent, "shared"), (model.n_private, "private")) if n),
+        ),
         ("Kernel", model.kernel),
         ("Trend", model.trend),
         ("Inference", model.inference),
@@ -112,11 +115,6 @@ def _iterations(model: ModelSummary) -> str | None:
         return f"{_grouped(n_iter)} (not converged: raise max_iter)"
     at_limit = n_iter is not None and most is not None and n_iter >= most
     return f"{_grouped(n_iter)} (limit reached)" if at_limit else _grouped(n_iter)
-
-
-def _latents(model: ModelSummary) -> str:
-    parts = [f"{n} {kind}" for n, kind in ((model.n_latent, "shared"), (model.n_private, "private")) if n]
-    return ", ".join(parts)
 
 
 def _grouped(value, form: str = ".0f") -> str | None:

@@ -11,9 +11,9 @@ import pandas as pd
 from _jsbsim_flight import FOOT, aircraft_of, started
 from _study_flights import SOURCES, SURFACES, Log, _c172p_table, _example_log
 
-from skdgp.datasets._autopilot import FlightControls
 from skdgp.datasets._brumby import BRUMBY
 from skdgp.datasets._example_flights import _columns
+from skdgp.datasets._flight_controls import FlightControls
 from skdgp.datasets._flight_plans import FlightPlan
 from skdgp.datasets._simulation import fly_plans
 from skdgp.design import Wavetrain, doublet, orthogonal_multisines, three_two_one_one, wavetrain

@@ -1,9 +1,11 @@
-"""Flights and a model for the tests of the command line, made once."""
+"""Flights and a model for the tests of the command line, made once by one of the processes of a test run."""
 
 import json
 import os
+import pickle
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -14,16 +16,36 @@ ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory):
+def folder(common_folder):
     """Return a folder of short flights and their aircraft, as an engineer would have them."""
-    folder = tmp_path_factory.mktemp("flights")
+    return once(common_folder / "flights", write_flights)
+
+
+def once(folder, write):
+    """Return a folder that the first process to ask for it fills, while others wait."""
+    done = folder.with_suffix(".done")
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        for _ in range(3000):  # five minutes: a process may have been killed
+            if done.exists():
+                break
+            time.sleep(0.1)
+        return folder
+    try:
+        write(folder)
+    finally:
+        done.touch()
+    return folder
+
+
+def write_flights(folder):
     data = load_example_flights()
     data.aircraft.to_json(folder / "uav.json")
     measured = [name for name in data.train if not name.endswith("_true")]
     for name, table in data.train.groupby("flight", observed=True):
         table[measured].iloc[1000:1700].to_csv(folder / f"{name}.csv", index=False)
     data.test.iloc[900:1400].to_csv(folder / "test.csv", index=False)
-    return folder
 
 
 @pytest.fixture(autouse=True)
@@ -32,11 +54,16 @@ def in_folder(folder, monkeypatch):
 
 
 @pytest.fixture(scope="session")
-def identified(folder, tmp_path_factory):
+def identified(folder, common_folder):
     """Return what a whole run in a process of its own wrote and said."""
-    output = tmp_path_factory.mktemp("results") / "deep" / "er"
-    arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
-    done = process(*arguments, *QUICK, "--horizons", "1", "-o", output, cwd=folder)
+
+    def write(results):
+        arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
+        done = process(*arguments, *QUICK, "--horizons", "1", "-o", results / "deep" / "er", cwd=folder)
+        (results / "said.pickle").write_bytes(pickle.dumps(done))
+
+    results = once(common_folder / "results", write)
+    output, done = results / "deep" / "er", pickle.loads((results / "said.pickle").read_bytes())
     assert done.returncode == 0, done.stderr
     return output, done, json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail)
 

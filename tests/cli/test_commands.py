@@ -162,7 +162,8 @@ class TestAllOrNone:
 
 
 class TestValidate:
-    def test_says_what_identify_said(self, run, identified, tmp_path):
+    def test_says_what_identify_said(self, run, identified, tmp_path, monkeypatch):
+        monkeypatch.setattr(_identify, "render_report", lambda content: content.title)
         said = run("validate", "test.csv", "--horizons", "1")
         assert files(tmp_path / "out") == {"report.html", "metrics.json", "config.toml"}
         for key in ("test", "test_together", "fit"):

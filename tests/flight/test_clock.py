@@ -71,10 +71,10 @@ ASKING = {
 
 
 @pytest.mark.parametrize("asking", ASKING.values(), ids=ASKING)
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_rows_without_a_flight_are_refused(asking, dtype):
-    with pytest.raises(ValueError, match=r"Got 60 of 120 rows without a flight \(the first is row 0\), but expected"):
-        asking(table(pd.Series(holed(None)).astype(dtype)))
+def test_rows_without_a_flight_are_refused(asking):
+    for dtype in DTYPES:
+        with pytest.raises(ValueError, match=r"Got 60 of 120 rows without a flight \(the first is row 0\), but expect"):
+            asking(table(pd.Series(holed(None)).astype(dtype)))
 
 
 @pytest.mark.parametrize("missing", MISSING, ids=repr)

@@ -22,9 +22,9 @@ QUICK = {"n_latent": 1, "max_iter": 8, "input_noise": "learned", "random_state":
 
 @pytest.fixture(scope="module")
 def flights():
-    """Return the example flights, of those to learn from the first 75 s."""
+    """Return the example flights, of those to learn from the first 50 s."""
     flights = load_example_flights()
-    flights.train = flights.train.groupby("flight", observed=True).head(3000).reset_index(drop=True)
+    flights.train = flights.train.groupby("flight", observed=True).head(2000).reset_index(drop=True)
     return flights
 
 
@@ -37,12 +37,12 @@ def model(flights):
 
 @pytest.fixture(scope="module")
 def test_flight(flights):
-    return flights.test.iloc[:800]
+    return flights.test.iloc[:400]
 
 
 def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
     """White noise of an accelerometer has the power per frequency s^2 dt, whatever the smoother leaves of it."""
-    train, s, step = flights.train[flights.train["time"] < 60], 0.5, 0.1
+    train, s, step = flights.train, 0.5, 0.1
     noisy = train.assign(ay=train["ay"] + s * np.random.default_rng(0).standard_normal(len(train)))
     found = [flight_noise(model, one, flights.aircraft, step=step).loc["CY"] for one in (train, noisy)]
     before, after = (one["white"] ** 2 * step + 2 * one["drift"] ** 2 * one["memory"] for one in found)
@@ -85,17 +85,18 @@ class TestPredict:
         )
         linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
         Y = aerodynamic_coefficients(flights.train, flights.aircraft)
-        assert linear.fit(flights.train, Y).predict(test_flight).shape == (800, 6)
+        assert linear.fit(flights.train, Y).predict(test_flight).shape == (400, 6)
         with pytest.raises(TypeError, match="return_std"):
             linear.predict(test_flight, return_std=True)
 
+    @pytest.mark.usefixtures("short_fits")
     def test_scorers_and_searches_use_that_band(self, model, flights, test_flight):
         measured = aerodynamic_coefficients(test_flight, flights.aircraft)
         mean, std = model.predict(test_flight, return_std=True, include_noise=True)
         scorer = SCORERS["interval_coverage"]
         assert scorer(model, test_flight, measured) == pytest.approx(interval_coverage(measured, mean, std))
-        train = flights.train.groupby("flight", observed=True).head(2000)
-        Y = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 60)
+        train = flights.train.groupby("flight", observed=True).head(600)
+        Y = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 40)
         nlpd = SCORERS["log_predictive_density"]
         search = GridSearchCV(
             clone(model),
@@ -111,7 +112,7 @@ class TestPredict:
 class TestLeastSquares:
     def test_is_that_of_the_same_rows(self, flights):
         """Refitted here by scikit-learn on what the regressor got."""
-        train, test = flights.train.iloc[:3000], flights.test.iloc[:600]
+        train, test = flights.train.iloc[:2000], flights.test.iloc[:600]
         regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
         result = identify(train, flights.aircraft, test=test, samples=200, regressor=regressor, horizons=[2.0])
         targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 200)

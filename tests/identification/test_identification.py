@@ -298,14 +298,13 @@ class TestIdentify:
             expected = result.pipeline.predict(example[2])
             np.testing.assert_allclose(model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13)
             assert model.fit == result.fit
-            judged = validate(model, example[2], horizons=[1.0])
-            assert judged.metrics["test"].keys() == result.metrics["test"].keys()
-            found, expected = (list(numbers(one.metrics["test"])) for one in (judged, result))
-            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
-            assert judged.metrics["fit"] == result.metrics["fit"]
+        judged = validate(model, example[2], horizons=[1.0])
+        assert judged.metrics["test"].keys() == result.metrics["test"].keys()
+        found, expected = (list(numbers(one.metrics["test"])) for one in (judged, result))
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+        assert judged.metrics["fit"] == result.metrics["fit"]
         assert json.loads((tmp_path / "new" / "folder" / "metrics.json").read_text()) == result.metrics
-        page = result.report(tmp_path / "page.html").read_text(encoding="utf-8")
-        assert "two_altitudes" in page
+        assert "two_altitudes" in (tmp_path / "new" / "folder" / "report.html").read_text(encoding="utf-8")
 
     def test_takes_tables_by_name_and_holds_out_the_last(self, example):
         aircraft, train, _ = example

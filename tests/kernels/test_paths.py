@@ -121,7 +121,7 @@ class TestBundle:
     def test_chunks_make_no_difference(self, kernel, monkeypatch):
         bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
         values, slopes = bundle.values(own), bundle.slopes(own)
-        monkeypatch.setattr("skdgp.kernels._paths.CHUNK_BYTES", 1)
+        monkeypatch.setattr("skdgp.kernels._prior_paths.CHUNK_BYTES", 1)
         np.testing.assert_allclose(bundle.values(own), values, rtol=1e-10, atol=1e-11)
         np.testing.assert_allclose(bundle.slopes(own), slopes, rtol=1e-10, atol=1e-11)
 

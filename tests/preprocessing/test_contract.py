@@ -3,6 +3,7 @@
 import inspect
 import pickle
 import warnings
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -36,7 +37,7 @@ TRANSFORMERS = [
 ]
 
 
-def flight_table(n=400, flights=("one", "two"), seed=3):
+def flight_table(n=200, flights=("one", "two"), seed=3):
     """Flights with every regressor's raw material, plus strangers: text, truth and an unknown column."""
     rng = np.random.default_rng(seed)
     parts = []
@@ -63,8 +64,13 @@ def flight_table(n=400, flights=("one", "two"), seed=3):
     return pd.concat(parts, ignore_index=True)
 
 
-def ready_table():
+@cache
+def smoothed_table():
     return FlightSmoother().fit_transform(flight_table())
+
+
+def ready_table():
+    return smoothed_table().copy()
 
 
 def test_every_public_transformer_is_checked():
@@ -74,8 +80,13 @@ def test_every_public_transformer_is_checked():
     assert len(public) == 7
 
 
+ONE_OF_EACH = [
+    transformer for k, transformer in enumerate(TRANSFORMERS) if type(transformer) not in {*map(type, TRANSFORMERS[:k])}
+]
+
+
 @pytest.mark.filterwarnings("ignore:.*without column names that it knows:UserWarning")
-@parametrize_with_checks(TRANSFORMERS)
+@parametrize_with_checks(ONE_OF_EACH)  # what they do beyond their defaults, they do to columns with names
 def test_scikit_learn_contract(estimator, check):
     check(estimator)
 
@@ -103,7 +114,7 @@ class TestContract:
         pd.testing.assert_frame_equal(table, before)
 
     def test_index_is_kept(self, transformer):
-        table = ready_table().set_index(np.arange(800) + 5000)
+        table = ready_table().set_index(np.arange(400) + 5000)
         assert clone(transformer).fit_transform(table).index.equals(table.index)
 
     def test_other_columns_and_order_at_transform_do_not_matter(self, transformer):
@@ -130,7 +141,7 @@ class TestContract:
         np.testing.assert_array_equal(out, X)
 
     def test_array_after_a_table_is_read_by_position(self, transformer):
-        table = ready_table().select_dtypes("number")[:400]
+        table = ready_table().select_dtypes("number")[:200]
         fitted = clone(transformer).fit(table)
         with pytest.warns(UserWarning, match="does not have valid feature names"):
             out = fitted.transform(table.to_numpy())

@@ -11,15 +11,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
-from skdgp._flight.channels import (
-    ACCELERATION_LENGTHS,
-    CHANNELS,
-    EULER,
-    HAT,
-    RATE_LENGTHS,
-    TRUTH_SUFFIX,
-    rate_factor,
-)
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, EULER, HAT, RATE_LENGTHS, TRUTH_SUFFIX, rate_factor
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics

@@ -22,11 +22,7 @@ POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), sl
 
 
 def rigid_body_derivative(
-    state: ArrayLike,
-    force: ArrayLike,
-    moment: ArrayLike,
-    aircraft: Aircraft,
-    gravity: ArrayLike = STANDARD_GRAVITY,
+    state: ArrayLike, force: ArrayLike, moment: ArrayLike, aircraft: Aircraft, gravity: ArrayLike = STANDARD_GRAVITY
 ) -> Array:
     """Return d state / dt of a rigid aircraft under ``force`` and ``moment``.
 

@@ -14,11 +14,7 @@ from skdgp._compute.typing import Array, Indices
 from skdgp._flight.channels import BODY_VELOCITY, COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
-from skdgp._flight.frames import (
-    cross_matrix,
-    quaternion_to_matrix,
-    wrapped,
-)
+from skdgp._flight.frames import cross_matrix, quaternion_to_matrix, wrapped
 from skdgp.dynamics._equations import rigid_body
 from skdgp.dynamics._equations.error_covariance import (
     STATES,

@@ -199,7 +199,8 @@ def simulate(
     record = fly_record(motion, commands, air, clock, states, drifts)
     warn_of(record, motion)
     std = linear_std(record, motion, initial_std, drift) if return_std else {}
-    return trajectory_table(record, motion, _first_times(controls, len(starts)), std)
+    first = [table["time"].iloc[0] for table in tables_of(controls)] or [0.0]
+    return trajectory_table(record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std)
 
 
 def _turbulence(gusts: Any, motion: Motion, n_paths: int | None) -> Turbulence | None:
@@ -451,8 +452,3 @@ def is_control(motion: Motion) -> Callable[[str], bool]:
     mixing = motion.aerodynamics.mixing
     known = {*motion.controls, *PROPULSION, *(() if mixing is None else mixing.surfaces)}
     return lambda name: name in known
-
-
-def _first_times(controls: Any, n_starts: int) -> Array:
-    first = [table["time"].iloc[0] for table in tables_of(controls)]
-    return np.broadcast_to(np.array(first or [0.0], dtype=float), (n_starts,))

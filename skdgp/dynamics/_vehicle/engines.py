@@ -114,13 +114,7 @@ class Propeller:
 
     @classmethod
     def from_table(
-        cls,
-        table: pd.DataFrame,
-        diameter: float,
-        *,
-        degree: int = 2,
-        pitch: float | None = None,
-        rotation: int = 1,
+        cls, table: pd.DataFrame, diameter: float, *, degree: int = 2, pitch: float | None = None, rotation: int = 1
     ) -> Propeller:
         """Fit the propeller to a bench table by least squares in newtons.
 

@@ -13,16 +13,7 @@ from skdgp._flight.channels import CHANNELS, EULER
 from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
 from skdgp.io._autopilot.clock import resample, sampling_rate, uniform_clock
-from skdgp.io._autopilot.formats import (
-    DENSITY,
-    EQUIVALENT,
-    PRESSURE,
-    QUATERNION,
-    Log,
-    Rule,
-    Topic,
-    density_at,
-)
+from skdgp.io._autopilot.formats import DENSITY, EQUIVALENT, PRESSURE, QUATERNION, Log, Rule, Topic, density_at
 from skdgp.io._autopilot.servos import Servo
 from skdgp.io._errors import FlightReadError
 

@@ -54,19 +54,12 @@ class Servo(NamedTuple):
 
 
 def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo]:
-    r"""Read a calibration: one table for each surface.
+    r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
-    Parameters
-    ----------
-    servos : path or mapping, or None
-        TOML: ``[elevator]`` with ``channel``, and either ``points``, a list of pairs (value of the channel, angle in
-        rad), or ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at
-        ``min`` is its negative; two numbers give both). ``reversed = true`` turns the sign of all angles.
-
-    Raises
-    ------
-    FlightReadError
-        If the file is no TOML, or a surface or number makes no sense.
+    ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel, angle in rad), or
+    ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at ``min`` is
+    its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Raises FlightReadError if
+    the file is no TOML, or a surface or number makes no sense.
 
     Examples
     --------

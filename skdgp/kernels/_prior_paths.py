@@ -1,4 +1,4 @@
-"""Sample paths: functions of the regressors with random coefficients."""
+"""Sample paths of the prior: functions of the regressors with random coefficients."""
 
 from __future__ import annotations
 
@@ -79,14 +79,7 @@ class SumPaths(PathBundle):
 
 
 class TrendPaths(PathBundle):
-    """Trends with given weights: tau_i0 u_i0 + sum_k tau_ik u_ik (phi_k(s) - c_k).
-
-    Parameters
-    ----------
-    kernel : Trend
-    weights : ndarray (S, P, K + 1)
-        Standardised weights u.
-    """
+    """Trends with standardised weights u, (S, P, K + 1): tau_i0 u_i0 + sum_k tau_ik u_ik (phi_k(s) - c_k)."""
 
     def __init__(self, kernel, weights):
         self.kernel, self.weights = kernel, weights
@@ -240,7 +233,7 @@ class LatentWaves(NamedTuple):
 
     @classmethod
     def draw(cls, outputs, roots, amplitude, shift, n_paths, n_frequencies, random_state) -> LatentWaves:
-        r"""Return random waves of one latent of a convolved Gaussian, h_i * x with A_i = 2 R_i R_i^T.
+        r"""Return F waves for each of S paths of one latent that c outputs share, h_i * x with A_i = 2 R_i R_i^T.
 
         The spectral density of h_i * x is the Gaussian N_i = N(0, R_i R_i^T), so samples are
 
@@ -251,20 +244,8 @@ class LatentWaves(NamedTuple):
         These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the mixture of the N_i
         of all outputs of the latent. Frequencies are stratified over its components, so the weights are bounded (the
         balance heuristic of Veach & Guibas 1995). Every path has new frequencies, so moments over paths are those of
-        the prior for any number of frequencies.
-
-        Parameters
-        ----------
-        outputs : ndarray (c,)
-        roots : ndarray (c, d, d)
-            R.
-        amplitude : ndarray (c,)
-            w.
-        shift : ndarray (c, d)
-            mu.
-        n_paths, n_frequencies : int
-            S, and F: at least c.
-        random_state : RandomState
+        the prior for any number of frequencies, at least c. The roots R are (c, d, d), amplitudes w (c,), shifts mu
+        (c, d).
         """
         S, F, (c, d) = n_paths, n_frequencies, shift.shape
         component = np.arange(F) % c
@@ -286,18 +267,9 @@ class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
 
     Waves of shared latents come first and are multiplied by one matrix of weights. Waves of private latents are summed
-    separately, which avoids products with zero weights.
-
-    Parameters
-    ----------
-    omega : ndarray (S, d, C)
-    phase : ndarray (S, 1, C)
-    shared : ndarray (S, c, P)
-        Weights of the first c waves.
-    own : ndarray (S, 1, m, F)
-        Weights of the other m F waves, of m private latents.
-    fed : ndarray (m, P)
-        One for the output of each private latent.
+    separately, which avoids products with zero weights. ``omega`` is (S, d, C), ``phase`` (S, 1, C), ``shared``
+    (S, c, P) holds the weights of the first c waves, ``own`` (S, 1, m, F) those of m private latents, and ``fed``
+    (m, P) is one for the output of each.
     """
 
     def __init__(self, omega, phase, shared, own, fed):

@@ -1,4 +1,4 @@
-"""Samples of the aircraft rather than of its air: mirrored flights, and targets without the effect of past gusts."""
+"""Training data of a model for other air: mirrored flights, and targets without the effect of past gusts."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import pandas as pd
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT
 from skdgp._flight.clock import flight_segments
 from skdgp.inference._unpredicted import unpredicted
-from skdgp.preprocessing._elevons import ELEVONS
 
 LATERAL = frozenset(("beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder", "CY", "Cl", "Cn"))
 """Regressors and coefficients whose sign changes in a mirror."""
@@ -24,12 +23,8 @@ def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFr
     """Return regressors (n, d) and coefficients (n, P) of the flights as seen in a mirror.
 
     A symmetric aircraft flies the mirrored flight with the mirrored controls. Lateral coefficients change their sign
-    about their value without sideslip, rates and lateral controls, by least squares: an asymmetry stays.
-
-    Raises
-    ------
-    ValueError
-        If single elevons are among the regressors.
+    about their value without sideslip, rates and lateral controls, by least squares: an asymmetry stays. Raises
+    ValueError for single elevons.
     """
     if set(ELEVONS) & set(regressors):
         raise ValueError(
@@ -48,13 +43,7 @@ def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFr
 
 
 def named_targets(y: Any) -> pd.DataFrame:
-    """Return targets with names: those of a table, or the six coefficients.
-
-    Raises
-    ------
-    ValueError
-        If an array does not have six columns.
-    """
+    """Return targets with the names of a table, or an array's as the six coefficients; ValueError for other arrays."""
     if isinstance(y, pd.DataFrame):
         return y
     if np.ndim(y) != 2 or np.shape(y)[1] != len(COEFFICIENTS):
@@ -66,7 +55,7 @@ def named_targets(y: Any) -> pd.DataFrame:
 
 
 def without_gusts(X: Matrix, Y: Matrix, time: Any, flight: Any) -> Matrix:
-    r"""Return targets (n, P) without what past errors predict of their errors.
+    r"""Return targets (n, P) without what past errors predict of their errors, of regressors X (n, d).
 
     Gusts that turn the air change the loads and, a moment later, the measured rates. So the error :math:`e` of a load
     correlates with the rates at the same time, and least squares underestimates the damping. What is new in :math:`e`
@@ -77,25 +66,8 @@ def without_gusts(X: Matrix, Y: Matrix, time: Any, flight: Any) -> Matrix:
     with :math:`f` by least squares of :math:`y^*` on second order terms and absolute values of the regressors, and
     :math:`a` by least squares of :math:`e`, for each output, in turn until neither changes.
 
-    Parameters
-    ----------
-    X : ndarray (n, d)
-        Regressors in the order of the log.
-    Y : ndarray (n, P)
-        Targets; rows with NaN remain as they are, and are not used.
-    time : array (n,)
-        [s].
-    flight : array (n,) or None
-        Label of the flight of each row. Nothing is predicted across flights and gaps.
-
-    Returns
-    -------
-    ndarray (n, P)
-
-    Raises
-    ------
-    ValueError
-        If most rows have no target.
+    Rows are in the order of the log; those with NaN remain as they are, and are not used. Nothing is predicted across
+    gaps in the time (n,) [s] and flights (labels (n,) or None). Raises ValueError if most rows have no target.
     """
     known = np.isfinite(Y).all(axis=1)
     if 2 * known.sum() < len(Y):

@@ -1,4 +1,4 @@
-"""Samples of the aircraft: mirrored flights, and targets without the effect of past gusts."""
+"""Training data of a model for other air: mirrored flights, and targets without the effect of past gusts."""
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,7 @@ from sklearn.preprocessing import StandardScaler
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft
 from skdgp.identification import FlightPipeline
-from skdgp.identification._samples import mirrored, without_gusts
+from skdgp.identification._other_air import mirrored, without_gusts
 from skdgp.preprocessing import RegressorSelector
 
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")

@@ -416,7 +416,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         except KeyboardInterrupt:
             return rich._replace(interrupted=True)
         self.structure_errors_ = {"trend": simple, self.structure_: errors}
-        if np.nanmean(errors) <= np.nanmean(simple):
+        if simple is None or np.nanmean(errors) <= np.nanmean(simple):
             return rich
         self.structure_, self.n_latent_ = "trend", 0
         return alone

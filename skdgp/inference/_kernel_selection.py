@@ -127,7 +127,13 @@ def held_out_errors(fit: Fit, X: Matrix, Y: Matrix, n_inducing: int) -> Vector |
     if len(rows) < FEWEST_ROWS:
         return None
     learned = Hyperparameters(fit.posterior.kernel, fit.noise, fit.root)
-    options = {"n_inducing": n_inducing, "optimizer": None, "max_iter": 0, "random_state": 0, "found": learned}
+    options: dict[str, Any] = {
+        "n_inducing": n_inducing,
+        "optimizer": None,
+        "max_iter": 0,
+        "random_state": 0,
+        "found": learned,
+    }
     error = np.full((len(rows), Y.shape[1]), np.nan)
     for a, b in pairwise(np.linspace(0, len(rows), BLOCKS + 1).astype(int)):
         gap = int(GAP * (b - a))

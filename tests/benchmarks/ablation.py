@@ -18,6 +18,7 @@ from _comparison_methods import Identification
 from comparison import FLIGHTS, Kept, scores, task_of, toy
 
 PLAIN = {"reconstruction": "passthrough"}
+INDEPENDENT = {"dependentgpregressor__n_latent": 0}
 PARTS = {  # of Identification: arguments of make_identification_pipeline, parameters of its steps, and what else
     "defaults": {},
     "reconstruction": {"arguments": PLAIN},
@@ -28,8 +29,10 @@ PARTS = {  # of Identification: arguments of make_identification_pipeline, param
     "gusts_in_bands": {"gusts": False},
     "trend": {"parameters": {"dependentgpregressor__trend": "constant"}},
     "independence__two_shared_latents": {"parameters": {"dependentgpregressor__n_latent": 2}},
-    "choice_of_structure__always_joint": {"parameters": {"dependentgpregressor__structure": "joint"}},
-    "choice_of_structure__always_additive": {"parameters": {"dependentgpregressor__structure": "additive"}},
+    "choice_of_structure__always_joint": {"parameters": {**INDEPENDENT, "dependentgpregressor__structure": "joint"}},
+    "choice_of_structure__always_additive": {
+        "parameters": {**INDEPENDENT, "dependentgpregressor__structure": "additive"}
+    },
     "processes__the_trend_alone": {"parameters": {"dependentgpregressor__structure": "trend"}},
     "early_stopping": {"parameters": {"dependentgpregressor__early_stopping": False}},
     "all_samples_but_755": {"samples": 755},

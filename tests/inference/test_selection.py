@@ -176,27 +176,28 @@ class TestStructure:
         model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=5, random_state=0).fit(x, y)
         assert (model.structure_, model.structure_errors_) == ("joint", {})
 
-    @pytest.mark.parametrize("compared", [0, 1, 2])
+    @pytest.mark.parametrize(("compared", "structure"), [(0, "joint"), (1, "joint"), (2, "trend")])
     @pytest.mark.filterwarnings("ignore:The fit was interrupted")
-    def test_ctrl_c_before_the_choice_keeps_the_processes(self, compared, monkeypatch):
+    def test_ctrl_c_keeps_the_best_so_far(self, compared, structure, monkeypatch):
+        """In the search of either structure, in the comparison, and in the last search of the trend that won it."""
         x, y = self.record(curve=0.0)
         known = []
 
         def watched(*args):
             known.append(held_out_errors(*args))
-            if len(known) == 2 == compared:
+            if len(known) == 1 == compared:
                 raise KeyboardInterrupt
             return known[-1]
 
         def interrupt(stage, n_evaluations, log_likelihood):
-            if len(known) == compared:
+            if len(known) == compared and (stage == "fit" or compared == 2):
                 raise KeyboardInterrupt
 
         monkeypatch.setattr("skdgp._regressor._estimator.held_out_errors", watched)
         model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=20, random_state=0)
         with listening(interrupt):
             model.fit(x, y)
-        assert (model.structure_, model.structure_errors_) == ("joint", {})
+        assert (model.structure_, len(model.structure_errors_)) == (structure, 2 * (structure == "trend"))
         assert np.isfinite(model.predict(x)).all()
 
     @pytest.mark.parametrize("options", [{"kernel": ConvolvedGaussian(1)}, {"trend": "constant"}, {"trend": None}])

@@ -184,6 +184,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     """
 
     n_latent_: Any
+    structure_: str
     _parameter_constraints = {
         "kernel": [MultiOutputKernel, None],
         "n_latent": [Interval(Integral, 0, None, closed="left"), StrOptions({"auto"}), None],

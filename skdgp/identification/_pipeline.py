@@ -149,7 +149,7 @@ def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPR
     ----------
     gusty : bool, default=False
         As for :class:`FlightPipeline`. What gusts leave in the targets looks like a function of very small width, so a
-        prior stands against these (``length_scale_prior="auto"``).
+        prior stands against these (``length_scale_prior="auto"``), and outputs share two latents.
     **parameters
         Of :class:`skdgp.DependentGPRegressor`.
 
@@ -171,8 +171,8 @@ def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPR
                          random_state=0, structure='auto')
     """
     defaults: dict[str, Any] = {"structure": "auto", "input_noise": "learned", "early_stopping": True}
-    prior = {"length_scale_prior": "auto"} if gusty else {}
-    return DependentGPRegressor(**{**defaults, **prior, **parameters})
+    smooth = {"length_scale_prior": "auto", "n_latent": 2} if gusty else {}
+    return DependentGPRegressor(**{**defaults, **smooth, **parameters})
 
 
 def check_aircraft(aircraft) -> Aircraft:

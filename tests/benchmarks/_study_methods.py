@@ -172,7 +172,8 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
     """
     X, Y = case.table(seen)
     options = {name: value for name, value in changes.items() if name in ("symmetric", "gusty")}
-    changes = {"structure": "joint"} | {name: value for name, value in changes.items() if name not in options}
+    joint = {"structure": "joint"} if options.get("gusty") else {"structure": "joint", "n_latent": 0}
+    changes = joint | {name: value for name, value in changes.items() if name not in options}
     model = default_regressor(gusty=options.get("gusty", False), random_state=seed, max_iter=max_iter, **changes)
     if kernel is not None:
         model.set_params(kernel=kernel, trend="constant", optimizer=None, input_noise=None, inference="sparse")

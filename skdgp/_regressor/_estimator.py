@@ -364,7 +364,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if self.structure != "auto" or self.structure_ == "trend" or best.interrupted or not self._has_trend():
             return best
         alone = partial(search, self._make_trend(), random_state=int(seeds[0]))
-        if not self._trend_is_better(best, partial(run_recorded, record, "trend-exact", alone), X, Z):
+        try:
+            better = self._trend_is_better(best, partial(run_recorded, record, "trend-exact", alone), X, Z)
+        except KeyboardInterrupt:
+            return best._replace(interrupted=True)
+        if not better:
             return best
         self.structure_, self.n_latent_ = "trend", 0
         return run_recorded(record, "trend", alone)
@@ -409,17 +413,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return self._make_kernel(self.n_latent_, self.structure_), hyperparameters
 
     def _trend_is_better(self, rich, fit_trend, X, Z):
-        """Return whether the trend alone predicts held-out blocks better than the fit; False after Ctrl-C.
+        """Return whether the trend alone predicts held-out blocks better than the fit.
 
         The trend is fitted to exact regressors for this: that is faster and changes its errors by some per cent.
         """
-        try:
-            alone = fit_trend(input_noise=None)
-            if alone.interrupted:
-                return False
-            simple, errors = (held_out_errors(fit, X, Z, self.n_inducing) for fit in (alone, rich))
-        except KeyboardInterrupt:
-            return False
+        alone = fit_trend(input_noise=None)
+        if alone.interrupted:
+            raise KeyboardInterrupt
+        simple, errors = (held_out_errors(fit, X, Z, self.n_inducing) for fit in (alone, rich))
         if simple is None or errors is None:
             return False
         self.structure_errors_ = {"trend": simple, self.structure_: errors}

@@ -172,7 +172,7 @@ PLAN = Command(
             opt.option("--rate HZ", "of the autopilot (default: 50)", opt.positive("Hz"), default=50.0),
             opt.option(
                 "--pilot AXIS=X",
-                "steps to fly by hand alone: half seconds, multiples of X [rad] (default: a degree, throttle 0.1)",
+                "only steps that a pilot can fly: half seconds, multiples of X [rad] (default: a degree, throttle 0.1)",
                 _axis_value,
                 nargs="*",
             ),

@@ -91,7 +91,7 @@ REMEDY = {
     "impossible": "not measured; write missing values as empty cells",
     "spike": "not measured",
     "constant": "a dead sensor, or none: drop the column unless the flight was simulated so",
-    "saturated": "kept: its effect beyond is not known",
+    "saturated": "kept; the effect of larger angles is not known",
 }
 
 

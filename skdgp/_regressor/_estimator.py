@@ -38,7 +38,8 @@ EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
 
 ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
-SHARED_LATENTS, COMPLETE = 2, 0.95  # of n_latent=None, and the part of observed values from which on there are none
+SHARED_LATENTS = 2  # number of shared latents of n_latent=None
+COMPLETE = 0.95  # smallest part of the values that is observed for structure="auto" to share none
 MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 FIT_REMEDY = (
     "Use inference='sparse' or fewer values: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over "
@@ -361,7 +362,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         fits = fit_map(start, starts, self.n_jobs)
         best = max(fits, key=lambda fit: fit.value)
         best = best._replace(interrupted=any(fit.interrupted for fit in fits))
-        if self.structure != "auto" or self.structure_ == "trend" or best.interrupted or not self._has_trend():
+        if self.structure != "auto" or best.interrupted or not self._has_trend():
             return best
         alone = partial(search, self._make_trend(), random_state=int(seeds[0]))
         try:
@@ -374,6 +375,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return run_recorded(record, "trend", alone)
 
     def _check_structure(self):
+        """Raise ValueError if the structure needs another kernel or trend."""
         if self.structure == "trend" and not self._has_trend():
             raise ValueError(
                 f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
@@ -386,7 +388,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             )
 
     def _has_trend(self):
-        """Return whether the kernel is a trend below processes, either of which may do without the other."""
+        """Return whether the model has a trend that can be fitted without processes."""
         return self.kernel is None and self.trend not in ("constant", None)
 
     def _choose_kernel(self, X, Z, options):

@@ -20,7 +20,7 @@ OPTIONS = {
 QUANTITIES = tuple(OPTIONS)
 GROWTH = "growth of "
 SOURCES = {"asked": "", "flown": GROWTH}
-"""Of limits, with the beginning of their names."""
+"""Where a limit comes from, and how its name then begins."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ GAP = 0.1  # rows left out on either side of a block, over its length: neighbour
 HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
 FEWEST_VALUES = 40  # values of each output below which nothing is held out: their error would be chance
 FEATURE_ITERATIONS = 4  # iterations that move and scale the inducing variables on the bound
-NOISE_STEPS = 10  # largest number of steps of expectation maximisation for the noise
+NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
@@ -356,12 +356,12 @@ def _learn(
     if optimizer is None:
         return hyperparameters(kernel, noise, None if isinstance(input_noise, str) else input_noise)
 
-    def optimize(name, kernel, noise, bounds, max_iter, data, spread=0.0, fixed=False):
+    def optimize(name, kernel, noise, bounds, max_iter, data, spread=0.0, noise_alone=False):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
         objective = Objective(kernel, data, len(noise), held_out)
         bounds = theta_bounds(kernel, bounds)
-        if fixed:
+        if noise_alone:
             bounds[: kernel.n_dims] = kernel.theta[:, None]
         with threads_for(data.n_values):
             best = maximize(
@@ -372,7 +372,7 @@ def _learn(
                 max_iter=max_iter,
                 name=name,
                 stop=stop,
-                held_out_error=None if held_out is None or fixed else objective.held_out_error,
+                held_out_error=None if held_out is None or noise_alone else objective.held_out_error,
             )
         theta, noise = np.split(best.theta, [-len(noise)])
         return kernel.clone_with_theta(theta), np.exp(noise), best
@@ -396,8 +396,8 @@ def _learn(
         noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     kernel, noise, best = optimize("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
-    if noise_last and held_out is not None and not stop.is_set():
-        _, noise, last = optimize("noise", kernel, noise, bounds, NOISE_STEPS, data, fixed=True)
+    if noise_last and held_out is not None and not (callable(optimizer) or stop.is_set()):
+        _, noise, last = optimize("noise", kernel, noise, bounds, NOISE_STEPS, data, noise_alone=True)
         n_evaluations += last.n_evaluations
     if isinstance(input_noise, str):
         root = root * np.sqrt(noise[len(noise_bounds) :])

@@ -14,7 +14,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._fit import Fit, Hyperparameters, fit_exact, fit_sparse, some_rows
+from skdgp.inference._fit import GAP, Fit, Hyperparameters, fit_exact, fit_sparse, some_rows
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,6 @@ def choose_kernel(
 
 BLOCKS = 4  # blocks of the log, held out in turn
 BLOCK_ROWS = 2000  # largest number of rows for a comparison by blocks
-GAP = 0.1  # rows left out on either side of a held-out block, over its length: neighbours are correlated
 FEWEST_ROWS = 40  # rows below which blocks are too short for a comparison
 
 
@@ -104,8 +103,8 @@ def held_out_errors(fit: Fit, X: Matrix, Y: Matrix, n_inducing: int) -> Vector |
 
     Each quarter of the log is predicted from the others, with the hyperparameters of the fit. Rows are in the order of
     the log, so predicting a block resembles predicting another flight. The marginal likelihood cannot replace this
-    comparison: it explains residuals that are correlated over seconds as structure. Fits to the other rows cannot,
-    either: fewer rows, which lack a manoeuvre, teach other hyperparameters.
+    comparison: it explains residuals that are correlated over seconds as structure. Hyperparameters are not learned
+    from the other rows alone: where these lack a manoeuvre, they would be those of another model.
 
     Parameters
     ----------

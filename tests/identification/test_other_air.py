@@ -162,13 +162,11 @@ class TestPipeline:
         assert pipeline.get_params()["symmetric"]
         assert pipeline.get_params()["gusty"]
 
-    def test_only_the_default_regressor_of_gusty_flights_has_a_prior_on_widths(self):
+    def test_only_the_default_regressor_of_gusty_flights_has_a_prior_on_widths_and_shares_latents(self):
         glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-        found = [
-            make_identification_pipeline(glider, gusty=gusty, regressor=regressor)[-1].length_scale_prior
-            for gusty, regressor in ((True, None), (False, None), (True, DependentGPRegressor()))
-        ]
-        assert found == ["auto", None, None]
+        cases = (True, None), (False, None), (True, DependentGPRegressor())
+        found = [make_identification_pipeline(glider, gusty=gusty, regressor=own)[-1] for gusty, own in cases]
+        assert [(one.length_scale_prior, one.n_latent) for one in found] == [("auto", 2), (None, None), (None, None)]
 
     def test_pipelines_of_earlier_versions_have_neither(self):
         pipeline = pipeline_of(NAMES, LinearRegression())

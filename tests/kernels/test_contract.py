@@ -121,7 +121,7 @@ def assert_gradient(gradient, function, x):
     assert gradient.shape == x.shape
     for way in np.random.default_rng(0).choice([-1.0, 1.0], (5, len(x))):
         slope = central_difference(lambda t, way=way: function(x + t[0] * way), [0.0])[0]
-        equal(gradient @ way, slope, rtol=1e-7, atol=1e-7)
+        equal(gradient @ way, slope, rtol=1e-7, atol=1e-8)
 
 
 def prior_paths(kernel, n_paths, n_frequencies, seed):

@@ -143,7 +143,7 @@ LEARNING = [
     opt.choice(
         "--structure",
         ["auto", "joint", "additive", "trend"],
-        "trend: the trend alone; joint: with the dependent processes; additive: also with functions of one regressor "
+        "trend: the trend alone; joint: with processes; additive: also with functions of one regressor "
         "each; auto: trend or joint, what predicts blocks of the training flights better that are held out in turn "
         "(default: auto)",
     ),

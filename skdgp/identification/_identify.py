@@ -58,8 +58,8 @@ WIDTHS = {
     "tied": "one width for each regressor, common to all outputs",
 }
 STRUCTURES = {
-    "joint": "the trend and the dependent processes",
-    "additive": "the trend, main effects and the dependent processes",
+    "joint": "the trend and processes",
+    "additive": "the trend, main effects and processes",
     "trend": "the trend alone",
 }
 THRUSTS = {
@@ -572,8 +572,8 @@ class Identification:
         if errors:
             words = " and ".join(f"{error:.3g} of {STRUCTURES[name]}" for name, error in errors.items())
             remarks["Structure"] = (
-                f"{STRUCTURES[fit['structure']]}: mean squared error in parts of the training flights that were held "
-                f"out in turn, over the variance, {words}"
+                f"{STRUCTURES[fit['structure']]}. Mean squared error of quarters of the training flights, predicted "
+                f"from the rest, over the variance: {words}"
             )
         noisy = {name: value for name, value in fit["input_noise_std"].items() if value > 0}
         if noisy:

@@ -16,7 +16,7 @@ from skdgp._compute.parallel import sharing
 from skdgp._compute.threads import one_blas_thread, threads_for
 from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._likelihood import Data, couplings, log_likelihood
 from skdgp.inference._noise import fit_drift, fit_drift_to_integrals
 from skdgp.inference._optimize import maximize
 from skdgp.inference._sparse import SparsePosterior, maximize_features
@@ -168,6 +168,7 @@ def fit_sparse(
     found: Any = None,
     clock: Matrix | None = None,
     early_stopping: bool = False,
+    centres: Matrix | None = None,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
 
@@ -179,6 +180,8 @@ def fit_sparse(
         Inducing inputs of each latent process. They start at the centres of k-means and are then optimised.
     optimizer, max_iter, random_state, input_noise, spread, found, clock, early_stopping
         As for ``fit_exact``. With ``early_stopping`` the inducing inputs stay where they start.
+    centres : ndarray (k, d) or None
+        Where the inducing inputs start. None: ``inducing_centres`` of X.
 
     Returns
     -------
@@ -191,8 +194,9 @@ def fit_sparse(
         When matrices of the size of all inducing variables do not fit into memory.
     """
     random_state, kernel = check_random_state(random_state), kernel.prepared(X)
-    Z = _centres(X, n_inducing, random_state)
-    size = kernel.initialize(X, Y, np.random.RandomState(0)).features(Z).size
+    start = kernel.initialize(X, Y, np.random.RandomState(0))
+    Z = inducing_centres(start, X, n_inducing, random_state) if centres is None else centres
+    size = start.features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
     learned = found
     if learned is None:
@@ -459,8 +463,10 @@ def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None
     return rest[some_rows(Y[rest], random_state)], held
 
 
-def _centres(X, n_inducing, random_state):
-    """Return at most n_inducing centres of the samples, (k, d)."""
+def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any) -> Matrix:
+    """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs."""
+    if kernel.features(X[:1]).size == kernel.features(X[:2]).size:
+        return X[:1]
     distinct = np.unique(X, axis=0)
     if len(distinct) <= n_inducing:
         return distinct
@@ -552,17 +558,25 @@ def fit_singles(
 class Objective:
     """The function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient.
 
-    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know.
+    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where the
+    kernel couples no outputs, the likelihood is the sum of those of the outputs: noise that several outputs have from
+    the same regressors is then taken as independent.
     """
 
     def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None) -> None:
         self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
-        self.workspace = np.empty((data.n_values, data.n_values))
-        self.theta, self.weights = np.empty(0), np.empty(data.n_values)
+        self.parts = data.by_output() if not any(couplings(kernel)) else [data]
+        self.theta, self.weights = np.empty(0), [np.empty(part.n_values) for part in self.parts]
+        self.workspace = np.empty(max(part.n_values for part in self.parts) ** 2)
 
     def __call__(self, theta):
         candidate, noise = self._split(theta)
-        value, gradient = log_likelihood(candidate, noise, self.data, True, self.workspace, self.weights)
+        value, gradient = 0.0, np.zeros(len(theta))
+        for part, weights in zip(self.parts, self.weights, strict=True):
+            n = part.n_values
+            workspace = self.workspace[: n * n].reshape(n, n)
+            by_part = log_likelihood(candidate, noise, part, True, workspace, weights)
+            value, gradient = value + by_part[0], gradient + by_part[1]
         self.theta = np.array(theta)
         prior, slope = candidate.log_prior(eval_gradient=True)
         gradient[: len(slope)] += slope
@@ -573,7 +587,7 @@ class Objective:
         if not np.array_equal(theta, self.theta):  # not the last point that was evaluated
             self(theta)
         kernel, held_out = self._split(theta)[0], self.held_out
-        weights = np.split(self.weights, np.cumsum([len(y) for y in self.data.y])[:-1])
+        weights = np.split(np.concatenate(self.weights), np.cumsum([len(y) for y in self.data.y])[:-1])
         errors = []
         for i, (X, y) in enumerate(zip(held_out.X, held_out.y, strict=True)):
             pairs = [(j, Xj, w) for j, (Xj, w) in enumerate(zip(self.data.X, weights, strict=True))]

@@ -14,7 +14,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._fit import GAP, Fit, Hyperparameters, fit_exact, fit_sparse, some_rows
+from skdgp.inference._fit import GAP, Fit, Hyperparameters, fit_exact, fit_sparse, inducing_centres, some_rows
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,7 @@ def held_out_errors(fit: Fit, X: Matrix, Y: Matrix, n_inducing: int) -> Vector |
         "max_iter": 0,
         "random_state": 0,
         "found": learned,
+        "centres": inducing_centres(learned.kernel, X[rows], n_inducing, np.random.RandomState(0)),
     }
     error = np.full((len(rows), Y.shape[1]), np.nan)
     for a, b in pairwise(np.linspace(0, len(rows), BLOCKS + 1).astype(int)):

@@ -5,28 +5,34 @@ Only this file knows the layout of the N x N matrix. A kernel computes one tile 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsymv, dsyr
 
-from skdgp._compute.linalg import cholesky_inverse, jittered_cholesky, log_determinant, triangular_solve
+from skdgp._compute.linalg import RowPairs, cholesky_inverse, jittered_cholesky, log_determinant, triangular_solve
 from skdgp._compute.threads import thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.inference._noise import Drift, SampleNoise, add_noise, noise_gradient
 
 TILE = 768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
+PAIRED = 1000  # largest number of rows of which all pairs are kept
 HALF = 384  # largest side of a tile on the diagonal, where both triangles are computed
 
 
 class Data(NamedTuple):
-    """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model."""
+    """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model.
+
+    ``pairs`` are the pairs of rows of the only output with values, for repeated evaluations of few rows.
+    """
 
     X: list[np.ndarray]
     y: list[np.ndarray]
     sample_noise: SampleNoise | None = None
     drift: Drift | None = None
+    pairs: RowPairs | None = None
 
     @classmethod
     def from_table(
@@ -60,6 +66,23 @@ class Data(NamedTuple):
         if drift is not None and other.drift is not None:
             drift = drift._replace(clock=[np.concatenate(c) for c in zip(drift.clock, other.drift.clock, strict=True)])
         return Data(X, y, sample_noise, drift)
+
+    def by_output(self) -> list[Data]:
+        """Return the values of each output alone; the other outputs have none."""
+
+        def only(i, parts):
+            return [part if k == i else part[:0] for k, part in enumerate(parts)]
+
+        return [
+            Data(
+                only(i, self.X),
+                only(i, self.y),
+                self.sample_noise and SampleNoise(*(only(i, parts) for parts in self.sample_noise)),
+                self.drift and self.drift._replace(clock=only(i, self.drift.clock)),
+                RowPairs(X) if len(X) <= PAIRED else None,
+            )
+            for i, X in enumerate(self.X)
+        ]
 
     @property
     def n_values(self) -> int:
@@ -107,24 +130,30 @@ def covariance(kernel: Any, noise: Vector, data: Data, workspace: Matrix | None 
     """
     X = data.X
     sizes = [len(x) for x in X]
-    pairs = _pairs(kernel, sizes)
     # In C order: its transpose is the lower triangle in Fortran order.
     upper = np.empty((sum(sizes), sum(sizes))) if workspace is None else workspace
-    if not all_coupled(kernel):
-        upper.fill(0.0)
 
     def fill(pair):
         a, b = pair
         upper[a.stacked, b.stacked] = kernel.block(a.output, b.output, X[a.output][a.rows], X[b.output][b.rows])
 
-    thread_map(fill, pairs)
+    if data.pairs is not None:
+        data.pairs.begin()
+        values = data.pairs.buffer()
+        values.fill(0.0)
+        kernel.add_pairs(int(np.argmax(sizes)), data.pairs, values)
+        upper.ravel()[data.pairs.place] = values
+    else:
+        if not all(couplings(kernel)):
+            upper.fill(0.0)
+        thread_map(fill, _pairs(kernel, sizes))
     add_noise(upper, noise, data)
     return upper.T
 
 
-def all_coupled(kernel: Any) -> bool:
-    """Return whether the kernel couples every pair of outputs."""
-    return all(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
+def couplings(kernel: Any) -> Iterator[bool]:
+    """Yield for each pair of different outputs whether the kernel couples them."""
+    return (kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
 
 
 def log_likelihood(
@@ -187,5 +216,10 @@ def _gradient(kernel, noise, data, y, L, weights):
         return kernel.block_gradient(a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows], W)
 
     sizes = [len(x) for x in data.X]
-    d_theta = -np.sum(thread_map(contract, _pairs(kernel, sizes)), axis=0)
+    if data.pairs is not None:
+        w = np.take(minus_W.ravel(), data.pairs.place, out=data.pairs.buffer(), mode="clip")  # in place only so
+        w[data.pairs.own] *= 0.5
+        d_theta = -kernel.pair_gradient(int(np.argmax(sizes)), data.pairs, w)
+    else:
+        d_theta = -np.sum(thread_map(contract, _pairs(kernel, sizes)), axis=0)
     return np.concatenate([d_theta, -noise_gradient(minus_W, noise, data)])

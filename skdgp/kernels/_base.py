@@ -15,7 +15,7 @@ from sklearn.base import BaseEstimator
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
-from skdgp._compute.linalg import cluster_centres, column_scale
+from skdgp._compute.linalg import RowPairs, cluster_centres, column_scale
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._features import Features, PointFeatures, SumFeatures
 from skdgp.kernels._prior_paths import KernelPaths, PathBundle
@@ -97,6 +97,16 @@ class MultiOutputKernel(Kernel):
     def couples(self, i: int, j: int) -> bool:
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
+
+    def add_pairs(self, i: int, pairs: RowPairs, out: Vector) -> None:
+        """Add cov(y_i(x), y_i(x')) of the pairs of rows to ``out``, (n_pairs,)."""
+        out += self.block(i, i, pairs.X, pairs.X).ravel()[pairs.place]
+
+    def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
+        """Return sum(w * dcov / dtheta) over the pairs of rows, (n_theta,), after ``add_pairs``."""
+        W = np.zeros((len(pairs.X),) * 2)
+        W.ravel()[pairs.place] = w
+        return self.block_gradient(i, i, pairs.X, pairs.X, W)
 
     def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
         """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
@@ -403,6 +413,13 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         return np.concatenate([k.block_gradient(i, j, Xi, Xj, W) for k in (self.k1, self.k2)])
+
+    def add_pairs(self, i: int, pairs: RowPairs, out: Vector) -> None:
+        for kernel in (self.k1, self.k2):
+            kernel.add_pairs(i, pairs, out)
+
+    def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
+        return np.concatenate([k.pair_gradient(i, pairs, w) for k in (self.k1, self.k2)])
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)

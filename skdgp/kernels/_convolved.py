@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from skdgp._compute.linalg import cluster_centres, column_scale, constant_columns
+from skdgp._compute.linalg import RowPairs, cluster_centres, column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures, rank_parts
@@ -441,6 +441,34 @@ class ConvolvedGaussian(MultiOutputKernel):
             exponents = self._exponents(i, j, Xi, Xj, np.log(np.abs(gains)))
         exponents = [exponent for exponent, keep in zip(exponents, nonzero, strict=True) if keep]
         return signed_sum(exponents, np.sign(gains[nonzero]), (len(Xi), len(Xj)))
+
+    def add_pairs(self, i: int, pairs: RowPairs, out: Vector) -> None:
+        if self.covariance_type == "full":
+            super().add_pairs(i, pairs, out)
+            return
+        _, gains, _, F, _ = self._pair(i, i)
+        columns, exponentials = self._columns(), [pairs.buffer() for _ in gains]
+        for gain, root, E in zip(gains, F[:, columns], exponentials, strict=True):
+            np.exp(np.dot(-0.5 * root**2, pairs.squares[columns], out=E), out=E)
+            out += np.multiply(E, gain, out=pairs.scratch)
+        self.__dict__["_cache"]["exponentials", i] = exponentials
+
+    def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
+        if self.covariance_type == "full":
+            return super().pair_gradient(i, pairs, w)
+        exponentials, columns = self.__dict__["_cache"]["exponentials", i], self._columns()
+        mass, first, second = np.zeros(len(exponentials)), *np.zeros((2, len(exponentials), self.n_features))
+        for k, E in enumerate(exponentials):
+            G = np.multiply(w, E, out=pairs.scratch)
+            mass[k], second[k, columns] = G.sum(), pairs.squares[columns] @ G
+        return self.theta_gradient(self._gradients_from_moments(i, i, mass, first, second))
+
+    def _columns(self):
+        """Return the columns of X that the outputs depend on; of one column a slice, which needs no copy."""
+        if self.regressors is None:
+            return slice(None)
+        columns = list(self.regressors)
+        return slice(columns[0], columns[0] + 1) if len(columns) == 1 else columns
 
     def terms(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return the term of each common latent in the covariance, side by side, (n_i, n_j times their number)."""

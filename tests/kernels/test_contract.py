@@ -11,6 +11,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, StandardScaler
 
 import skdgp.kernels
+from skdgp._compute.linalg import RowPairs
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, Trend, _strips
 
 
@@ -214,6 +215,20 @@ class TestContract:
                 block = expected[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
                 got = kernel.block_gradient(i, j, Xi, Xj, W.copy())
                 equal(got, np.einsum("ab,abt->t", W, block), rtol=1e-8, atol=1e-9)
+
+    def test_pairs_of_rows_are_the_entries_above_the_diagonal(self, kernel):
+        for i, Xi in enumerate(inputs(kernel)):
+            pairs, upper = RowPairs(Xi), np.triu_indices(len(Xi))
+            for factor in (1.0, 0.5):  # an evaluation leaves nothing for the next one
+                other = kernel.clone_with_theta(factor * kernel.theta)
+                pairs.begin()
+                values = np.ones(len(pairs.place))
+                other.add_pairs(i, pairs, values)
+                equal(values, 1 + other.block(i, i, Xi, Xi)[upper], rtol=1e-10)
+                w = np.random.default_rng(3).normal(size=len(values))
+                W = np.zeros((len(Xi),) * 2)
+                W[upper] = w
+                equal(other.pair_gradient(i, pairs, w), other.block_gradient(i, i, Xi, Xi, W), rtol=1e-9, atol=1e-11)
 
     def test_diag_gradient_is_the_contraction_of_the_diagonal(self, kernel):
         for i, Xi in enumerate(inputs(kernel)):

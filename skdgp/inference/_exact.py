@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -221,20 +221,21 @@ class ExactPosterior:
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         P, d = self.kernel.n_outputs, np.shape(Xs)[1]
-        mean = np.empty((len(Xs), P, d))
-        variance = np.empty((len(Xs), P, d) if return_variance else 0)
-        for rows in self._chunks(len(Xs), d * self.data.n_values):
-            for i in range(P):
-                x = Xs[rows]
-                K = np.concatenate(
-                    [self.kernel.block_derivative(i, j, x, Xj) for j, Xj in enumerate(self.data.X)], axis=2
-                )
-                mean[rows, i] = (K @ self.alpha).T
-                if return_variance:
-                    half = self._solve_lower(K.reshape(-1, K.shape[-1]))
-                    explained = np.einsum("ab,ab->b", half, half).reshape(d, -1).T
-                    variance[rows, i] = unexplained_variance(self.kernel.derivative_diag(i, x), explained)
-        return (mean, variance) if return_variance else mean
+        mean = np.zeros((len(Xs), P, d))
+        parts = self.data.X, np.split(self.alpha, np.cumsum([len(y) for y in self.data.y])[:-1])
+        for rows, i in product(self._chunks(len(Xs), d * self.data.n_values), range(P)):
+            for j, (Xj, alpha) in enumerate(zip(*parts, strict=True)):
+                if self.kernel.couples(i, j):
+                    mean[rows, i] += self.kernel.derivative_times(i, j, Xs[rows], Xj, alpha)
+        if not return_variance:
+            return mean
+        variance = np.empty((len(Xs), P, d))
+        for rows, i in product(self._chunks(len(Xs), d * self.data.n_values), range(P)):
+            blocks = [self.kernel.block_derivative(i, j, Xs[rows], Xj) for j, Xj in enumerate(self.data.X)]
+            half = self._solve_lower(np.concatenate(blocks, axis=2).reshape(-1, self.data.n_values))
+            explained = np.einsum("ab,ab->b", half, half).reshape(d, -1).T
+            variance[rows, i] = unexplained_variance(self.kernel.derivative_diag(i, Xs[rows]), explained)
+        return mean, variance
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior that are functions of the regressors."""

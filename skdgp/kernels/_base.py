@@ -124,6 +124,10 @@ class MultiOutputKernel(Kernel):
             Xi, Xj = Xi - Xj[0], Xj - Xj[0]
         return np.stack([_difference(lambda x: self.block(i, j, Xi + x, Xj), unit) for unit in np.eye(Xi.shape[1])])
 
+    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
+        """Return sum_b d cov(y_i(Xi), y_j(Xj_b)) / dXi w_b, (n_i, d)."""
+        return (self.block_derivative(i, j, Xi, Xj) @ w).T
+
     def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         """Return the prior variance of dy_i/dx at Xi, (n_i, d); the default uses central differences."""
         Xi = np.asarray(Xi, dtype=float)
@@ -423,6 +427,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
+
+    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
+        return self.k1.derivative_times(i, j, Xi, Xj, w) + self.k2.derivative_times(i, j, Xi, Xj, w)
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)

@@ -69,6 +69,16 @@ def signed_sum(exponents, signs, shape) -> np.ndarray:
     return total
 
 
+def product(exponent, B, n_rows) -> np.ndarray:
+    """Return exp(exponent) @ B, (n_rows, k)."""
+    out = np.empty((n_rows, B.shape[1]))
+    buffer = np.empty(min(n_rows * len(B), STRIP + 8 * len(B)))
+    for rows in strips(n_rows, len(B)):
+        size = len(out[rows])
+        np.matmul(exponent.exponential(rows, buffer[: size * len(B)].reshape(size, len(B))), B, out=out[rows])
+    return out
+
+
 class Sums(NamedTuple):
     """Row sums (n_i,), column sums (n_j,), G b (n_i, d) and G^T a (n_j, d) or None, for G = W * exp(exponent)."""
 

@@ -246,6 +246,11 @@ class Trend(MultiOutputKernel):
             return np.zeros(shape)
         return np.broadcast_to(self._scaled_slopes(i, Xi) @ self._scaled_columns(i, Xj).T, shape)
 
+    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
+        if i != j:
+            return np.zeros(np.shape(Xi))
+        return np.broadcast_to((self._scaled_slopes(i, Xi) @ (w @ self._scaled_columns(i, Xj))).T, np.shape(Xi))
+
     def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         return np.broadcast_to((self._scaled_slopes(i, Xi) ** 2).sum(axis=2).T, np.shape(Xi))
 

@@ -159,7 +159,8 @@ def _body(alpha: Vector, lift: Array, drag: Array) -> tuple[Array, Array]:
 def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix]:
     """Return the entries of SITL's file, and the coefficients (n, 6) of its plane."""
     aircraft, fitted = build.aircraft, np.empty_like(C)
-    largest = {n: _largest(build, n) for n in SIGNS}
+    deflections = dict(zip(build.regressors, np.abs(build.limits).max(axis=0), strict=True))
+    largest = {name: float(deflections.get(name, 0.0)) for name in SIGNS}  # [rad]
     alpha = _terms(build, X, ["alpha"])[:, 0]
     lift, drag = _wind(alpha, C)
     aspect = aircraft.span**2 / aircraft.wing_area
@@ -170,11 +171,8 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     def drag_of(weights: Vector) -> Array:
         return weights[0] + polar**2 / (np.pi * aspect * weights[1]) + weights[2] * longitudinal[:, 1]
 
-    def errors(weights: Vector) -> Array:
-        return drag_of(weights) - drag
-
     bounds = ([-1.0, EFFICIENCY[0], -1e3], [1.0, EFFICIENCY[1], 1e3])
-    cd = least_squares(errors, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
+    cd = least_squares(lambda weights: drag_of(weights) - drag, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
     fitted[:, 0], fitted[:, 2] = _body(alpha, lift_fit, drag_of(cd))
     values: dict[str, Any] = {"s": aircraft.wing_area, "b": aircraft.span, "c": aircraft.chord}
     values |= {"c_lift_0": cl[0], "c_lift_a": cl[1], "c_lift_q": cl[2]}
@@ -189,11 +187,6 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     values |= {f"{key}_max": largest[name] for key, name in (("deltaa", "aileron"), ("deltae", "elevator"))}
     values["deltar_max"] = largest["rudder"]
     return {key: float(value) for key, value in values.items()}, fitted
-
-
-def _largest(build: BuildUp, name: str) -> float:
-    """Return the largest deflection of the flights [rad]."""
-    return float(np.abs(build.limits[:, build.regressors.index(name)]).max()) if name in build.regressors else 0.0
 
 
 def _named(letter: str, terms: dict[str, str], weights: Vector, largest: dict[str, float]) -> dict[str, float]:

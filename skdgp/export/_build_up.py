@@ -359,6 +359,11 @@ def build_up(
         return {name: _Projection(bases[name], points)(values[..., i].T).T for i, name in enumerate(COEFFICIENTS)}
 
     of_weights = {name: np.sqrt(np.square(root).sum(axis=1)) for name, root in roots.items()}
+    tables: dict[str, list[Table]] = {name: [] for name in COEFFICIENTS}
+    for name, basis in bases.items():
+        for axes in basis.tables:
+            cells = np.zeros([len(points) for points in axes.breakpoints])
+            tables[name].append(Table(tuple(names[k] for k in axes.columns), axes.breakpoints, cells, cells))
     empty = BuildUp(
         aircraft=aircraft,
         regressors=tuple(names),
@@ -368,7 +373,7 @@ def build_up(
         constants_std=pd.Series(dtype=float),
         derivatives=pd.DataFrame(),
         derivatives_std=pd.DataFrame(),
-        tables={name: _empty_tables(basis, names) for name, basis in bases.items()},
+        tables=tables,
         loss=loss,
         samples=tested,
         predicted=truth,
@@ -614,14 +619,6 @@ def _needed(points: Vector, values: Matrix, least: float) -> list[int]:
             needed.add(worst)
             queue += [(a, worst), (worst, b)]
     return sorted(needed)
-
-
-def _empty_tables(basis: _Basis, names: Sequence[str]) -> list[Table]:
-    shapes = [np.zeros([len(points) for points in table.breakpoints]) for table in basis.tables]
-    return [
-        Table(tuple(names[k] for k in table.columns), table.breakpoints, shape, shape)
-        for table, shape in zip(basis.tables, shapes, strict=True)
-    ]
 
 
 def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:

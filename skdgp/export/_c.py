@@ -220,6 +220,10 @@ def _source(model, precision) -> dict[str, Any]:
     order = sorted(block.output for block in model.blocks)
     readouts = [model.readouts[k] for k in model.readout_of]
     roots = _roots(model, precision)
+    pointers = [
+        f"{{root_{k}, NULL, NULL, NULL}}" if root is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
+        for k, root in enumerate(roots)
+    ]
     blocks = [
         f"{{{column}, {size}, {n}, used + {used}, centres + {centre}, shifts + {shift}, roots + {root}, {gain!r}}}"
         for column, size, n, used, centre, shift, root, gain in table.rows
@@ -244,7 +248,7 @@ def _source(model, precision) -> dict[str, Any]:
         *(_array(f"trend_root_{i}", root.T.ravel()) for i, root in enumerate(model.trend_roots)),
         _pointers("weights", [f"weights_{k}" for k in model.readout_of]),
         _pointers("trend_root", [f"trend_root_{i}" for i in range(P)]),
-        f"static const triangle root[{P}] = {{" + ",\n".join(_pointer(k, roots[k]) for k in model.readout_of) + "};",
+        f"static const triangle root[{P}] = {{" + ",\n".join(pointers[k] for k in model.readout_of) + "};",
     ]
     return {
         "functions": max(1, *(readout.size for readout in model.readouts)),
@@ -262,10 +266,6 @@ def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
     yield _array(f"root_{k}", root.values, "static const int32_t")
     yield _array(f"row_{k}", root.row)
     yield _array(f"column_{k}", root.column)
-
-
-def _pointer(k: int, root: _Rounded | None) -> str:
-    return f"{{root_{k}, NULL, NULL, NULL}}" if root is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
 
 
 def _test(model, precision) -> dict[str, Any]:

@@ -216,15 +216,9 @@ def _assembled(head, arrays) -> PortableModel:
 
 
 def _regressor(values) -> Regressor:
-    regressor = Regressor(**values)
-    found = Regressor(
-        name=str(regressor.name),
-        unit=str(regressor.unit),
-        sources=tuple(map(str, regressor.sources)),
-        factors=tuple(map(float, regressor.factors)),
-        length=float(regressor.length),
-        power=int(regressor.power),
-    )
+    r = Regressor(**values)
+    sources, factors = tuple(map(str, r.sources)), tuple(map(float, r.factors))
+    found = Regressor(str(r.name), str(r.unit), sources, factors, float(r.length), int(r.power))
     if found.power not in (0, 1, 2) or len(found.factors) != len(found.sources) or not found.sources:
         raise ValueError(f"the regressor {found.name} has no formula")
     return found

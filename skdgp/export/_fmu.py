@@ -157,7 +157,11 @@ def write_fmu(
     members: dict[str, str | bytes] = {f"sources/{name}": text for name, text in sources.items()}
     members["modelDescription.xml"] = _xml(_description(model, variables, identifier, fmi, token, root))
     if fmi == "3.0":
-        members["sources/buildDescription.xml"] = _xml(_build_description(identifier, fmi, root))
+        build = ET.Element("fmiBuildDescription", fmiVersion=fmi)
+        configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=identifier)
+        ET.SubElement(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", name=root)
+        ET.SubElement(configuration, "Library", name="m")
+        members["sources/buildDescription.xml"] = _xml(build)
     found = _binary(sources, root, identifier, fmi)
     if found is not None:
         members[f"binaries/{found[0]}/{identifier}{found[1]}"] = found[2]
@@ -417,15 +421,6 @@ def _add_variable(parent: ET.Element, reference: int, variable: _Variable, secon
         element = ET.SubElement(parent, "Float64", words | number)
         if variable.kind == "i":
             element.set("intermediateUpdate", "true")
-
-
-def _build_description(identifier: str, fmi: str, root: str) -> ET.Element:
-    """Return buildDescription.xml."""
-    top = ET.Element("fmiBuildDescription", fmiVersion=fmi)
-    configuration = ET.SubElement(top, "BuildConfiguration", modelIdentifier=identifier)
-    ET.SubElement(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", name=root)
-    ET.SubElement(configuration, "Library", name="m")
-    return top
 
 
 def _xml(root: ET.Element) -> bytes:

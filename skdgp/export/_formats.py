@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 from sklearn.utils import Bunch
 
 from skdgp.dynamics import Aircraft
@@ -115,7 +114,7 @@ def _tables(folder: Path, model: Any) -> dict[str, Any]:
         BuildUpDisplay.from_build_up(build, ax=figure)
         files.append(folder / "build_up.png")
         figure.savefig(files[1], dpi=100)
-    return {"files": files, "loss": _by_name(build.loss)}
+    return {"files": files, "loss": build.loss.to_dict("index")}
 
 
 def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0) -> dict[str, Any]:
@@ -127,28 +126,25 @@ def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0
 def _ardupilot(folder: Path, model: Any) -> dict[str, Any]:
     """Write plane.json."""
     path = folder / "plane.json"
-    return {"files": [path], "loss": _by_name(write_ardupilot(path, _build_up(model, "ardupilot", return_std=False)))}
+    loss = write_ardupilot(path, _build_up(model, "ardupilot", return_std=False))
+    return {"files": [path], "loss": loss.to_dict("index")}
 
 
 def _gazebo(folder: Path, model: Any) -> dict[str, Any]:
     """Write model.sdf."""
     path = folder / "model.sdf"
-    return {"files": [path], "loss": _by_name(write_gazebo(path, _build_up(model, "gazebo", return_std=False)))}
+    loss = write_gazebo(path, _build_up(model, "gazebo", return_std=False))
+    return {"files": [path], "loss": loss.to_dict("index")}
 
 
 def _dave_ml(folder: Path, model: Any, *, form: str = "functions") -> dict[str, Any]:
     """Write aero.dml."""
     path = folder / "aero.dml"
-    return {"files": [path], "loss": _by_name(write_dave_ml(path, *_whole(model, "dave-ml"), form=form))}
+    return {"files": [path], "loss": write_dave_ml(path, *_whole(model, "dave-ml"), form=form).to_dict("index")}
 
 
 def _build_up(model: Any, to: str, **options: Any) -> BuildUp:
     return build_up(*_whole(model, to), **options)
-
-
-def _by_name(loss: pd.DataFrame) -> dict[str, dict[str, float]]:
-    rows = zip(loss.index, loss.to_numpy(), strict=True)
-    return {str(name): dict(zip(map(str, loss.columns), map(float, row), strict=True)) for name, row in rows}
 
 
 def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:

@@ -183,9 +183,8 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
             _add_tables(aerodynamics, part, coefficient)
     for coefficient, axis in AXES.items():
         place = SubElement(aerodynamics, "axis", name=axis)
-        unit = "LBS" if coefficient not in LENGTHS else None
-        if unit:
-            place.set("unit", unit)
+        if coefficient not in LENGTHS:
+            place.set("unit", "LBS")
         load = SubElement(place, "function", name=f"aero/{'moment' if coefficient in LENGTHS else 'force'}/{axis}")
         lengths = [LENGTHS[coefficient]] if coefficient in LENGTHS else []
         _product(load, "aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}")
@@ -199,7 +198,7 @@ def _add_metrics(root: Element, aircraft: Aircraft) -> None:
     ):  # fmt: skip
         add_text(metrics, tag, value, unit=unit)
     for place in ("AERORP", "EYEPOINT", "VRP"):
-        _location(metrics, (0.0, 0.0, 0.0), name=place)
+        _vector(metrics, "location", (0.0, 0.0, 0.0), name=place, unit="M")
 
 
 def _add_mass(root: Element, aircraft: Aircraft) -> None:
@@ -210,7 +209,7 @@ def _add_mass(root: Element, aircraft: Aircraft) -> None:
     for tag, value in entries.items():
         add_text(mass, tag, value, unit="KG*M2")
     add_text(mass, "emptywt", aircraft.mass, unit="KG")
-    _location(mass, (0.0, 0.0, 0.0), name="CG")
+    _vector(mass, "location", (0.0, 0.0, 0.0), name="CG", unit="M")
 
 
 def _add_thrust(root: Element, aircraft: Aircraft) -> None:
@@ -223,14 +222,14 @@ def _add_thrust(root: Element, aircraft: Aircraft) -> None:
     if propeller is not None:
         function = SubElement(force, "function", name="propulsion/thrust-lbs")
         _propeller(function, propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
-    _location(force, (-position[0], position[1], -position[2]))
-    _direction(force, direction)
+    _vector(force, "location", (-position[0], position[1], -position[2]), unit="M")
+    _vector(force, "direction", direction)
     if propeller is not None and propeller.torque_coefficients:
         moment = SubElement(reactions, "moment", name="propeller", frame="BODY")
         function = SubElement(moment, "function", name="propulsion/torque-lbsft")
         factor = -propeller.rotation / (POUND_FORCE * FOOT)
         _propeller(function, propeller, propeller.torque_coefficients, 5, factor)
-        _direction(moment, direction)
+        _vector(moment, "direction", direction)
 
 
 def _propeller(function: Element, propeller: Any, coefficients: Sequence[float], power: int, factor: float) -> None:
@@ -374,13 +373,7 @@ def _values(parent: Element, *values: float | str) -> None:
         add_text(parent, "p" if isinstance(value, str) else "v", value)
 
 
-def _location(parent: Element, place: Sequence[float], **attributes: str) -> None:
-    location = SubElement(parent, "location", attributes | {"unit": "M"})
-    for axis, value in zip("xyz", place, strict=True):
-        add_text(location, axis, float(value))
-
-
-def _direction(parent: Element, direction: Sequence[float]) -> None:
-    element = SubElement(parent, "direction")
-    for axis, value in zip("xyz", direction, strict=True):
+def _vector(parent: Element, tag: str, values: Sequence[float], **attributes: str) -> None:
+    element = SubElement(parent, tag, attributes)
+    for axis, value in zip("xyz", values, strict=True):
         add_text(element, axis, float(value))

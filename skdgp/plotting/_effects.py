@@ -101,7 +101,10 @@ class EffectsDisplay(Display):
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
             if column == OTHERS:
-                artists = None, None, self._draw_bars(ax, i, several, z)
+                half = z * self.importance.loc[several].iloc[:, i].to_numpy()
+                style = {"width": 0.5, "color": PALETTE["purple"], "alpha": 0.6}
+                artists = None, None, ax.bar(range(len(several)), 2 * half, bottom=-half, **style)
+                ax.grid(False, axis="x")
             else:
                 artists = *self._draw_curve(ax, i, column, level), None
             if i == rows[-1]:
@@ -124,11 +127,6 @@ class EffectsDisplay(Display):
         ax.ticklabel_format(axis="x", scilimits=(-2, 4), useMathText=True)  # short labels fit narrow panels
         ax.locator_params(axis="y", nbins=4)
         return artists
-
-    def _draw_bars(self, ax, i, several, z):
-        half = z * self.importance.loc[several].iloc[:, i].to_numpy()
-        ax.grid(False, axis="x")
-        return ax.bar(range(len(several)), 2 * half, bottom=-half, width=0.5, color=PALETTE["purple"], alpha=0.6)
 
     def _draw_axis(self, ax, column, several):
         """Draw what the panels of a column share: the label, and the samples or the names of the bars."""

@@ -271,16 +271,12 @@ def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
         north, east = flight["north"].to_numpy(dtype=float), flight["east"].to_numpy(dtype=float)
     else:
         check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
-        north, east = (_integral(flight[column], time) for column in ("v_north", "v_east"))
+        velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both").to_numpy()
+        north, east = cumulative_trapezoid(velocity, time, axis=0, initial=0).T
     points = {"time": time, "north": north, "east": east}
     if "altitude" in flight.columns:
         points["altitude"] = flight["altitude"].to_numpy(dtype=float)
     return pd.DataFrame(points).iloc[_evenly_spread(north, east)]
-
-
-def _integral(velocity: pd.Series, time: Vector) -> Vector:
-    filled = velocity.astype(float).interpolate(limit_direction="both").to_numpy()
-    return cumulative_trapezoid(filled, time, initial=0)
 
 
 def _evenly_spread(north: Vector, east: Vector) -> Indices:

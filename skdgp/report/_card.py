@@ -91,7 +91,7 @@ def write_flight_card(
     True
     """
     created = datetime.now().astimezone() if created is None else created
-    draw = can_draw("write_flight_card")
+    draw = can_draw()
     body = [_headline(plan), _entry(plan), _limits(plan), _order(plan), _teaching(plan)]
     if not draw:
         body.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')

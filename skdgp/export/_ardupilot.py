@@ -171,8 +171,11 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     def drag_of(weights: Vector) -> Array:
         return weights[0] + polar**2 / (np.pi * aspect * weights[1]) + weights[2] * longitudinal[:, 1]
 
+    def errors(weights: Vector) -> Array:
+        return drag_of(weights) - drag
+
     bounds = ([-1.0, EFFICIENCY[0], -1e3], [1.0, EFFICIENCY[1], 1e3])
-    cd = least_squares(lambda weights: drag_of(weights) - drag, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
+    cd = least_squares(errors, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
     fitted[:, 0], fitted[:, 2] = _body(alpha, lift_fit, drag_of(cd))
     values: dict[str, Any] = {"s": aircraft.wing_area, "b": aircraft.span, "c": aircraft.chord}
     values |= {"c_lift_0": cl[0], "c_lift_a": cl[1], "c_lift_q": cl[2]}

@@ -53,21 +53,9 @@ class Effects:
     _terms: dict[str, CentredTerm]
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
-        """Return the terms at given points.
+        """Return the terms at X (n, ...), input of the model or of the pipeline that ends in it: by name, (n, P) each.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, ...)
-            Input of the model, or of the pipeline that ends in it.
-        return_std : bool
-            Also return standard deviations.
-
-        Returns
-        -------
-        mean : dict of str to ndarray (n, P)
-            Each term; their sum and ``intercept`` are the predicted mean.
-        std : dict of str to ndarray (n, P)
-            With ``return_std``.
+        Their sum and ``intercept`` are the predicted mean. With ``return_std`` also return standard deviations by name.
         """
         regressor, before, _, _ = split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))

@@ -103,20 +103,9 @@ class BuildUp:
         return f"BuildUp({self.aircraft.name!r}, {', '.join(self.regressors)}, {n_tables} tables)"
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
-        """Return the coefficients at regressors.
+        """Return the coefficients (n, 6) at regressors X, and with ``return_std`` their standard deviations, too.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-            Regressors in their order; a table with all of them by name.
-        return_std : bool
-            Also return standard deviations.
-
-        Returns
-        -------
-        mean : ndarray (n, 6)
-        std : ndarray (n, 6)
-            With ``return_std``.
+        X is an array (n, d) of the regressors in their order, or a table with all of them by name.
         """
         X = X[list(self.regressors)].to_numpy(float) if isinstance(X, pd.DataFrame) else np.asarray(X, dtype=float)
         mean, variance = np.empty((2, len(X), len(COEFFICIENTS)))
@@ -159,18 +148,9 @@ class BuildUp:
         return root @ root.T
 
     def sample(self, n_draws: int, random_state: Seed = 0) -> list[BuildUp]:
-        """Return build-ups of functions drawn from the posterior: aircraft that the data allow.
+        """Return build-ups of functions drawn from the posterior, with these breakpoints: aircraft that the data allow.
 
-        Parameters
-        ----------
-        n_draws : int
-        random_state : int, RandomState or None
-            Equal seeds give equal functions, those of ``sample_paths``.
-
-        Returns
-        -------
-        list of BuildUp
-            With the breakpoints of this one.
+        Equal seeds give equal functions, those of ``sample_paths``.
         """
         if n_draws == 0:
             return []
@@ -393,13 +373,7 @@ def build_up(
 def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
     """Write a build-up as JSON: constants, derivatives and tables with standard deviations, units, limits and losses.
 
-    Its keys are described on the page of the build-up. Values are SI units and radians.
-
-    Parameters
-    ----------
-    path : path-like
-        Such as ``build_up.json``.
-    build : BuildUp
+    Values are SI units and radians. Its keys are described on the page of the build-up.
 
     Examples
     --------

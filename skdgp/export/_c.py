@@ -40,7 +40,9 @@ def write_c(
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
     regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
-    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value.
+    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value. Raises ValueError if ``precision`` or
+    ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or there are more than 32
+    regressors.
 
     Parameters
     ----------
@@ -58,12 +60,6 @@ def write_c(
     -------
     PortableModel
         What the C code computes: ``model`` itself, or the reduced one.
-
-    Raises
-    ------
-    ValueError
-        If ``precision`` or ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or
-        there are more than 32 regressors.
     """
     model = sized_for_c(model, precision, max_kb)
     texts = c_files(model, precision)

@@ -76,7 +76,8 @@ def write_dave_ml(
     10 %, root mean square, is refused. ``internalValues`` of the check cases state those of the model.
 
     With ``form="tables"`` outputs are those of :func:`build_up`. Constants, derivatives and cells have uncertainties,
-    constants and derivatives of a coefficient their correlation.
+    constants and derivatives of a coefficient their correlation. Raises ValueError if a parameter is invalid, the
+    pipeline has no portable form or too many functions (functions), or the build-up is refused (tables).
 
     Parameters
     ----------
@@ -97,12 +98,6 @@ def write_dave_ml(
     DataFrame (6, 2)
         "loss", the root mean square difference of the outputs to the model at samples, and "deviation", that of the
         posterior.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is invalid, the pipeline has no portable form or too many functions (functions), or the build-up
-        is refused (tables).
 
     Examples
     --------

@@ -101,6 +101,11 @@ def write_fmu(
 
     The FMU is a C program with its description. It holds the C source, and a binary for this platform if there is a C
     compiler (``CC``, cc, gcc or clang). It needs no Python.
+    ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
+
+    Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has
+    a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a
+    simulation cannot rebuild.
 
     Parameters
     ----------
@@ -119,23 +124,8 @@ def write_fmu(
     Returns
     -------
     str or None
-        Such as "linux64", or "x86_64-linux" of FMI 3.0; None: the FMU has source code alone.
-
-    Raises
-    ------
-    ValueError
-        If ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has a control
-        of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a simulation
-        cannot rebuild.
-
-    Warns
-    -----
-    UserWarning
-        If no binary can be made: there is no compiler, it fails, or FMI has no name for this platform.
-
-    Examples
-    --------
-    ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
+        Such as "linux64", or "x86_64-linux" of FMI 3.0; None: the FMU has source code alone, with a warning why: there
+        is no compiler, it fails, or FMI has no name for this platform.
     """
     check_choice("form", form, FMU_FILES)
     check_choice("fmi", fmi, FMI_VERSIONS)

@@ -30,12 +30,13 @@ MEMBER_BYTES = 300  # of an array in a file, besides its numbers
 
 
 def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options: Any) -> dict[str, Any]:
-    """Write a model in one of the ``FORMATS`` into a folder.
+    """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return facts of it.
+
+    Raises ValueError if there is no such format, it has no such option, or the model has no such form.
 
     Parameters
     ----------
     folder : path-like
-        It must exist.
     model : Bunch or PortableModel
         What :func:`skdgp.identification.load_model` or :func:`load_portable` returns.
     to : str
@@ -46,15 +47,8 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     Returns
     -------
     dict
-        Facts: ``files`` is the list of paths, ``loss`` says what each coefficient loses, by name: by a smaller size
-        "mean" and "std" in posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
-
-    Raises
-    ------
-    ValueError
-        If there is no such format, it has no such option, or the model has no such form.
-    OSError
-        If a file cannot be written.
+        ``files`` is the list of paths, ``loss`` says what each coefficient loses, by name: by a smaller size "mean" and
+        "std" in posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")

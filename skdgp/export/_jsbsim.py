@@ -87,7 +87,9 @@ def write_jsbsim(
 
     The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
     The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm`` or ``fcs/propeller_speed`` [rad/s];
-    without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf].
+    without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if a
+    parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of Gaussian
+    processes and a linear trend (functions, and tables that lose more than ``max_loss``).
 
     Parameters
     ----------
@@ -114,12 +116,6 @@ def write_jsbsim(
     -------
     list of Path
         The files.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of
-        Gaussian processes and a linear trend (functions, and tables that lose more than ``max_loss``).
     """
     check_choice("form", form, ("functions", "tables"))
     if n_draws < 0:
@@ -142,16 +138,15 @@ def write_jsbsim(
         {c: functions[k] if functions and c in names else tables[k] for c in COEFFICIENTS} for k in range(1 + n_draws)
     ]
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in aircraft.name)
-    return [_write(Path(folder), name if k == 0 else f"{name}_{k:03d}", one, aircraft) for k, one in enumerate(written)]
-
-
-def _write(folder: Path, name: str, found: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Path:
-    path = folder / "aircraft" / name / f"{name}.xml"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    root = jsbsim_config(name, found, aircraft)
-    ElementTree.indent(root, space=" ")
-    write_xml(path, root)
-    return path
+    paths = []
+    for k, parts in enumerate(written):
+        own = name if k == 0 else f"{name}_{k:03d}"
+        paths.append(Path(folder, "aircraft", own, f"{own}.xml"))
+        paths[-1].parent.mkdir(parents=True, exist_ok=True)
+        root = jsbsim_config(own, parts, aircraft)
+        ElementTree.indent(root, space=" ")
+        write_xml(paths[-1], root)
+    return paths
 
 
 def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Element:

@@ -147,14 +147,9 @@ def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flig
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
     check = FlightCheck(bridge=0)
     checked = {name: check.fit_transform(table) for name, table in flights.items()}
-    _warn_of_contradictions(checked)
+    for each in find_contradictions(pd.concat(checked.values(), ignore_index=True)) if checked else ():
+        warnings.warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
-
-
-def _warn_of_contradictions(flights: Flights) -> None:
-    if flights:
-        for each in find_contradictions(pd.concat(flights.values(), ignore_index=True)):
-            warnings.warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=4)
 
 
 def _complete_rows(flight, table, regressors) -> pd.DataFrame:

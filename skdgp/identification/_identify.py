@@ -269,6 +269,9 @@ def validate(
 ) -> Identification:
     """Judge a model that exists on flights.
 
+    Raises ValueError if the model is not of ``identify``, a flight lacks a column of the model, or the plan is of
+    another aircraft, of other regressors, or was not flown.
+
     Parameters
     ----------
     model : Bunch
@@ -292,12 +295,6 @@ def validate(
     -------
     Identification
         Without training flights.
-
-    Raises
-    ------
-    ValueError
-        If the model is not of ``identify``, a flight lacks a column of the model, or the plan is of another aircraft,
-        of other regressors, or was not flown.
     """
     settings = {"thrust": "auto", "external_forces": []} | model.get("options", {}) | loads
     settings["horizons"] = list(horizons)

@@ -36,7 +36,9 @@ def flight_learning_curve(
 ) -> pd.DataFrame:
     """Return the scores of models that learned from the first seconds of each training flight.
 
-    Where the curve is flat, longer flights of this kind do not improve the model: fly other manoeuvres.
+    Where the curve is flat, longer flights of this kind do not improve the model: fly other manoeuvres. Raises
+    ValueError if ``seconds`` are not positive or longer than every training flight, or there is nothing to test on:
+    neither test flights with targets, nor ``cv``, nor several flights.
 
     Parameters
     ----------
@@ -65,12 +67,6 @@ def flight_learning_curve(
     -------
     DataFrame
         A row per point and split: ``seconds``, ``split``, ``n_samples`` (rows to learn from), and a column per score.
-
-    Raises
-    ------
-    ValueError
-        If ``seconds`` are not positive or longer than every training flight, or there is nothing to test on: neither
-        test flights with targets, nor ``cv``, nor several flights.
 
     Examples
     --------

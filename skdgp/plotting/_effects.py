@@ -9,7 +9,8 @@ import pandas as pd
 from scipy.stats import norm
 
 from skdgp._effects import Curve, effects
-from skdgp.plotting._display import Display, Names, check_level, choose
+from skdgp.metrics._metrics import check_level
+from skdgp.plotting._display import Display, Names, choose
 from skdgp.plotting._style import (
     PALETTE,
     axis_label,
@@ -140,26 +141,12 @@ class EffectsDisplay(Display):
 
     @classmethod
     def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any) -> Self:
-        """Compute the effects of a model, and draw them.
-
-        Parameters
-        ----------
-        model, X, n_grid
-            See :func:`skdgp.effects`.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Compute the :func:`skdgp.effects` of a model, and draw them with the options of :meth:`plot`."""
         check_matplotlib(cls.__name__)
         return cls.compute(model, X, n_grid=n_grid).plot(**plot_options)
 
     @classmethod
     def compute(cls, model: Any, X: Any = None, *, n_grid: int = 30) -> Self:
-        """Compute the effects of a model, without drawing them.
-
-        Parameters
-        ----------
-        model, X, n_grid
-            See :func:`skdgp.effects`.
-        """
+        """Compute the :func:`skdgp.effects` of a model, without drawing them."""
         found = effects(model, X, n_grid=n_grid)
         return cls(curves=found.curves, importance=found.importance, samples=found.samples)

@@ -64,17 +64,7 @@ class FlightDisplay(Display):
     flights: dict[str, pd.DataFrame]
 
     def plot(self, ax: Any = None, *, kind: str = "inputs", **options: Any) -> Self:
-        """Draw the inputs or the path.
-
-        Parameters
-        ----------
-        ax
-            See :mod:`skdgp.plotting`.
-        kind : {"inputs", "path"}, default="inputs"
-            Picture to draw.
-        **options
-            Of :meth:`plot_inputs` or :meth:`plot_path`.
-        """
+        """Draw the inputs, or the path; ``options`` are those of :meth:`plot_inputs` or :meth:`plot_path`."""
         check_choice("kind", kind, ("inputs", "path"))
         return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
 
@@ -181,15 +171,7 @@ class FlightDisplay(Display):
 
     @classmethod
     def from_flights(cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], **plot_options: Any) -> Self:
-        """Draw flight tables.
-
-        Parameters
-        ----------
-        flights : DataFrame, or dict of name to DataFrame
-            One table (divided by its column ``flight``, where it has one) or several with their names.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Draw one flight table, divided by its column ``flight``, or several by name; options of :meth:`plot`."""
         return cls(flights=named_flights(flights)).plot(**plot_options)
 
 

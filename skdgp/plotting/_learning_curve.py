@@ -90,17 +90,7 @@ class FlightLearningCurveDisplay:
 
     @classmethod
     def from_curve(cls, curve: pd.DataFrame, *, score: str = "normalized_rmse", **plot_options: Any) -> Self:
-        """Draw the result of :func:`skdgp.model_selection.flight_learning_curve`.
-
-        Parameters
-        ----------
-        curve : DataFrame
-            Columns ``seconds``, ``split``, and ``<score>_<output>`` of each output, or ``<score>`` alone.
-        score : str, default="normalized_rmse"
-            Score to draw.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Draw a score of :func:`skdgp.model_selection.flight_learning_curve`'s result; options of :meth:`plot`."""
         columns = [score] if score in curve else [name for name in curve if str(name).startswith(f"{score}_")]
         if not columns:
             known = [str(name) for name in curve if name not in ("seconds", "split", "n_samples")]

@@ -14,7 +14,8 @@ from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics._simulation.trajectory import path_quantiles
-from skdgp.plotting._display import Display, check_level
+from skdgp.metrics._metrics import check_level
+from skdgp.plotting._display import Display
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit, tidy
 
 DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")

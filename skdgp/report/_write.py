@@ -18,27 +18,11 @@ from skdgp.report._tables import text
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
-    """Write a report as one HTML file that needs nothing else: no network, no other file.
+    """Write a report as one HTML file that needs nothing else, no network, no other file; return its path.
 
     The file appears whole or not at all. It holds pictures as they are printed; on a screen its script makes charts of
-    them, to zoom and to read values. Without matplotlib the report has no pictures and says so.
-
-    Parameters
-    ----------
-    path : path-like
-        Where to write, such as ``report.html``; its folder must exist.
-    content : ReportContent
-        What to show.
-
-    Returns
-    -------
-    Path
-        ``path``.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist.
+    them, to zoom and to read values. Without matplotlib the report has no pictures and says so. Raises
+    FileNotFoundError if the folder does not exist.
 
     Examples
     --------
@@ -49,8 +33,7 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
     >>> path.read_text(encoding="utf-8").splitlines()[0]
     '<!DOCTYPE html>'
     """
-    page = render_report(content)
-    return write_atomically(path, text_writer(page))
+    return write_atomically(path, text_writer(render_report(content)))
 
 
 def render_report(content: ReportContent) -> str:

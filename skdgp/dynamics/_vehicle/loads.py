@@ -28,8 +28,8 @@ def aerodynamic_loads(
 ) -> tuple[Array, Array]:
     """Return force (..., 3) [N] and moment (..., 3) [N m] of coefficients (..., 6).
 
-    F_A = qbar S (CX, CY, CZ),  M_A = qbar S (b Cl, c Cm, b Cn),  qbar = rho V^2 / 2, in body axes about the centre
-    of gravity.
+    F_A = qbar S (CX, CY, CZ),  M_A = qbar S (b Cl, c Cm, b Cn),  qbar = rho V^2 / 2, in body axes about the centre of
+    gravity.
 
     Parameters
     ----------

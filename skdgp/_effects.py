@@ -83,7 +83,9 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
 
     With ``structure="trend"`` effects are straight lines. With ``"joint"`` they are straight lines, and the term
     "joint" holds the rest. Terms share the data, so where regressors move together in the samples their bands are wide,
-    though the sum is known.
+    though the sum is known. Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that ends
+    in one; ValueError if the model is compact and X is not given, X is not finite, or ``n_grid`` is less than 2;
+    NotFittedError if the model is not fitted.
 
     Parameters
     ----------
@@ -99,15 +101,6 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     -------
     Effects
         ``curves`` by the name of the regressor, ``importance``, ``intercept``, and ``evaluate(X)`` for any points.
-
-    Raises
-    ------
-    TypeError
-        If the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one.
-    ValueError
-        If the model is compact and X is not given, X is not finite, or ``n_grid`` is less than 2.
-    NotFittedError
-        If the model is not fitted.
 
     Examples
     --------

@@ -261,7 +261,9 @@ def build_up(
 
     A model with ``structure="trend"`` is its derivatives alone, and exact everywhere. Main effects of
     ``structure="additive"`` are tables of one regressor, exact to the tolerance. Of the joint processes terms of three
-    and more regressors are lost.
+    and more regressors are lost. Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that
+    ends in one; ValueError if a coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and
+    X is not given, or a parameter is invalid.
 
     Parameters
     ----------
@@ -286,14 +288,6 @@ def build_up(
     -------
     BuildUp
         ``constants``, ``derivatives``, ``tables``, ``loss``; ``evaluate(X)`` and ``sample(n_draws)``.
-
-    Raises
-    ------
-    TypeError
-        If the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one.
-    ValueError
-        If a coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and X is not given, or
-        a parameter is invalid.
 
     Examples
     --------

@@ -36,6 +36,8 @@ class ModelFileError(ValueError):
 def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Path:
     """Write a fitted pipeline, its aircraft and facts into one file, which appears whole or not at all.
 
+    Raises TypeError if ``pipeline`` is not a fitted estimator or ``aircraft`` no `Aircraft`.
+
     Parameters
     ----------
     path : path-like
@@ -50,11 +52,6 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
     -------
     Path
         ``path``.
-
-    Raises
-    ------
-    TypeError
-        If ``pipeline`` is not a fitted estimator or ``aircraft`` no `Aircraft`.
     """
     model = model_bunch(pipeline, aircraft, **facts)
     if not _is_model(model):

@@ -252,17 +252,12 @@ class FlightPipeline(Pipeline):
 
     Examples
     --------
-    >>> import numpy as np, pandas as pd
+    >>> import numpy as np
     >>> from skdgp.identification import make_identification_pipeline
     >>> from skdgp.dynamics import Aircraft
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    >>> t = np.arange(0, 4, 0.1)
-    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
-    >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough")
-    >>> mean, std = model.fit(flight, Y).predict(flight, return_std=True)
-    >>> mean.shape, std.shape
-    ((40, 2), (40, 2))
+    >>> make_identification_pipeline(glider).set_params(gusty=True)[-1].n_latent
+    2
     """
 
     steps: list[tuple[str, Any]]

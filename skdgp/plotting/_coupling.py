@@ -32,8 +32,6 @@ class CouplingDisplay:
         The written values.
     colorbar_ : Colorbar or None
         The scale.
-    ax_, figure_ : Axes, Figure
-        Where it was drawn.
 
     Examples
     --------

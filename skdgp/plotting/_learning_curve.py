@@ -40,8 +40,6 @@ class FlightLearningCurveDisplay:
         Means over the splits, one per output drawn.
     dots_ : list of Line2D
         The splits, one artist per output drawn.
-    ax_, figure_ : Axes, Figure
-        Where it was drawn.
 
     Examples
     --------

@@ -95,8 +95,6 @@ class FlightCheck(TableTransformer):
     ----------
     findings_ : DataFrame
         Faults of the table seen in ``fit``, as from :func:`inspect_flight`.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
 
     Warns
     -----

@@ -41,8 +41,6 @@ class ElevonSplitter(TableTransformer):
     ----------
     mixing_ : ndarray of shape (n_controls, n_surfaces)
         The mixing used.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
 
     Examples
     --------

@@ -111,8 +111,6 @@ class FlightPathReconstruction(TableTransformer):
         Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
         :meth:`calibration` of the flights of ``fit``.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
 
     Warns
     -----

@@ -100,8 +100,6 @@ class LagCorrector(TableTransformer):
         By group or column: ``lag`` and ``std`` [s], ``explained`` (share of the response that the local linear model
         explains), ``applied`` (the removed lag [s]) and ``remark``. A lag below 3 standard deviations or 10 ms, or
         of a model that explains less than 0.8, is not removed.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
 
     Examples
     --------

@@ -38,8 +38,6 @@ class RateNondimensionalizer(TableTransformer):
     ----------
     rates_ : list of str
         The rates of ``fit``; ``transform`` needs them, and ``airspeed``.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
 
     Examples
     --------

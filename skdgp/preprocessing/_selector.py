@@ -69,8 +69,6 @@ class RegressorSelector(TableTransformer):
         Range of each regressor over the rows of ``fit`` that have a target.
     ranges_ : dict of str to tuple of float
         Smallest and largest value of each flight channel of the table over these rows.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
 
     Warns
     -----

@@ -56,8 +56,6 @@ class FlightSmoother(TableTransformer):
     noise_std_, error_std_ : dict of str to float
         Standard deviation of each smoothed column's measured white noise, and the expected error after smoothing by
         "auto"; NaN for logs of less than 128 samples.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
 
     Examples
     --------

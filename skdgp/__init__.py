@@ -16,8 +16,8 @@ _HOMES = {
     "make_identification_pipeline": "identification",
 }
 _FOLDERS = (
-    *("calibration", "datasets", "dynamics", "identification", "inference", "io", "kernels", "metrics"),
-    *("model_selection", "plotting", "preprocessing", "report"),
+    *("calibration", "datasets", "design", "dynamics", "export", "identification", "inference", "io", "kernels"),
+    *("metrics", "model_selection", "plotting", "preprocessing", "report"),
 )
 
 

@@ -53,21 +53,9 @@ class Effects:
     _terms: dict[str, CentredTerm]
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
-        """Return the terms at given points.
+        """Return the terms at X (n, ...), input of the model or of the pipeline that ends in it: by name, (n, P) each.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, ...)
-            Input of the model, or of the pipeline that ends in it.
-        return_std : bool
-            Also return standard deviations.
-
-        Returns
-        -------
-        mean : dict of str to ndarray (n, P)
-            Each term; their sum and ``intercept`` are the predicted mean.
-        std : dict of str to ndarray (n, P)
-            With ``return_std``.
+        Their sum and ``intercept`` are the predicted mean. With ``return_std`` also return standard deviations by name.
         """
         regressor, before, _, _ = split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))
@@ -95,7 +83,9 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
 
     With ``structure="trend"`` effects are straight lines. With ``"joint"`` they are straight lines, and the term
     "joint" holds the rest. Terms share the data, so where regressors move together in the samples their bands are wide,
-    though the sum is known.
+    though the sum is known. Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that ends
+    in one; ValueError if the model is compact and X is not given, X is not finite, or ``n_grid`` is less than 2;
+    NotFittedError if the model is not fitted.
 
     Parameters
     ----------
@@ -111,15 +101,6 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     -------
     Effects
         ``curves`` by the name of the regressor, ``importance``, ``intercept``, and ``evaluate(X)`` for any points.
-
-    Raises
-    ------
-    TypeError
-        If the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one.
-    ValueError
-        If the model is compact and X is not given, X is not finite, or ``n_grid`` is less than 2.
-    NotFittedError
-        If the model is not fitted.
 
     Examples
     --------

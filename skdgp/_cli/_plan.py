@@ -52,7 +52,7 @@ def plan(run: Run) -> None:
     model, thrust = read_model_to_fly(options)
     limits = _limits(options)
     with listening(console.progress), console.counting_interrupts():
-        found = plan_flight(
+        planned = plan_flight(
             model.pipeline,
             model.aircraft,
             airspeeds=sorted(set(options.airspeed)),
@@ -70,10 +70,10 @@ def plan(run: Run) -> None:
             detents=None if options.pilot is None else DETENTS | _by_axis(options.pilot),
             random_state=options.seed,
         )
-    seconds = sum(train.duration + options.pause for train in found.trains)
-    numbers = {"model": options.model, "seconds": seconds, **found.to_dict()}
-    files = run.write(_writers(options, found, numbers))
-    run.print(_text(found, options, files), numbers)
+    seconds = sum(train.duration + options.pause for train in planned.trains)
+    numbers = {"model": options.model, "seconds": seconds, **planned.to_dict()}
+    files = run.write(_writers(options, planned, numbers))
+    run.print(_text(planned, options, files), numbers)
 
 
 def _envelope(options: argparse.Namespace) -> Envelope:
@@ -88,41 +88,41 @@ def _limits(options: argparse.Namespace) -> dict[str, Limits]:
     return {axis: Limits(value, rates.get(axis, np.inf)) for axis, value in amplitudes.items()}
 
 
-def _writers(options: argparse.Namespace, found: Plan, numbers: dict) -> dict[str, Writer]:
+def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[str, Writer]:
     files: dict[str, Writer] = {}
     rate, full = options.rate, _by_axis(options.full)
-    for number, train in enumerate(found.trains, start=1):
-        name = "plan" if len(found.trains) == 1 else f"plan_{number}"
+    for number, train in enumerate(planned.trains, start=1):
+        name = "plan" if len(planned.trains) == 1 else f"plan_{number}"
         files[f"{name}.csv"] = partial(write_csv, train=train, rate=rate)
         if full:
             files[f"{name}.lua"] = partial(write_ardupilot_lua, train=train, rate=rate, full=full)
     return files | {
-        "card.html": partial(write_flight_card, plan=found, full=full),
-        "expected.csv": table_writer(found.flight, ".csv"),
+        "card.html": partial(write_flight_card, plan=planned, full=full),
+        "expected.csv": table_writer(planned.flight, ".csv"),
         "plan.json": text_writer(json_text(numbers)),
     }
 
 
-def _text(found: Plan, options: argparse.Namespace, files: list) -> str:
-    rows = found.manoeuvres
+def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
+    rows = planned.manoeuvres
     width = max(map(len, rows["name"])) + 2
     lines = [f"{'start':>7}  {'manoeuvre':<{width}}{'of limits':>10}{'risk':>8}{'errors':>9}"]
-    for number, trim in enumerate(found.trims):
+    for number, trim in enumerate(planned.trims):
         lines.append(f"{trim.airspeed:g} m/s: " + ", ".join(f"{k} {v:.4g}" for k, v in trim.controls.items()))
         for _, row in rows[rows["train"] == number].iterrows():
             risk = "-" if np.isnan(row["risk"]) else f"{row['risk']:.1%}"
             lines.append(
                 f"{row['start']:>5.1f} s  {row['name']:<{width}}{row['scale']:>10.0%}{risk:>8}{-row['gain']:>9.0%}"
             )
-    limits = abort_limits(found.limits).join(found.expected(range(len(rows))), rsuffix="est")
+    limits = abort_limits(planned.limits).join(planned.expected(range(len(rows))), rsuffix="est")
     lines += ["", f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} expected"]
     lines += [
         f"{name:<18}" + "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source")) + f" {row['source']}"
         for name, row in limits.iterrows()
     ]
     lines += ["", f"{'standard error of':<18}{'before':>10}{'after':>10}"]
-    lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in found.errors.iterrows()]
-    pairs = found.confounded
+    lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in planned.errors.iterrows()]
+    pairs = planned.confounded
     if len(pairs):
         shown = [f"{one['first']} and {one['second']} in {one['coefficient']}" for _, one in pairs.head(5).iterrows()]
         lines += ["", f"not told apart: {', '.join(shown)}"]

@@ -103,16 +103,16 @@ def _trimmed(options, model, thrust) -> Start:
     climb = 0.0 if options.climb is None and thrust is not None else options.climb  # without thrust it follows
     path = {"climb": climb, "turn_rate": options.turn_rate, "bank": options.bank}
     altitude = options.altitude or 0.0
-    found = cast(Trim, trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path))
-    state = {name: getattr(found, name) for name in (*AIR_DATA, "phi", "theta", "altitude")}
-    state |= dict(zip(RATES, found.rates, strict=True))  # by the air, which the wind carries along
+    steady = cast(Trim, trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path))
+    state = {name: getattr(steady, name) for name in (*AIR_DATA, "phi", "theta", "altitude")}
+    state |= dict(zip(RATES, steady.rates, strict=True))  # by the air, which the wind carries along
     if options.controls is None:
-        return Start(state, found.controls, options.wind, options.duration or DURATION)
+        return Start(state, steady.controls, options.wind, options.duration or DURATION)
     table = read_flight(options.controls)
     mixing = as_aerodynamics(model.pipeline).mixing
     mixed = mixing.controls if mixing is not None and set(mixing.surfaces) <= set(table) else ()
-    held = {name: value for name, value in found.controls.items() if name not in (*table, *mixed)}
-    return Start(state, table.assign(**held), options.wind, _duration(options, table))
+    constant = {name: value for name, value in steady.controls.items() if name not in (*table, *mixed)}
+    return Start(state, table.assign(**constant), options.wind, _duration(options, table))
 
 
 def _logged(options, model) -> Start:

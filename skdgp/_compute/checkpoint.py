@@ -41,29 +41,17 @@ _file: ContextVar[_File | None] = ContextVar("skdgp_checkpoint_file", default=No
 def checkpointing(folder: Any, *, every: float = 5.0) -> Iterator[None]:
     """Let every fit of ``DependentGPRegressor`` inside the ``with`` block resume where a killed one was.
 
-    What a fit has evaluated is written into the folder every few seconds, each file whole or not at all. When the
-    process is killed, run the same lines again: a fit of the same data with the same settings and versions reads the
-    files and ends where it would have ended. Fits that were finished are not evaluated again, so put what must be safe
-    (saving the model, a whole search) into the block. At its end the files are removed; they stay after an exception,
-    and after a Ctrl-C that made a fit stop early, which resumes the next time.
+    What a fit has evaluated is written into the folder every few seconds (``every``; longer where the disk is slow),
+    each file whole or not at all. When the process is killed, run the same lines again: a fit of the same data with the
+    same settings and versions reads the files and ends where it would have ended. Fits that were finished are not
+    evaluated again, so put what must be safe (saving the model, a whole search) into the block. At its end the files
+    are removed; they stay after an exception, and after a Ctrl-C that made a fit stop early, which resumes the next
+    time.
 
-    Parameters
-    ----------
-    folder : path-like
-        Created when there is something to keep, in a folder that exists. It holds arrays without code.
-    every : float
-        Seconds between two states of a fit; longer where the disk is slow.
-
-    Raises
-    ------
-    ValueError
-        If ``every`` is negative; in ``fit``, if a setting cannot be recognised later (a lambda as ``optimizer``).
-
-    Warns
-    -----
-    UserWarning
-        In ``fit``, if the folder holds a checkpoint of other data or settings, which is removed, or if a file cannot be
-        read or written: the fit goes on without.
+    The folder is created, in one that exists, when there is something to keep. It holds arrays without code. Raises
+    ValueError if ``every`` is negative; in ``fit``, if a setting cannot be recognised later (a lambda as
+    ``optimizer``). A fit warns if the folder holds a checkpoint of other data or settings, which is removed, or if a
+    file cannot be read or written: it goes on without.
 
     Examples
     --------
@@ -265,24 +253,24 @@ def _close(first, second) -> bool:
 
 
 def _hashes(settings) -> dict[str, str]:
-    found = {}
+    hashes = {}
     for name, value in settings.items():
-        if name != "n_jobs":  # does not change what is found
+        if name != "n_jobs":  # does not change the result
             try:
-                found[name] = joblib.hash(value)
+                hashes[name] = joblib.hash(value)
             except (PicklingError, AttributeError) as error:
                 raise ValueError(
                     f"Got {name}={value!r} within checkpointing, but expected what another process can recognise: "
                     "define it at the top of a module, or fit without checkpoints."
                 ) from error
-    return found
+    return hashes
 
 
-def _differences(found, facts) -> str:
-    words = ["other data"] if found["data"] != facts["data"] else []
-    other = [name for name, value in facts["settings"].items() if found["settings"].get(name) != value]
+def _differences(saved, facts) -> str:
+    words = ["other data"] if saved["data"] != facts["data"] else []
+    other = [name for name, value in facts["settings"].items() if saved["settings"].get(name) != value]
     words += [f"other settings ({', '.join(other)})"] if other else []
-    words += ["other versions of the software"] if found["versions"] != facts["versions"] else []
+    words += ["other versions of the software"] if saved["versions"] != facts["versions"] else []
     return ", ".join(words) or "another format"
 
 

@@ -1,4 +1,4 @@
-"""Fits side by side and sums over shares of samples, on joblib's active backend.
+"""Fits side by side and sums over shares (chunks) of samples, on joblib's active backend.
 
 This process works alone unless ``n_jobs`` or ``joblib.parallel_config`` asks for others. Results keep the order of the
 tasks, so sums keep their bits wherever their parts are computed. What workers cannot finish is computed here, with a
@@ -121,33 +121,33 @@ def fit_map(fit: Callable, starts: Sequence[dict], n_jobs: int | None = None) ->
     had begun; a second Ctrl-C raises KeyboardInterrupt.
     """
     invited, client = _workers(n_jobs, threads=True) if len(starts) > 1 else (False, None)
-    found = _fit_elsewhere(fit, starts, n_jobs, client) if invited else {}
+    results = _fit_elsewhere(fit, starts, n_jobs, client) if invited else {}
     for k, start in enumerate(starts):
-        if any(result.interrupted for result in found.values()):
+        if any(result.interrupted for result in results.values()):
             break
-        if k not in found:
-            found[k] = fit(**start)
-    return [found[k] for k in sorted(found)]
+        if k not in results:
+            results[k] = fit(**start)
+    return [results[k] for k in sorted(results)]
 
 
 def _fit_elsewhere(fit, starts, n_jobs, client):
     """Return by number the fits that workers finished or, after Ctrl-C, began."""
-    found, error, stop_name = {}, "interrupted there", f"skdgp-stop-{uuid4().hex}"
+    results, error, stop_name = {}, "interrupted there", f"skdgp-stop-{uuid4().hex}"
     with _stop_at_interrupt(stop_name, client) as stopped:
         try:
             for k, result in _results(fit, starts, n_jobs, client, stop_name):
-                found[k] = result
+                results[k] = result
         except (Exception, CancelledError) as caught:
             error = _first_line(caught)
-    _raise_first_error(found.values())
-    found = {k: result for k, result in found.items() if result is not None}
+    _raise_first_error(results.values())
+    results = {k: result for k, result in results.items() if result is not None}
     if stopped.is_set():
-        if not found:
+        if not results:
             raise KeyboardInterrupt
-        return {k: result._replace(interrupted=True) for k, result in found.items()}
-    if len(found) < len(starts):
+        return {k: result._replace(interrupted=True) for k, result in results.items()}
+    if len(results) < len(starts):
         _warn_of_loss(error)
-    return found
+    return results
 
 
 def _results(fit, starts, n_jobs, client, stop_name):

@@ -23,14 +23,10 @@ _listener: ContextVar[Listener | None] = ContextVar("skdgp_progress", default=No
 def listening(listener: Listener) -> Iterator[None]:
     """Call ``listener(stage, n_evaluations, log_likelihood)`` during every fit inside the ``with`` block.
 
-    Parameters
-    ----------
-    listener : callable
-        Called after every evaluation of the likelihood. ``stage`` is "output 1", ... where each output is fitted alone,
-        side by side, "fit" where all are fitted together, "bound" where inducing inputs are placed; ``n_evaluations``
-        counts those of a stage; ``log_likelihood`` is the best so far. What it raises reaches the fit:
-        KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Restarts in other processes do not
-        call it.
+    It is called after every evaluation of the likelihood. ``stage`` is "output 1", ... where each output is fitted
+    alone, side by side, "fit" where all are fitted together, "bound" where inducing inputs are placed;
+    ``n_evaluations`` counts those of a stage; ``log_likelihood`` is the best so far. What it raises reaches the fit:
+    KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Restarts in other processes do not call it.
 
     Examples
     --------

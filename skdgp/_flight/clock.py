@@ -1,4 +1,4 @@
-"""The clock of a log: flights, contiguous segments, sampling rate."""
+"""The clock of a log (``time`` and ``flight`` of each row): flights, contiguous segments, sampling rate."""
 
 from __future__ import annotations
 

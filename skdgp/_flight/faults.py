@@ -132,15 +132,15 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
         for name in names_here
         if pd.api.types.is_numeric_dtype(table[name])
     }
-    found = []
+    findings = []
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
         here = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
         for channel, kind, rows, description in _faults_of_flight(here, part):
             ends = float(here[rows[0]]), float(here[rows[-1]])
-            found.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, description))
-    return found
+            findings.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, description))
+    return findings
 
 
 def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataFrame:
@@ -166,7 +166,10 @@ def faults_message(findings: list[Finding], done: str) -> str:
 def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iterator[Fault]:
     """Yield channel, kind, rows and description of each fault; in the channels, what was not measured becomes NaN."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    yield from _gaps(time, step)
+    rows = np.flatnonzero(np.diff(time) > GAP * step)
+    if rows.size:
+        longest = float(np.diff(time).max())
+        yield "time", "gap", rows, f"jumps forward {_times(2 * rows)}, by {longest:.3g} s at most"
     for name, values in channels.items():
         yield from _missing(name, values, step)
         values[~np.isfinite(values)] = np.nan
@@ -183,13 +186,6 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
                 text = f"stands at its extreme value {values[rows[0]] + 0.0:.4g} {_times(rows)}, as at a stop"
                 yield name, "saturated", rows, text
     yield from _dead(channels, len(time))
-
-
-def _gaps(time: np.ndarray, step: float) -> Iterator[Fault]:
-    rows = np.flatnonzero(np.diff(time) > GAP * step)
-    if rows.size:
-        longest = float(np.diff(time).max())
-        yield "time", "gap", rows, f"jumps forward {_times(2 * rows)}, by {longest:.3g} s at most"
 
 
 def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
@@ -308,13 +304,13 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
         return []
     if np.sum(long & ~ends) * 2 > np.sum(long & ends):
         return []
-    found = []
+    stops = []
     for extreme in (seen.min(), seen.max()):
         at = long & (level == extreme)
         if at.any():
             parts = zip(runs.start[at], runs.length[at], strict=True)
-            found.append(np.concatenate([rows[first : first + n] for first, n in parts]))
-    return found
+            stops.append(np.concatenate([rows[first : first + n] for first, n in parts]))
+    return stops
 
 
 def missing_rows(values: np.ndarray) -> list[np.ndarray]:

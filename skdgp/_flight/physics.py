@@ -226,7 +226,7 @@ def _reduced(table: pd.DataFrame) -> tuple[Windows, Signals]:
     names = [name for name in USED if name in table and pd.api.types.is_numeric_dtype(table[name])]
     columns = {name: table[name].to_numpy(float, na_value=np.nan) for name in names}
     signals = {
-        name: np.concatenate([_block_means(_continuous(name, values[run], time[run]), size) for run in runs])
+        name: np.concatenate([block_means(_continuous(name, values[run], time[run]), size) for run in runs])
         for name, values in columns.items()
         if np.isfinite(values).any()
     }
@@ -247,7 +247,8 @@ def _continuous(name: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.interp(time, time[known], part, left=np.nan, right=np.nan)
 
 
-def _block_means(values: np.ndarray, size: int) -> np.ndarray:
+def block_means(values: np.ndarray, size: int) -> np.ndarray:
+    """Return the means of ``size`` rows each; what is left over at the end does not count."""
     return values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
 
 

@@ -21,6 +21,7 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._regressor import check_targets
 from skdgp.calibration import _conformal as conformal
 from skdgp.inference._posterior_paths import Path, Paths
+from skdgp.metrics._metrics import check_level
 from skdgp.metrics._scorers import predict_with_noise, unwrap
 
 
@@ -136,6 +137,9 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def fit(self, X: Any, y: Any, groups: Any = None, **fit_params: Any) -> Self:
         """Score held-out flights, then fit on all flights.
 
+        Raises TypeError if the estimator predicts no standard deviation, ValueError if there are too few rows or an
+        output has no held-out observation. Warns if there is one flight, or too few to guarantee ``level``.
+
         Parameters
         ----------
         X : array or DataFrame (n, d)
@@ -147,18 +151,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             Exchangeable units in place of the column ``flight``, such as the day.
         **fit_params : array-like (n,)
             Of the estimator's ``fit``, a value for each row, such as ``time``.
-
-        Raises
-        ------
-        TypeError
-            If the estimator predicts no standard deviation.
-        ValueError
-            If there are too few rows, or an output has no held-out observation.
-
-        Warns
-        -----
-        UserWarning
-            If there is one flight, or too few to guarantee ``level``.
         """
         X = _check_X(X)
         Y, self.output_names_, single = check_targets(y, len(X), type(self).__name__)
@@ -199,40 +191,24 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
 
     def _half_widths(self, level) -> np.ndarray:
         """Return half the width of the interval in standard deviations, (P,)."""
-        totals = np.where(self.guaranteed_, self.max_level_, 1.0)  # the next flight has the weight 1 / (K + 1)
-        return np.array([self._half_width(k, total, level) for k, total in enumerate(totals)])
-
-    def _half_width(self, k, total, level) -> float:
-        rows = ~np.isnan(self.calibration_scores_[:, k])
-        scores, weights = self.calibration_scores_[rows, k], conformal.unit_weights(self.calibration_units_[rows])
-        if self.method == "variance":
-            return norm.ppf(0.5 + level / 2) * np.sqrt(weights @ scores**2)
-        return conformal.weighted_quantile(scores, total * weights, level)
+        totals, widths = np.where(self.guaranteed_, self.max_level_, 1.0), []  # the next flight weighs 1 / (K + 1)
+        for column, total in zip(self.calibration_scores_.T, totals, strict=True):
+            rows = ~np.isnan(column)
+            scores, weights = column[rows], conformal.unit_weights(self.calibration_units_[rows])
+            if self.method == "variance":
+                widths.append(norm.ppf(0.5 + level / 2) * np.sqrt(weights @ scores**2))
+            else:
+                widths.append(conformal.weighted_quantile(scores, total * weights, level))
+        return np.array(widths)
 
     def predict(self, X: Any, return_std: bool = False, include_noise: bool = True, return_cov: bool = False) -> Any:
-        """Return the mean, and on request its standard deviation or covariance, scaled.
+        """Return the mean at X (n, d), and on request its standard deviation or covariance, scaled.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-        return_std : bool
-            Also return the standard deviation: mean -/+ z std, z of the normal distribution, is the calibrated
-            interval of probability ``level``.
-        include_noise : bool
-            Whether the deviation is of a new measurement, as calibrated, or of the function, scaled alike.
-        return_cov : bool
-            Also return the joint covariance of the function, without noise, scaled alike.
-
-        Returns
-        -------
-        mean : ndarray (n, P), or (n,) for y of shape (n,)
-        std : ndarray like mean
-        cov : ndarray (P n, P n)
-
-        Raises
-        ------
-        ValueError
-            If both a deviation and a covariance are requested.
+        Mean and deviation are (n, P), or (n,) for y of shape (n,).
+        With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated interval of probability
+        ``level``: of a new measurement, as calibrated, or, without ``include_noise``, of the function, scaled alike.
+        ``return_cov`` is the joint covariance (P n, P n) of the function, scaled alike. Raises ValueError if both are
+        requested.
         """
         check_is_fitted(self)
         if return_cov:
@@ -261,17 +237,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         """Draw functions from the posterior, with their deviations from the mean scaled.
 
         A path f of a posterior with mean m becomes m + s (f - m), with s the output's ``std_scale_``. Mean and
-        covariance over paths are those of ``predict(..., include_noise=False)``.
-
-        Parameters
-        ----------
-        n_paths : int
-        random_state : int, RandomState or None
-
-        Returns
-        -------
-        sequence of callables
-            As of :meth:`skdgp.DependentGPRegressor.sample_paths`.
+        covariance over paths are those of ``predict(..., include_noise=False)``. The result is as of
+        :meth:`skdgp.DependentGPRegressor.sample_paths`.
         """
         check_is_fitted(self)
         regressor = unwrap(self.estimator_)
@@ -294,28 +261,14 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         return self.std_scale_[0] if self._single else self.std_scale_
 
     def predict_interval(self, X: Any, level: float | None = None) -> tuple[Array, Array]:
-        """Return calibrated intervals of new measurements.
+        """Return calibrated intervals of new measurements at X (n, d): lower and upper ends.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-        level : float, optional
-            Default: the ``level`` of the constructor.
-
-        Returns
-        -------
-        lower, upper : ndarray (n, P), or (n,) for y of shape (n,)
-            Infinite, with a warning, above the guaranteed level of outputs whose ``level`` is guaranteed.
-
-        Raises
-        ------
-        ValueError
-            If ``level`` is not inside (0, 1).
+        They are (n, P), or (n,) for y of shape (n,).
+        The default level is that of the constructor. Above the guaranteed level of outputs whose ``level`` is
+        guaranteed, intervals are infinite, with a warning. Raises ValueError if ``level`` is not inside (0, 1).
         """
         check_is_fitted(self)
-        level = self.level if level is None else level
-        if not isinstance(level, Real) or not 0 < float(level) < 1:
-            raise ValueError(f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95.")
+        level = check_level(self.level if level is None else level)
         widths = self._half_widths(level)
         if np.isinf(widths).any():
             warnings.warn(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from skdgp._flight.clock import flight_codes
 from skdgp._flight.frames import wrapped
 from skdgp.calibration._conformal import ROUNDING, unit_weights, units_needed, weighted_quantile
 from skdgp.dynamics import trajectory_bands
+from skdgp.metrics._metrics import check_level
 
 GROUPS = {"velocity": EARTH_VELOCITY, "attitude": EULER, "rates": RATES}
 ONE_SIGMA = 0.6827  # probability of a normal variable within one standard deviation of its mean
@@ -96,6 +96,9 @@ class CalibratedBands:
     ) -> CalibratedBands:
         """Return the bands that the errors of an ensemble on recorded segments ask for.
 
+        Raises ValueError if there are fewer than two units, a segment is shorter than its trajectory or lacks a state,
+        or an ensemble does not spread. Warns if segments of one flight are the units.
+
         Parameters
         ----------
         ensemble : DataFrame
@@ -112,17 +115,6 @@ class CalibratedBands:
         noise : mapping of str to float, optional
             Standard deviations of the errors of recorded states, by name. They are part of s: without them the first
             rows, where an ensemble has not spread, decide. ``initial_std`` of `simulate` is that of the starts.
-
-        Raises
-        ------
-        ValueError
-            If there are fewer than two units, a segment is shorter than its trajectory or lacks a state, or an ensemble
-            does not spread.
-
-        Warns
-        -----
-        UserWarning
-            If segments of one flight are the units.
         """
         names = {name for part in recorded for name in part}
         if groups is None:
@@ -158,23 +150,13 @@ class CalibratedBands:
         return self.n_units / (self.n_units + 1)
 
     def factors(self, level: float = 0.95) -> dict[str, float]:
-        """Return q of each group.
+        """Return q of each group; raise ValueError if the level is not inside (0, 1).
 
-        Raises
-        ------
-        ValueError
-            If the level is not inside (0, 1).
-
-        Warns
-        -----
-        UserWarning
-            If there are too few flights to guarantee the level.
+        Warns if there are too few flights to guarantee the level.
         """
-        if not isinstance(level, Real) or not 0 < float(level) < 1:
-            raise ValueError(f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95.")
-        if level <= self.max_level + ROUNDING:
+        if check_level(level) <= self.max_level + ROUNDING:
             weights = self.max_level * unit_weights(self.units)
-            return {name: weighted_quantile(s.to_numpy(), weights, level) for name, s in self.scores.items()}
+            return {str(name): weighted_quantile(s.to_numpy(), weights, level) for name, s in self.scores.items()}
         warnings.warn(
             f"Got level={level:g}, but {self.n_units} {self.unit}s guarantee no more than {self.max_level:.3g}: the "
             f"bands assume that logarithms of their largest scores are normal. Calibrate on {units_needed(level)} "
@@ -187,23 +169,10 @@ class CalibratedBands:
         return {str(name): float(q) for name, q in np.exp(bound).items()}
 
     def bands(self, ensemble: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
-        """Return the calibrated bands of other trajectories.
+        """Return the calibrated bands of other trajectories, in the form of :func:`skdgp.dynamics.trajectory_bands`.
 
-        Parameters
-        ----------
-        ensemble : DataFrame
-            Of :func:`skdgp.dynamics.simulate` with ``n_paths``, as long as the segments or shorter.
-        level : float, default=0.95
-
-        Returns
-        -------
-        DataFrame
-            As of :func:`skdgp.dynamics.trajectory_bands`. Where ``noise`` was given, bands are those of records.
-
-        Warns
-        -----
-        UserWarning
-            As :meth:`factors`.
+        The ensemble is that of :func:`skdgp.dynamics.simulate` with ``n_paths``, as long as the segments or shorter.
+        Where ``noise`` was given, bands are those of records. Errors and warnings are those of :meth:`factors`.
         """
         factors = self.factors(level)
         table = pd.concat(_one_sigma(ensemble, self.groups, self.noise), ignore_index=True)

@@ -36,27 +36,12 @@ def write_ardupilot(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
     The plane of SITL has a lift that is linear in alpha, elevator and q, a drag that is constant plus quadratic in
     lift, and constant derivatives of the other coefficients. They are fitted to the build-up at its samples by least
     squares. Controls of SITL are from -1 to 1; here 1 is the largest deflection of the flights, and positive raises the
-    nose, rolls right and yaws right.
+    nose, rolls right and yaws right. ``sim_vehicle.py -v ArduPlane -f plane:uav.json`` flies it. Mass and thrust are
+    those of SITL (2 kg), which cannot be set by this file: change them in ``SIM_Plane.cpp``.
 
-    The file has also keys that SITL ignores: "mass", "inertia", and "loss", the root mean square difference of each
-    body-axis coefficient to the model, beside the posterior deviation and the spread of the coefficient.
-
-    Parameters
-    ----------
-    path : path-like
-        Such as ``uav.json``; ``sim_vehicle.py -v ArduPlane -f plane:uav.json`` flies it. Mass and thrust are those of
-        SITL (2 kg), which cannot be set by this file: change them in ``SIM_Plane.cpp``.
-    build : BuildUp
-
-    Returns
-    -------
-    DataFrame (6, 3)
-        "loss", "deviation" and "spread" of CX ... Cn.
-
-    Raises
-    ------
-    ValueError
-        If the build-up lacks a regressor that the plane of SITL has (alpha).
+    The file has also keys that SITL ignores: "mass", "inertia", and "loss". This is the table that is returned, (6, 3):
+    the root mean square difference of each body-axis coefficient to the model, the posterior "deviation", and the
+    "spread" of the coefficient. Raises ValueError if the build-up lacks alpha.
     """
     X, C = _flown(build)
     values, fitted = _plane(build, X, C)
@@ -72,27 +57,13 @@ def write_gazebo(path: str | os.PathLike, build: BuildUp, *, link: str = "base_l
     """Write a block of Gazebo's AdvancedLiftDrag system with mass and inertia, and return what it loses.
 
     The system has constant derivatives of lift, drag, side force and moments by alpha, beta, rates and surfaces, and a
-    drag that is quadratic in lift. They are fitted to the build-up at its samples by least squares. CY, Cl and Cn
-    have no constants there. Derivatives by surfaces are per degree, and the signs of this package: elevator > 0 pitches
+    drag that is quadratic in lift. They are fitted to the build-up at its samples by least squares. CY, Cl and Cn have
+    no constants there. Derivatives by surfaces are per degree, and the signs of this package: elevator > 0 pitches
     down, aileron > 0 rolls right, rudder > 0 yaws left.
 
-    Parameters
-    ----------
-    path : path-like
-        An SDF file with one model: a link with its inertial, and the plugin. Add joints named after the surfaces.
-    build : BuildUp
-    link : str, default="base_link"
-        Name of the link.
-
-    Returns
-    -------
-    DataFrame (6, 3)
-        "loss", "deviation" and "spread" of CX ... Cn, root mean square over the samples.
-
-    Raises
-    ------
-    ValueError
-        If the build-up lacks alpha.
+    The SDF file at ``path`` has one model: the ``link`` with its inertial, and the plugin. Add joints named after the
+    surfaces. The result (6, 3) has "loss", "deviation" and "spread" of CX ... Cn, root mean square over the samples.
+    Raises ValueError if the build-up lacks alpha.
     """
     X, C = _flown(build)
     plugin, fitted = _advanced_lift_drag(build, X, C, link)
@@ -159,7 +130,8 @@ def _body(alpha: Vector, lift: Array, drag: Array) -> tuple[Array, Array]:
 def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix]:
     """Return the entries of SITL's file, and the coefficients (n, 6) of its plane."""
     aircraft, fitted = build.aircraft, np.empty_like(C)
-    largest = {n: _largest(build, n) for n in SIGNS}
+    deflections = dict(zip(build.regressors, np.abs(build.limits).max(axis=0), strict=True))
+    largest = {name: float(deflections.get(name, 0.0)) for name in SIGNS}  # [rad]
     alpha = _terms(build, X, ["alpha"])[:, 0]
     lift, drag = _wind(alpha, C)
     aspect = aircraft.span**2 / aircraft.wing_area
@@ -189,11 +161,6 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     values |= {f"{key}_max": largest[name] for key, name in (("deltaa", "aileron"), ("deltae", "elevator"))}
     values["deltar_max"] = largest["rudder"]
     return {key: float(value) for key, value in values.items()}, fitted
-
-
-def _largest(build: BuildUp, name: str) -> float:
-    """Return the largest deflection of the flights [rad]."""
-    return float(np.abs(build.limits[:, build.regressors.index(name)]).max()) if name in build.regressors else 0.0
 
 
 def _named(letter: str, terms: dict[str, str], weights: Vector, largest: dict[str, float]) -> dict[str, float]:

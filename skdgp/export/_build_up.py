@@ -103,20 +103,9 @@ class BuildUp:
         return f"BuildUp({self.aircraft.name!r}, {', '.join(self.regressors)}, {n_tables} tables)"
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
-        """Return the coefficients at regressors.
+        """Return the coefficients (n, 6) at regressors X, and with ``return_std`` their standard deviations, too.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-            Regressors in their order; a table with all of them by name.
-        return_std : bool
-            Also return standard deviations.
-
-        Returns
-        -------
-        mean : ndarray (n, 6)
-        std : ndarray (n, 6)
-            With ``return_std``.
+        X is an array (n, d) of the regressors in their order, or a table with all of them by name.
         """
         X = X[list(self.regressors)].to_numpy(float) if isinstance(X, pd.DataFrame) else np.asarray(X, dtype=float)
         mean, variance = np.empty((2, len(X), len(COEFFICIENTS)))
@@ -159,18 +148,9 @@ class BuildUp:
         return root @ root.T
 
     def sample(self, n_draws: int, random_state: Seed = 0) -> list[BuildUp]:
-        """Return build-ups of functions drawn from the posterior: aircraft that the data allow.
+        """Return build-ups of functions drawn from the posterior, with these breakpoints: aircraft that the data allow.
 
-        Parameters
-        ----------
-        n_draws : int
-        random_state : int, RandomState or None
-            Equal seeds give equal functions, those of ``sample_paths``.
-
-        Returns
-        -------
-        list of BuildUp
-            With the breakpoints of this one.
+        Equal seeds give equal functions, those of ``sample_paths``.
         """
         if n_draws == 0:
             return []
@@ -281,7 +261,9 @@ def build_up(
 
     A model with ``structure="trend"`` is its derivatives alone, and exact everywhere. Main effects of
     ``structure="additive"`` are tables of one regressor, exact to the tolerance. Of the joint processes terms of three
-    and more regressors are lost.
+    and more regressors are lost. Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that
+    ends in one; ValueError if a coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and
+    X is not given, or a parameter is invalid.
 
     Parameters
     ----------
@@ -306,14 +288,6 @@ def build_up(
     -------
     BuildUp
         ``constants``, ``derivatives``, ``tables``, ``loss``; ``evaluate(X)`` and ``sample(n_draws)``.
-
-    Raises
-    ------
-    TypeError
-        If the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one.
-    ValueError
-        If a coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and X is not given, or
-        a parameter is invalid.
 
     Examples
     --------
@@ -359,6 +333,11 @@ def build_up(
         return {name: _Projection(bases[name], points)(values[..., i].T).T for i, name in enumerate(COEFFICIENTS)}
 
     of_weights = {name: np.sqrt(np.square(root).sum(axis=1)) for name, root in roots.items()}
+    tables: dict[str, list[Table]] = {name: [] for name in COEFFICIENTS}
+    for name, basis in bases.items():
+        for axes in basis.tables:
+            cells = np.zeros([len(points) for points in axes.breakpoints])
+            tables[name].append(Table(tuple(names[k] for k in axes.columns), axes.breakpoints, cells, cells))
     empty = BuildUp(
         aircraft=aircraft,
         regressors=tuple(names),
@@ -368,7 +347,7 @@ def build_up(
         constants_std=pd.Series(dtype=float),
         derivatives=pd.DataFrame(),
         derivatives_std=pd.DataFrame(),
-        tables={name: _empty_tables(basis, names) for name, basis in bases.items()},
+        tables=tables,
         loss=loss,
         samples=tested,
         predicted=truth,
@@ -388,13 +367,7 @@ def build_up(
 def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
     """Write a build-up as JSON: constants, derivatives and tables with standard deviations, units, limits and losses.
 
-    Its keys are described on the page of the build-up. Values are SI units and radians.
-
-    Parameters
-    ----------
-    path : path-like
-        Such as ``build_up.json``.
-    build : BuildUp
+    Values are SI units and radians. Its keys are described on the page of the build-up.
 
     Examples
     --------
@@ -614,14 +587,6 @@ def _needed(points: Vector, values: Matrix, least: float) -> list[int]:
             needed.add(worst)
             queue += [(a, worst), (worst, b)]
     return sorted(needed)
-
-
-def _empty_tables(basis: _Basis, names: Sequence[str]) -> list[Table]:
-    shapes = [np.zeros([len(points) for points in table.breakpoints]) for table in basis.tables]
-    return [
-        Table(tuple(names[k] for k in table.columns), table.breakpoints, shape, shape)
-        for table, shape in zip(basis.tables, shapes, strict=True)
-    ]
 
 
 def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:

@@ -40,7 +40,9 @@ def write_c(
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
     regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
-    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value.
+    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value. Raises ValueError if ``precision`` or
+    ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or there are more than 32
+    regressors.
 
     Parameters
     ----------
@@ -58,12 +60,6 @@ def write_c(
     -------
     PortableModel
         What the C code computes: ``model`` itself, or the reduced one.
-
-    Raises
-    ------
-    ValueError
-        If ``precision`` or ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or
-        there are more than 32 regressors.
     """
     model = sized_for_c(model, precision, max_kb)
     texts = c_files(model, precision)
@@ -220,6 +216,10 @@ def _source(model, precision) -> dict[str, Any]:
     order = sorted(block.output for block in model.blocks)
     readouts = [model.readouts[k] for k in model.readout_of]
     roots = _roots(model, precision)
+    pointers = [
+        f"{{root_{k}, NULL, NULL, NULL}}" if root is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
+        for k, root in enumerate(roots)
+    ]
     blocks = [
         f"{{{column}, {size}, {n}, used + {used}, centres + {centre}, shifts + {shift}, roots + {root}, {gain!r}}}"
         for column, size, n, used, centre, shift, root, gain in table.rows
@@ -244,7 +244,7 @@ def _source(model, precision) -> dict[str, Any]:
         *(_array(f"trend_root_{i}", root.T.ravel()) for i, root in enumerate(model.trend_roots)),
         _pointers("weights", [f"weights_{k}" for k in model.readout_of]),
         _pointers("trend_root", [f"trend_root_{i}" for i in range(P)]),
-        f"static const triangle root[{P}] = {{" + ",\n".join(_pointer(k, roots[k]) for k in model.readout_of) + "};",
+        f"static const triangle root[{P}] = {{" + ",\n".join(pointers[k] for k in model.readout_of) + "};",
     ]
     return {
         "functions": max(1, *(readout.size for readout in model.readouts)),
@@ -262,10 +262,6 @@ def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
     yield _array(f"root_{k}", root.values, "static const int32_t")
     yield _array(f"row_{k}", root.row)
     yield _array(f"column_{k}", root.column)
-
-
-def _pointer(k: int, root: _Rounded | None) -> str:
-    return f"{{root_{k}, NULL, NULL, NULL}}" if root is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
 
 
 def _test(model, precision) -> dict[str, Any]:

@@ -16,25 +16,10 @@ NEEDED = 'This format needs CasADi, which is not installed: pip install "skdgp[e
 def casadi_function(model: PortableModel) -> Any:
     """Return a ``casadi.Function`` from regressors ``x`` (d,) to ``mean`` (P,), ``std`` (P,) and ``jacobian`` (P, d).
 
-    The regressors are in their units, in the order of ``model.regressor_names``. The Jacobian is that of the mean. The
-    function can be differentiated further, also the deviation, and be saved with its method ``save``.
-
-    Parameters
-    ----------
-    model : PortableModel
-        Not an exact one of many samples; a reduced one (``export --max-kb``) is faster.
-
-    Returns
-    -------
-    casadi.Function
-        Named ``aero``.
-
-    Raises
-    ------
-    ImportError
-        If CasADi is not installed.
-    ValueError
-        If the model is too large.
+    The function is named ``aero``. The regressors are in their units, in the order of ``model.regressor_names``. The
+    Jacobian is that of the mean. The function can be differentiated further, also the deviation, and be saved with its
+    method ``save``. A reduced model (``export --max-kb``) is faster. Raises ImportError if CasADi is not installed,
+    ValueError if the model is too large, such as an exact one of many samples.
     """
     try:
         import casadi as ca

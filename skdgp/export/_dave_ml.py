@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix
 from skdgp._effects import split_model
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp._flight.checks import check_choice
@@ -76,7 +76,8 @@ def write_dave_ml(
     10 %, root mean square, is refused. ``internalValues`` of the check cases state those of the model.
 
     With ``form="tables"`` outputs are those of :func:`build_up`. Constants, derivatives and cells have uncertainties,
-    constants and derivatives of a coefficient their correlation.
+    constants and derivatives of a coefficient their correlation. Raises ValueError if a parameter is invalid, the
+    pipeline has no portable form or too many functions (functions), or the build-up is refused (tables).
 
     Parameters
     ----------
@@ -98,12 +99,6 @@ def write_dave_ml(
         "loss", the root mean square difference of the outputs to the model at samples, and "deviation", that of the
         posterior.
 
-    Raises
-    ------
-    ValueError
-        If a parameter is invalid, the pipeline has no portable form or too many functions (functions), or the build-up
-        is refused (tables).
-
     Examples
     --------
     ``write_dave_ml("uav.dml", saved.pipeline, saved.aircraft)`` writes what ``load_model("model.joblib")`` returns.
@@ -119,8 +114,7 @@ def write_dave_ml(
         build = build_up(model, cast("Aircraft", aircraft), **options)
     if build is not None:
         facts = _Facts(**{name: getattr(build, name) for name in _Facts._fields})
-        _add_header(root, facts)
-        _add_inputs(root, facts)
+        _add_head(root, facts)
         _add_build_up(root, build)
         values = build.evaluate(build.samples)
     else:
@@ -129,8 +123,7 @@ def write_dave_ml(
         of_std = reduced(portable, lambda m: sum(len(m.readouts[k].packed_root) for k in m.readout_of), MAX_ENTRIES)
         facts = _facts(portable, shown)
         _check_loss(facts.loss, of_std)
-        _add_header(root, facts)
-        _add_inputs(root, facts)
+        _add_head(root, facts)
         _add_functions(root, shown, of_std, _correlation(model, portable, facts.samples))
         values = shown.predict(facts.samples)[:, _order(portable)]
     _add_checks(root, facts, values, n_checks, internal=build is None)
@@ -192,7 +185,8 @@ def _correlation(model: Any, portable: PortableModel, samples: Matrix) -> Matrix
     return mean / np.multiply.outer(size, size)
 
 
-def _add_header(root: Element, facts: _Facts) -> None:
+def _add_head(root: Element, facts: _Facts) -> None:
+    """Write the header and the inputs."""
     header = SubElement(root, "fileHeader", name=f"Aerodynamics of {facts.aircraft.name}")
     SubElement(header, "author", name="skdgp", org="skdgp")
     SubElement(header, "creationDate", date=datetime.now(UTC).date().isoformat())
@@ -201,9 +195,6 @@ def _add_header(root: Element, facts: _Facts) -> None:
         "Learned from flights. Body axes, x forward, y right, z down. Elevator > 0 pitches down, aileron > 0 rolls "
         f"right, rudder > 0 yaws left. Difference to the model and posterior deviation, root mean square: {loss}."
     )
-
-
-def _add_inputs(root: Element, facts: _Facts) -> None:
     for k, name in enumerate(facts.regressors):
         low, high = (number_text(limit) for limit in facts.limits[:, k])
         place = SubElement(root, "variableDef", name=_name(name), varID=name, units=_unit(name))
@@ -223,10 +214,12 @@ def _add_functions(root: Element, model: PortableModel, of_std: PortableModel, c
         place = _variable(root, short)
         _calculate(place, _apply("times", _apply("minus", name, float(shift + scale * center)), float(1.0 / scale)))
     for i, name in zip(_order(model), COEFFICIENTS, strict=True):
-        parts = [
-            _mean_part(root, model, block, weights, f"{name}_g{k}")
-            for k, (block, weights, _) in enumerate(model.terms(i))
-        ]
+        parts = []
+        for k, (block, weights, _) in enumerate(model.terms(i)):
+            parts.append(f"{name}_g{k}")
+            exponents = _exponents(root, model, block, parts[-1])
+            terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponents, strict=True)]
+            _calculate(_variable(root, parts[-1]), _apply("plus", *terms) if len(terms) > 1 else terms[0])
         constant, *slopes = model.trend_weights[i]
         trend = [_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v]
         _deviation(root, of_std, i, name, scaled)
@@ -237,14 +230,6 @@ def _add_functions(root: Element, model: PortableModel, of_std: PortableModel, c
         normal = _normal(place)
         SubElement(SubElement(normal, "bounds"), "variableRef", varID=f"{name}_std")
         _add_correlations(normal, COEFFICIENTS, COEFFICIENTS.index(name), correlation)
-
-
-def _mean_part(root: Element, model: PortableModel, block: Block, weights: Vector, name: str) -> str:
-    """Write the weighted sum of the functions of a block, and return its name."""
-    exponents = _exponents(root, model, block, name)
-    terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponents, strict=True)]
-    _calculate(_variable(root, name), _apply("plus", *terms) if len(terms) > 1 else terms[0])
-    return name
 
 
 def _deviation(root: Element, model: PortableModel, i: int, name: str, scaled: Sequence[str]) -> None:

@@ -45,28 +45,11 @@ class PortableFileError(ValueError):
 
 
 def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
-    """Write a portable model into one file, which appears whole or not at all.
+    """Write a portable model into one file, which appears whole or not at all, and return its path.
 
     The file is an uncompressed zip archive, which ``numpy.load`` opens: ``model.json`` and one ``.npy`` for each array.
-    Its comment is the SHA-256 of all bytes before it. It holds no code.
-
-    Parameters
-    ----------
-    path : path-like
-        Such as ``model.npz``; its folder must exist.
-    model : PortableModel
-
-    Returns
-    -------
-    Path
-        ``path``.
-
-    Raises
-    ------
-    TypeError
-        If ``model`` is no `PortableModel`.
-    OSError
-        If the file cannot be written.
+    Its comment is the SHA-256 of all bytes before it. It holds no code. Raises TypeError if ``model`` is no
+    `PortableModel`, OSError if the file cannot be written.
     """
     if not isinstance(model, PortableModel):
         raise TypeError(
@@ -79,24 +62,9 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
 def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     """Return a portable model that :func:`save_portable` or ``python -m skdgp export`` wrote.
 
-    The file holds no code, and none is run. Memory grows with the size of the file only.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    PortableModel
-        It predicts the same bits as the model that was saved.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    PortableFileError
-        If the file is not a portable model, differs from what was written in a single bit, or is of another format
-        version.
+    It predicts the same bits as the model that was saved. The file holds no code, and none is run. Memory grows with
+    the size of the file only. Raises FileNotFoundError if there is no such file, PortableFileError if it is not a
+    portable model, differs from what was written in a single bit, or is of another format version.
     """
     path = Path(path)
     if not path.is_file():
@@ -216,18 +184,12 @@ def _assembled(head, arrays) -> PortableModel:
 
 
 def _regressor(values) -> Regressor:
-    regressor = Regressor(**values)
-    found = Regressor(
-        name=str(regressor.name),
-        unit=str(regressor.unit),
-        sources=tuple(map(str, regressor.sources)),
-        factors=tuple(map(float, regressor.factors)),
-        length=float(regressor.length),
-        power=int(regressor.power),
-    )
-    if found.power not in (0, 1, 2) or len(found.factors) != len(found.sources) or not found.sources:
-        raise ValueError(f"the regressor {found.name} has no formula")
-    return found
+    r = Regressor(**values)
+    sources, factors = tuple(map(str, r.sources)), tuple(map(float, r.factors))
+    regressor = Regressor(str(r.name), str(r.unit), sources, factors, float(r.length), int(r.power))
+    if regressor.power not in (0, 1, 2) or len(regressor.factors) != len(regressor.sources) or not regressor.sources:
+        raise ValueError(f"the regressor {regressor.name} has no formula")
+    return regressor
 
 
 def _blocks(arrays, sizes) -> tuple[Block, ...]:
@@ -249,12 +211,12 @@ def _check_shape(name, arrays, letters, sizes) -> None:
     """Raise ValueError unless an array has the shape of these sizes; sizes that are new become known."""
     if name not in arrays:
         raise ValueError(f"it lacks {name}")
-    found, expected = arrays[name].shape, letters.split()
-    if len(found) == len(expected):
-        for letter, size in zip(expected, found, strict=True):
+    shape, expected = arrays[name].shape, letters.split()
+    if len(shape) == len(expected):
+        for letter, size in zip(expected, shape, strict=True):
             sizes.setdefault(letter, size)
-    if found != tuple(sizes.get(letter, -1) for letter in expected):
-        raise ValueError(f"{name} is of shape {found}, but expected {tuple(sizes.get(x, x) for x in expected)}")
+    if shape != tuple(sizes.get(letter, -1) for letter in expected):
+        raise ValueError(f"{name} is of shape {shape}, but expected {tuple(sizes.get(x, x) for x in expected)}")
 
 
 def _check_range(name, values, n) -> None:

@@ -101,6 +101,11 @@ def write_fmu(
 
     The FMU is a C program with its description. It holds the C source, and a binary for this platform if there is a C
     compiler (``CC``, cc, gcc or clang). It needs no Python.
+    ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
+
+    Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has
+    a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a
+    simulation cannot rebuild.
 
     Parameters
     ----------
@@ -119,23 +124,8 @@ def write_fmu(
     Returns
     -------
     str or None
-        Such as "linux64", or "x86_64-linux" of FMI 3.0; None: the FMU has source code alone.
-
-    Raises
-    ------
-    ValueError
-        If ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has a control
-        of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a simulation
-        cannot rebuild.
-
-    Warns
-    -----
-    UserWarning
-        If no binary can be made: there is no compiler, it fails, or FMI has no name for this platform.
-
-    Examples
-    --------
-    ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
+        Such as "linux64", or "x86_64-linux" of FMI 3.0; None: the FMU has source code alone, with a warning why: there
+        is no compiler, it fails, or FMI has no name for this platform.
     """
     check_choice("form", form, FMU_FILES)
     check_choice("fmi", fmi, FMI_VERSIONS)
@@ -157,7 +147,11 @@ def write_fmu(
     members: dict[str, str | bytes] = {f"sources/{name}": text for name, text in sources.items()}
     members["modelDescription.xml"] = _xml(_description(model, variables, identifier, fmi, token, root))
     if fmi == "3.0":
-        members["sources/buildDescription.xml"] = _xml(_build_description(identifier, fmi, root))
+        build = ET.Element("fmiBuildDescription", fmiVersion=fmi)
+        configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=identifier)
+        ET.SubElement(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", name=root)
+        ET.SubElement(configuration, "Library", name="m")
+        members["sources/buildDescription.xml"] = _xml(build)
     found = _binary(sources, root, identifier, fmi)
     if found is not None:
         members[f"binaries/{found[0]}/{identifier}{found[1]}"] = found[2]
@@ -417,15 +411,6 @@ def _add_variable(parent: ET.Element, reference: int, variable: _Variable, secon
         element = ET.SubElement(parent, "Float64", words | number)
         if variable.kind == "i":
             element.set("intermediateUpdate", "true")
-
-
-def _build_description(identifier: str, fmi: str, root: str) -> ET.Element:
-    """Return buildDescription.xml."""
-    top = ET.Element("fmiBuildDescription", fmiVersion=fmi)
-    configuration = ET.SubElement(top, "BuildConfiguration", modelIdentifier=identifier)
-    ET.SubElement(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", name=root)
-    ET.SubElement(configuration, "Library", name="m")
-    return top
 
 
 def _xml(root: ET.Element) -> bytes:

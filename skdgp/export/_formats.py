@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 from sklearn.utils import Bunch
 
 from skdgp.dynamics import Aircraft
@@ -31,12 +30,13 @@ MEMBER_BYTES = 300  # of an array in a file, besides its numbers
 
 
 def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options: Any) -> dict[str, Any]:
-    """Write a model in one of the ``FORMATS`` into a folder.
+    """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return facts of it.
+
+    Raises ValueError if there is no such format, it has no such option, or the model has no such form.
 
     Parameters
     ----------
     folder : path-like
-        It must exist.
     model : Bunch or PortableModel
         What :func:`skdgp.identification.load_model` or :func:`load_portable` returns.
     to : str
@@ -47,15 +47,8 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     Returns
     -------
     dict
-        Facts: ``files`` is the list of paths, ``loss`` says what each coefficient loses, by name: by a smaller size
-        "mean" and "std" in posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
-
-    Raises
-    ------
-    ValueError
-        If there is no such format, it has no such option, or the model has no such form.
-    OSError
-        If a file cannot be written.
+        ``files`` is the list of paths, ``loss`` says what each coefficient loses, by name: by a smaller size "mean" and
+        "std" in posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
@@ -115,7 +108,7 @@ def _tables(folder: Path, model: Any) -> dict[str, Any]:
         BuildUpDisplay.from_build_up(build, ax=figure)
         files.append(folder / "build_up.png")
         figure.savefig(files[1], dpi=100)
-    return {"files": files, "loss": _by_name(build.loss)}
+    return {"files": files, "loss": build.loss.to_dict("index")}
 
 
 def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0) -> dict[str, Any]:
@@ -127,28 +120,25 @@ def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0
 def _ardupilot(folder: Path, model: Any) -> dict[str, Any]:
     """Write plane.json."""
     path = folder / "plane.json"
-    return {"files": [path], "loss": _by_name(write_ardupilot(path, _build_up(model, "ardupilot", return_std=False)))}
+    loss = write_ardupilot(path, _build_up(model, "ardupilot", return_std=False))
+    return {"files": [path], "loss": loss.to_dict("index")}
 
 
 def _gazebo(folder: Path, model: Any) -> dict[str, Any]:
     """Write model.sdf."""
     path = folder / "model.sdf"
-    return {"files": [path], "loss": _by_name(write_gazebo(path, _build_up(model, "gazebo", return_std=False)))}
+    loss = write_gazebo(path, _build_up(model, "gazebo", return_std=False))
+    return {"files": [path], "loss": loss.to_dict("index")}
 
 
 def _dave_ml(folder: Path, model: Any, *, form: str = "functions") -> dict[str, Any]:
     """Write aero.dml."""
     path = folder / "aero.dml"
-    return {"files": [path], "loss": _by_name(write_dave_ml(path, *_whole(model, "dave-ml"), form=form))}
+    return {"files": [path], "loss": write_dave_ml(path, *_whole(model, "dave-ml"), form=form).to_dict("index")}
 
 
 def _build_up(model: Any, to: str, **options: Any) -> BuildUp:
     return build_up(*_whole(model, to), **options)
-
-
-def _by_name(loss: pd.DataFrame) -> dict[str, dict[str, float]]:
-    rows = zip(loss.index, loss.to_numpy(), strict=True)
-    return {str(name): dict(zip(map(str, loss.columns), map(float, row), strict=True)) for name, row in rows}
 
 
 def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:

@@ -41,8 +41,10 @@ def gymnasium_env(
     An observation is (airspeed [m/s], alpha, beta, phi, theta, psi [rad], p, q, r [rad/s], altitude [m]). An action
     holds ``start.solved`` controls, in their units and order: elevator, aileron, rudder [rad], and thrust [N], throttle
     or propeller_speed [rad/s]; the others stay as in the trim. A step holds them for ``dt`` and integrates as
-    :func:`skdgp.dynamics.simulate` does. An episode terminates when an observation leaves ``observation_space``, or
-    the flight diverges, and is truncated after ``duration``. The last observation is clipped to the space.
+    :func:`skdgp.dynamics.simulate` does. An episode terminates when an observation leaves ``observation_space``, or the
+    flight diverges, and is truncated after ``duration``. The last observation is clipped to the space. Raises
+    ImportError if Gymnasium is not installed; ValueError if the trim is not within the limits, such as above the
+    ground, a name is unknown, or ``duration`` is too short.
 
     Parameters
     ----------
@@ -80,13 +82,6 @@ def gymnasium_env(
         Its ``info`` is ``seen``, with ``beyond``: the regressor that is farthest outside of what the model was learned
         from, or "". That of a reset has ``random_state``, with which `simulate` draws the same aircraft. Equal seeds
         give equal episodes.
-
-    Raises
-    ------
-    ImportError
-        If Gymnasium is not installed.
-    ValueError
-        If the trim is not within the limits, such as above the ground, a name is unknown, or ``duration`` is too short.
 
     Examples
     --------

@@ -87,7 +87,9 @@ def write_jsbsim(
 
     The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
     The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm`` or ``fcs/propeller_speed`` [rad/s];
-    without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf].
+    without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if a
+    parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of Gaussian
+    processes and a linear trend (functions, and tables that lose more than ``max_loss``).
 
     Parameters
     ----------
@@ -114,12 +116,6 @@ def write_jsbsim(
     -------
     list of Path
         The files.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of
-        Gaussian processes and a linear trend (functions, and tables that lose more than ``max_loss``).
     """
     check_choice("form", form, ("functions", "tables"))
     if n_draws < 0:
@@ -142,16 +138,15 @@ def write_jsbsim(
         {c: functions[k] if functions and c in names else tables[k] for c in COEFFICIENTS} for k in range(1 + n_draws)
     ]
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in aircraft.name)
-    return [_write(Path(folder), name if k == 0 else f"{name}_{k:03d}", one, aircraft) for k, one in enumerate(written)]
-
-
-def _write(folder: Path, name: str, found: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Path:
-    path = folder / "aircraft" / name / f"{name}.xml"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    root = jsbsim_config(name, found, aircraft)
-    ElementTree.indent(root, space=" ")
-    write_xml(path, root)
-    return path
+    paths = []
+    for k, parts in enumerate(written):
+        own = name if k == 0 else f"{name}_{k:03d}"
+        paths.append(Path(folder, "aircraft", own, f"{own}.xml"))
+        paths[-1].parent.mkdir(parents=True, exist_ok=True)
+        root = jsbsim_config(own, parts, aircraft)
+        ElementTree.indent(root, space=" ")
+        write_xml(paths[-1], root)
+    return paths
 
 
 def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Element:
@@ -183,9 +178,8 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
             _add_tables(aerodynamics, part, coefficient)
     for coefficient, axis in AXES.items():
         place = SubElement(aerodynamics, "axis", name=axis)
-        unit = "LBS" if coefficient not in LENGTHS else None
-        if unit:
-            place.set("unit", unit)
+        if coefficient not in LENGTHS:
+            place.set("unit", "LBS")
         load = SubElement(place, "function", name=f"aero/{'moment' if coefficient in LENGTHS else 'force'}/{axis}")
         lengths = [LENGTHS[coefficient]] if coefficient in LENGTHS else []
         _product(load, "aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}")
@@ -199,7 +193,7 @@ def _add_metrics(root: Element, aircraft: Aircraft) -> None:
     ):  # fmt: skip
         add_text(metrics, tag, value, unit=unit)
     for place in ("AERORP", "EYEPOINT", "VRP"):
-        _location(metrics, (0.0, 0.0, 0.0), name=place)
+        _vector(metrics, "location", (0.0, 0.0, 0.0), name=place, unit="M")
 
 
 def _add_mass(root: Element, aircraft: Aircraft) -> None:
@@ -210,7 +204,7 @@ def _add_mass(root: Element, aircraft: Aircraft) -> None:
     for tag, value in entries.items():
         add_text(mass, tag, value, unit="KG*M2")
     add_text(mass, "emptywt", aircraft.mass, unit="KG")
-    _location(mass, (0.0, 0.0, 0.0), name="CG")
+    _vector(mass, "location", (0.0, 0.0, 0.0), name="CG", unit="M")
 
 
 def _add_thrust(root: Element, aircraft: Aircraft) -> None:
@@ -223,14 +217,14 @@ def _add_thrust(root: Element, aircraft: Aircraft) -> None:
     if propeller is not None:
         function = SubElement(force, "function", name="propulsion/thrust-lbs")
         _propeller(function, propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
-    _location(force, (-position[0], position[1], -position[2]))
-    _direction(force, direction)
+    _vector(force, "location", (-position[0], position[1], -position[2]), unit="M")
+    _vector(force, "direction", direction)
     if propeller is not None and propeller.torque_coefficients:
         moment = SubElement(reactions, "moment", name="propeller", frame="BODY")
         function = SubElement(moment, "function", name="propulsion/torque-lbsft")
         factor = -propeller.rotation / (POUND_FORCE * FOOT)
         _propeller(function, propeller, propeller.torque_coefficients, 5, factor)
-        _direction(moment, direction)
+        _vector(moment, "direction", direction)
 
 
 def _propeller(function: Element, propeller: Any, coefficients: Sequence[float], power: int, factor: float) -> None:
@@ -374,13 +368,7 @@ def _values(parent: Element, *values: float | str) -> None:
         add_text(parent, "p" if isinstance(value, str) else "v", value)
 
 
-def _location(parent: Element, place: Sequence[float], **attributes: str) -> None:
-    location = SubElement(parent, "location", attributes | {"unit": "M"})
-    for axis, value in zip("xyz", place, strict=True):
-        add_text(location, axis, float(value))
-
-
-def _direction(parent: Element, direction: Sequence[float]) -> None:
-    element = SubElement(parent, "direction")
-    for axis, value in zip("xyz", direction, strict=True):
+def _vector(parent: Element, tag: str, values: Sequence[float], **attributes: str) -> None:
+    element = SubElement(parent, tag, attributes)
+    for axis, value in zip("xyz", values, strict=True):
         add_text(element, axis, float(value))

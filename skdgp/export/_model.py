@@ -303,10 +303,7 @@ class PortableModel:
     def regressor_values(self, X: Any) -> Matrix:
         """Return regressors (n, d) of an array (n, d), or of a flight table by its columns.
 
-        Raises
-        ------
-        ValueError
-            If columns are missing, the shape is another, or a value is not finite.
+        Raises ValueError if columns are missing, the shape is another, or a value is not finite.
         """
         if hasattr(X, "columns") or isinstance(X, dict):
             X = np.column_stack([regressor.values(X) for regressor in self.regressors])
@@ -323,23 +320,9 @@ class PortableModel:
     def predict(self, X: Any, return_std: bool = False) -> Any:
         """Return the mean of the coefficients and, with ``return_std``, their standard deviation at exact regressors.
 
-        Parameters
-        ----------
-        X : array (n, d), DataFrame or dict of columns
-            Regressors in their units, or a flight table at exact states with their sources. Measured noise is not
-            removed: that is the pipeline's task.
-        return_std : bool
-
-        Returns
-        -------
-        mean : ndarray (n, P)
-        std : ndarray (n, P)
-            With ``return_std``.
-
-        Raises
-        ------
-        ValueError
-            As of ``regressor_values``.
+        X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, at exact states
+        with their sources. Measured noise is not removed: that is the pipeline's task. Both results are (n, P). Errors
+        are those of ``regressor_values``.
         """
         Z = (self.regressor_values(X) - self.shift) / self.scale
         parts = [self._predict(Z[rows], return_std) for rows in self._chunks(len(Z))]

@@ -19,23 +19,9 @@ def onnx_model(model: PortableModel) -> Any:
     """Return an ``onnx.ModelProto`` from regressors ``x`` (n, d) to ``mean`` (n, P) and ``std`` (n, P), in double.
 
     The regressors are in their units, in the order of ``model.regressor_names``, which is in the metadata, as are the
-    outputs, the range of the training data and the content hash.
-
-    Parameters
-    ----------
-    model : PortableModel
-        Not an exact one of many samples; a reduced one (``export --max-kb``) is faster.
-
-    Returns
-    -------
-    onnx.ModelProto
-
-    Raises
-    ------
-    ImportError
-        If ONNX is not installed.
-    ValueError
-        If the model is too large.
+    outputs, the range of the training data and the content hash. A reduced model (``export --max-kb``) is faster.
+    Raises ImportError if ONNX is not installed, ValueError if the model is too large, such as an exact one of many
+    samples.
     """
     try:
         from onnx import TensorProto, checker, helper
@@ -67,30 +53,15 @@ def onnx_model(model: PortableModel) -> Any:
     graph("Add", graph("Mul", graph("Concat", *means, axis=1), model.output_scale), model.center, out="mean")
     graph("Mul", graph("Concat", *stds, axis=1), model.deviation_scale, out="std")
 
-    def described(name, n):
-        return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", n])
-
-    P = len(model.outputs)
-    made = helper.make_graph(
-        graph.nodes,
-        "aero",
-        [described("x", len(model.regressors))],
-        [described("mean", P), described("std", P)],
-        graph.constants,
-    )
-    proto = helper.make_model(
-        made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="skdgp"
-    )
-    helper.set_model_props(
-        proto,
-        {
-            "regressors": ",".join(model.regressor_names),
-            "outputs": ",".join(model.outputs),
-            "low": ",".join(map(repr, model.envelope.low.tolist())),
-            "high": ",".join(map(repr, model.envelope.high.tolist())),
-            "content_hash": model.content_hash,
-        },
-    )
+    sizes = {"x": len(model.regressors), "mean": len(model.outputs), "std": len(model.outputs)}
+    x, *results = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", n]) for name, n in sizes.items())
+    made = helper.make_graph(graph.nodes, "aero", [x], results, graph.constants)
+    opset = helper.make_opsetid("", OPSET)
+    proto = helper.make_model(made, opset_imports=[opset], ir_version=IR_VERSION, producer_name="skdgp")
+    lists = {"regressors": model.regressor_names, "outputs": model.outputs}
+    lists |= {edge: tuple(map(repr, getattr(model.envelope, edge).tolist())) for edge in ("low", "high")}
+    properties = {name: ",".join(values) for name, values in lists.items()}
+    helper.set_model_props(proto, properties | {"content_hash": model.content_hash})
     checker.check_model(proto)
     return proto
 

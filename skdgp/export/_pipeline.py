@@ -29,25 +29,10 @@ REMEDY = "Export a pipeline of make_identification_pipeline that ends in Depende
 def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> PortableModel:
     """Return the portable model of a fitted identification pipeline.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Fitted; with a ``RegressorSelector``, perhaps a ``StandardScaler`` behind it, and a ``DependentGPRegressor`` at
-        the end, exact, sparse or compact, perhaps in a ``CalibratedRegressor``.
-    aircraft : Aircraft
-    **facts
-        Of the model file: ``portable_model(**load_model(path))``. They become the provenance.
-
-    Returns
-    -------
-    PortableModel
-
-    Raises
-    ------
-    TypeError
-        If ``pipeline`` is no pipeline, or ``aircraft`` no `Aircraft`.
-    ValueError
-        If a step, the kernel or the trend has no portable form.
+    The pipeline has a ``RegressorSelector``, perhaps a ``StandardScaler`` behind it, and a ``DependentGPRegressor`` at
+    the end, exact, sparse or compact, perhaps in a ``CalibratedRegressor``. The ``facts`` of a model file become the
+    provenance: ``portable_model(**load_model(path))``. Raises TypeError if ``pipeline`` is no pipeline or ``aircraft``
+    no `Aircraft`, ValueError if a step, the kernel or the trend has no portable form.
 
     Examples
     --------

@@ -29,6 +29,7 @@ from skdgp._flight.smoothing import noise_level
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
 from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
+from skdgp.preprocessing._table import unwrapped
 from skdgp.report import FlightResult
 
 STD_ROWS = 3000
@@ -85,7 +86,10 @@ def evaluate_flight(
         states["measured"] = replay_errors(replayed, table)
         if "v_east" + TRUTH_SUFFIX in table:
             states["truth"] = replay_errors(replayed, table, suffix=TRUTH_SUFFIX)
-    names = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS]
+    names, baseline = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS], None
+    if least_squares is not None:
+        weights = np.array([list(least_squares[name].values()) for name in COEFFICIENTS])
+        baseline = weights[:, 0] + _unscaled(pipeline, regressors) @ weights[:, 1:].T
     evaluation = Evaluation(
         name=name,
         time=table["time"].to_numpy(float),
@@ -100,7 +104,7 @@ def evaluate_flight(
         rows=rows,
         states=states,
         regressors=regressors,
-        baseline=None if least_squares is None else _by_least_squares(pipeline, regressors, least_squares),
+        baseline=baseline,
     )
     metrics: dict[str, Any] = {against: table.to_dict("list") for against, table in scores([evaluation]).items()}
     return replace(evaluation, metrics=metrics)
@@ -119,11 +123,6 @@ def fit_least_squares(pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame) -
         slopes = dict(zip(map(str, names), map(float, linear.coef_), strict=True))
         found[coefficient] = {"intercept": float(linear.intercept_), **slopes}
     return found
-
-
-def _by_least_squares(pipeline, regressors, least_squares):
-    weights = np.array([list(least_squares[name].values()) for name in COEFFICIENTS])
-    return weights[:, 0] + _unscaled(pipeline, regressors) @ weights[:, 1:].T
 
 
 def _unscaled(pipeline, regressors):
@@ -198,12 +197,7 @@ def sensor_noise(table: pd.DataFrame) -> dict[str, float]:
     1 + 4 + 1 = 6 times its variance. Motion adds to them, so the noise is rather over- than understated.
     """
     names = [name for name in STATES if name in table]
-    values = table[names].to_numpy(float).copy()
-    for j, name in enumerate(names):
-        if name in EULER:
-            known = np.isfinite(values[:, j])
-            values[known, j] = np.unwrap(values[known, j])
-    time = table["time"].to_numpy(float)
+    values, time = unwrapped(table, names), table["time"].to_numpy(float)
     found = noise_level(values, time).measured
     found = np.where(np.isfinite(found), found, _noise_of_differences(values, time))
     return {name: float(level) for name, level in zip(names, found, strict=True)}

@@ -15,7 +15,7 @@ from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
-from skdgp._flight.physics import find_contradictions
+from skdgp._flight.physics import block_means, find_contradictions
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
@@ -147,14 +147,9 @@ def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flig
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
     check = FlightCheck(bridge=0)
     checked = {name: check.fit_transform(table) for name, table in flights.items()}
-    _warn_of_contradictions(checked)
+    for each in find_contradictions(pd.concat(checked.values(), ignore_index=True)) if checked else ():
+        warnings.warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
-
-
-def _warn_of_contradictions(flights: Flights) -> None:
-    if flights:
-        for each in find_contradictions(pd.concat(flights.values(), ignore_index=True)):
-            warnings.warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=4)
 
 
 def _complete_rows(flight, table, regressors) -> pd.DataFrame:
@@ -234,5 +229,5 @@ def _mean_crossings(table, name) -> int:
     """Return how often a channel passes its mean, in averages over 0.25 s, so that noise does not count."""
     time, values = table["time"].to_numpy(float), table[name].to_numpy(float)
     size = max(1, round(0.25 / np.median(np.diff(time)))) if len(time) > 1 else 1
-    blocks = values[: len(values) // size * size].reshape(-1, size).mean(axis=1) - values.mean()
+    blocks = block_means(values, size) - values.mean()
     return int(np.sum(blocks[1:] * blocks[:-1] < 0))

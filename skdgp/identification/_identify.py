@@ -22,7 +22,7 @@ from sklearn.utils import Bunch
 
 from skdgp._compute.files import json_text, plain, text_writer, write_together
 from skdgp._compute.progress import notify
-from skdgp._compute.typing import Seed
+from skdgp._compute.typing import Matrix, Seed
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
@@ -184,16 +184,8 @@ def identify(
         train = _flights.named_flights(flights, **reading)
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
         train, test, held_out = _flights.train_and_test(train, test)
-        if calibrate and len(train) < 2:
-            raise ValueError(
-                f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at least two, to hold "
-                "each out in turn: give more flights, or do not calibrate."
-            )
-        if calibrate and (symmetric or gusty):
-            raise ValueError(
-                f"Got calibrate with symmetric={symmetric}, gusty={gusty}, but expected one or the other: calibration "
-                "is by measured coefficients of flights held out, in the same air."
-            )
+        if calibrate:
+            _check_calibration(train, symmetric, gusty)
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
@@ -220,13 +212,7 @@ def identify(
             gusty=gusty,
         )
         began = time.monotonic()
-        if symmetric or gusty:
-            X = pipeline.fit(table, targets)[:-1].transform(table)
-        else:
-            groups = {"groups": table["flight"]} if calibrate else {}
-            X = pipeline[:-1].fit_transform(table, targets)
-            pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
-            pipeline.turbulence_ = flown_turbulence(pipeline, table)
+        X = _fit(pipeline, table, targets)
         pipeline.noise_ = flight_noise(pipeline, table, aircraft, regressors=X, **loads)
         seconds = time.monotonic() - began
 
@@ -269,6 +255,9 @@ def validate(
 ) -> Identification:
     """Judge a model that exists on flights.
 
+    Raises ValueError if the model is not of ``identify``, a flight lacks a column of the model, or the plan is of
+    another aircraft, of other regressors, or was not flown.
+
     Parameters
     ----------
     model : Bunch
@@ -292,12 +281,6 @@ def validate(
     -------
     Identification
         Without training flights.
-
-    Raises
-    ------
-    ValueError
-        If the model is not of ``identify``, a flight lacks a column of the model, or the plan is of another aircraft,
-        of other regressors, or was not flown.
     """
     settings = {"thrust": "auto", "external_forces": []} | model.get("options", {}) | loads
     settings["horizons"] = list(horizons)
@@ -626,6 +609,30 @@ def _announce(stage):
 
 def _warn(message):
     warnings.warn(message, stacklevel=3)
+
+
+def _check_calibration(train, symmetric, gusty) -> None:
+    if len(train) < 2:
+        raise ValueError(
+            f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at least two, to hold "
+            "each out in turn: give more flights, or do not calibrate."
+        )
+    if symmetric or gusty:
+        raise ValueError(
+            f"Got calibrate with symmetric={symmetric}, gusty={gusty}, but expected one or the other: calibration "
+            "is by measured coefficients of flights held out, in the same air."
+        )
+
+
+def _fit(pipeline, table, targets) -> Matrix:
+    """Fit a pipeline as its ``fit`` does, and return the regressors (n, d), which are not computed twice."""
+    if pipeline.symmetric or pipeline.gusty:
+        return pipeline.fit(table, targets)[:-1].transform(table)
+    groups = {"groups": table["flight"]} if isinstance(pipeline[-1], CalibratedRegressor) else {}
+    X = pipeline[:-1].fit_transform(table, targets)
+    pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
+    pipeline.turbulence_ = flown_turbulence(pipeline, table)
+    return X
 
 
 def _n_samples(samples, regressor, n_rows) -> int:

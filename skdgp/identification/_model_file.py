@@ -36,6 +36,8 @@ class ModelFileError(ValueError):
 def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Path:
     """Write a fitted pipeline, its aircraft and facts into one file, which appears whole or not at all.
 
+    Raises TypeError if ``pipeline`` is not a fitted estimator or ``aircraft`` no `Aircraft`.
+
     Parameters
     ----------
     path : path-like
@@ -50,11 +52,6 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
     -------
     Path
         ``path``.
-
-    Raises
-    ------
-    TypeError
-        If ``pipeline`` is not a fitted estimator or ``aircraft`` no `Aircraft`.
     """
     model = model_bunch(pipeline, aircraft, **facts)
     if not _is_model(model):
@@ -89,29 +86,13 @@ def load_model(path: str | os.PathLike) -> Bunch:
 
     The file is a pickle, and loading may run any code in it: open only files whose origin you trust.
 
-    Parameters
-    ----------
-    path : path-like
+    The result has ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``, ``created``,
+    ``versions`` and the facts saved with it: of :func:`identify` ``options`` (thrust, external forces, ...), ``fit``
+    (samples, seconds, log likelihood, ...) and ``flights`` learned from.
 
-    Returns
-    -------
-    Bunch
-        ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``, ``created``, ``versions`` and the
-        facts saved with it: of :func:`identify` ``options`` (thrust, external forces, ...), ``fit`` (samples, seconds,
-        log likelihood, ...) and ``flights`` learned from.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ModelFileError
-        If the file is not a model, is cut off or differs from what was written in a single bit, or cannot be read by
-        the versions installed here.
-
-    Warns
-    -----
-    UserWarning
-        If it was made by other versions of skdgp, scikit-learn or NumPy; or by an earlier skdgp, without a checksum.
+    Raises FileNotFoundError if there is no such file, ModelFileError if it is not a model, is cut off or differs from
+    what was written in a single bit, or cannot be read by the versions installed here. Warns if it was made by other
+    versions of skdgp, scikit-learn or NumPy, or by an earlier skdgp, without a checksum.
     """
     path = Path(path)
     if not path.is_file():

@@ -35,6 +35,8 @@ from skdgp.preprocessing import (
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 LEAST_ROWS, MOST_ROWS = 5, 20000
 """For each term of a polynomial, and for the whole of it."""
+SMOOTH = {"length_scale_prior": "auto", "n_latent": 2}
+"""What the default regressor of gusty flights has; the other one has None."""
 
 
 def make_identification_pipeline(
@@ -67,6 +69,7 @@ def make_identification_pipeline(
     The names are those of the steps, so ``dependentgpregressor__n_latent`` is a parameter for ``GridSearchCV``. Fit it
     on whole flights at their full rate, and choose the rows to learn from in the targets
     (:func:`skdgp.model_selection.thin_targets`). In cross-validation hold out flights: ``groups=table["flight"]``.
+    Raises TypeError if ``aircraft`` is not an Aircraft.
 
     Parameters
     ----------
@@ -98,11 +101,6 @@ def make_identification_pipeline(
     -------
     FlightPipeline
         ``predict(table)`` gives (n, 6), ``predict(table, return_std=True)`` also the standard deviations.
-
-    Raises
-    ------
-    TypeError
-        If ``aircraft`` is not an Aircraft.
 
     Examples
     --------
@@ -143,25 +141,12 @@ def make_identification_pipeline(
 def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPRegressor:
     """Return the regressor that pipelines and the command line learn with, with some parameters changed.
 
-    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure.
+    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure. ``parameters`` are
+    those of :class:`skdgp.DependentGPRegressor`.
 
-    Parameters
-    ----------
-    gusty : bool, default=False
-        As for :class:`FlightPipeline`. What gusts leave in the targets looks like a function of very small width, so a
-        prior stands against these (``length_scale_prior="auto"``), and outputs share two latents.
-    **parameters
-        Of :class:`skdgp.DependentGPRegressor`.
-
-    Returns
-    -------
-    DependentGPRegressor
-        Not fitted.
-
-    Raises
-    ------
-    TypeError
-        If a parameter is not one of the regressor.
+    What gusts leave in the targets looks like a function of very small width. So with ``gusty``, as of
+    :class:`FlightPipeline`, a prior stands against these (``length_scale_prior="auto"``), and outputs share two
+    latents.
 
     Examples
     --------
@@ -171,8 +156,7 @@ def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPR
                          random_state=0, structure='auto')
     """
     defaults: dict[str, Any] = {"structure": "auto", "input_noise": "learned", "early_stopping": True}
-    smooth = {"length_scale_prior": "auto", "n_latent": 2} if gusty else {}
-    return DependentGPRegressor(**{**defaults, **smooth, **parameters})
+    return DependentGPRegressor(**{**defaults, **(SMOOTH if gusty else {}), **parameters})
 
 
 def check_aircraft(aircraft) -> Aircraft:
@@ -196,28 +180,16 @@ def _derivatives(regressors) -> list[str]:
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
     r"""Return the regressors of a flight, (n, d), and how much noisier they are than those of the fit, (n,).
 
+    The flight, or several, is at its full rate; the regressors are what the last step of the pipeline predicts from.
+
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is proportional to that
-    of the gusts. Where the pipeline reconstructs flight paths, it estimates :math:`\sigma_g` [m/s in one second] of
-    the flight from its own sensors, and the ratio of variances is
+    of the gusts. Where the pipeline reconstructs flight paths, it estimates :math:`\sigma_g` [m/s in one second] of the
+    flight from its own sensors, and the ratio of variances is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
-    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1. It is 1 too where
-    the pipeline ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Fitted.
-    flight : DataFrame (n, ...)
-        One or more flights at their full rate.
-
-    Returns
-    -------
-    regressors : ndarray (n, d)
-        What the last step of the pipeline predicts from.
-    ratio : ndarray (n,)
-        The ratio of variances.
+    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1. It is 1 too where the
+    pipeline ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
     """
     ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
@@ -274,20 +246,18 @@ class FlightPipeline(Pipeline):
     ----------
     turbulence_ : Turbulence or None
         Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their table, which says why.
+    noise_ : DataFrame or None
+        Set by :func:`identify`, used by the plan of flights: :func:`flight_noise`, which needs the mass and the loads
+        that ``fit`` does not get. Set it yourself: ``pipeline.noise_ = flight_noise(pipeline, flights, aircraft)``.
 
     Examples
     --------
-    >>> import numpy as np, pandas as pd
+    >>> import numpy as np
     >>> from skdgp.identification import make_identification_pipeline
     >>> from skdgp.dynamics import Aircraft
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    >>> t = np.arange(0, 4, 0.1)
-    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
-    >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough")
-    >>> mean, std = model.fit(flight, Y).predict(flight, return_std=True)
-    >>> mean.shape, std.shape
-    ((40, 2), (40, 2))
+    >>> make_identification_pipeline(glider).set_params(gusty=True)[-1].n_latent
+    2
     """
 
     steps: list[tuple[str, Any]]
@@ -307,25 +277,30 @@ class FlightPipeline(Pipeline):
         self.symmetric = symmetric
         self.gusty = gusty
 
+    def set_params(self, **params: Any) -> FlightPipeline:
+        """Set parameters as scikit-learn's ``Pipeline``; ``gusty`` also turns the prior of the last step on or off.
+
+        ``length_scale_prior`` and ``n_latent`` of a :class:`skdgp.DependentGPRegressor` at the end become those of
+        :func:`default_regressor`, unless the same call sets them or the step, or they had values of your own.
+        """
+        before = SMOOTH if self.gusty else dict.fromkeys(SMOOTH)
+        super().set_params(**params)
+        after, (step, last) = SMOOTH if self.gusty else dict.fromkeys(SMOOTH), self.steps[-1]
+        if isinstance(last, CalibratedRegressor):
+            step, last = f"{step}__estimator", last.estimator
+        if isinstance(last, DependentGPRegressor) and "steps" not in params:
+            for name in SMOOTH:
+                value, given = getattr(last, name), any(f"{step}__{name}".startswith(key) for key in params)
+                if not given and np.ndim(value) == 0 and value == before[name]:
+                    last.set_params(**{name: after[name]})
+        return self
+
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
-        """Fit all steps to flights at their full rate.
+        """Fit all steps to flights X at their full rate and coefficients y (n, P).
 
+        Coefficients are NaN where they are not to be learned from.
         A :class:`skdgp.DependentGPRegressor` at the end also gets ``time`` and ``flight`` of each row, unless metadata
-        routing is enabled: request them there.
-
-        Parameters
-        ----------
-        X : DataFrame (n, ...)
-            Flights.
-        y : DataFrame or array (n, P)
-            Coefficients; NaN where they are not to be learned from.
-        **params : keywords
-            As of scikit-learn's ``Pipeline``.
-
-        Returns
-        -------
-        FlightPipeline
-            The fitted pipeline.
+        routing is enabled: request them there. ``params`` are as of scikit-learn's ``Pipeline``.
         """
         if not get_config()["enable_metadata_routing"]:
             name = self.steps[-1][0]
@@ -374,22 +349,11 @@ class FlightPipeline(Pipeline):
             last.posterior_ = with_more_noise(last.posterior_, factor, len(samples))
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
-        """Predict the coefficients of one or more flights at their full rate.
+        """Predict the coefficients (n, P) of one or more flights at their full rate.
 
-        Parameters
-        ----------
-        X : DataFrame (n, ...)
-            Flights.
-        **params : keywords
-            Of ``predict`` of the last step. ``return_std=True`` returns the standard deviation of the coefficients,
-            with ``include_noise=True`` of new measurements. ``include_input_noise`` replaces the ratio of this flight,
-            unless it is True.
-
-        Returns
-        -------
-        mean : ndarray (n, P)
-        std : ndarray (n, P)
-            On request.
+        ``params`` are those of ``predict`` of the last step. ``return_std=True`` returns the standard deviation of the
+        coefficients, too, with ``include_noise=True`` of new measurements. ``include_input_noise`` replaces the ratio
+        of this flight, unless it is True.
         """
         uncertain = params.get("return_std") or params.get("return_cov")
         if not uncertain or params.get("include_input_noise", True) is not True:
@@ -534,19 +498,7 @@ def _predict(last, regressors, ratio, params):
 def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False) -> tuple[Matrix, Matrix]:
     """Return ``predict(flight, return_std=True, include_noise=include_noise)`` of any identification pipeline.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Fitted; also one of an earlier version, which is no :class:`FlightPipeline`.
-    flight : DataFrame (n, ...)
-        One or more flights at their full rate.
-    include_noise : bool, default=False
-        Whether the standard deviation is of a new measurement rather than of the coefficient.
-
-    Returns
-    -------
-    mean, std : ndarray (n, P)
-        As of :class:`FlightPipeline`.
+    It may be one of an earlier version, which is no :class:`FlightPipeline`. Mean and standard deviation are (n, P).
     """
     words = {"return_std": True, "include_noise": include_noise}
     return _predict(pipeline[-1], *flight_regressors(pipeline, flight), words)

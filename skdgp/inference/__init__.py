@@ -1,4 +1,16 @@
-"""Exact and sparse posteriors, and the search for hyperparameters."""
+"""Exact and sparse posteriors, and the search for hyperparameters.
+
+Words of this folder, beside those of docs/notation.md:
+
+========  =============================================================================================================
+features  the inducing variables of sparse inference; what scikit-learn calls features are the regressors here
+share     samples whose part of a sum one task computes, a chunk of the data
+loading   matrix that multiplies independent variables: G of the noise G G^T that regressors add to the outputs of a
+          sample; A, b of a posterior mean A b
+clock     time and flight number of each value, (n, 2)
+drift     the part of the noise that is correlated in time
+========  =============================================================================================================
+"""
 
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation

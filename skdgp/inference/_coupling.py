@@ -12,19 +12,9 @@ from sklearn.utils import Bunch
 def output_correlation(kernel: Any) -> Bunch:
     """Return the largest correlation between outputs over all separations, and the separation of that maximum.
 
-    For a stationary kernel the correlation of output i at s + delta with output j at s is
-    K_ij(delta) / sqrt(K_ii(0) K_jj(0)). Its extremes are found by gradient ascent from the separations at which the
-    terms of the kernel are largest.
-
-    Parameters
-    ----------
-    kernel : MultiOutputKernel
-        Stationary.
-
-    Returns
-    -------
-    Bunch
-        ``correlation`` (P, P) and ``shift`` (P, P, d), antisymmetric in the outputs.
+    For a stationary kernel the correlation of output i at s + delta with output j at s is K_ij(delta) / sqrt(K_ii(0)
+    K_jj(0)). Its extremes are found by gradient ascent from the separations at which the terms of the kernel are
+    largest. The result has ``correlation`` (P, P) and ``shift`` (P, P, d), antisymmetric in the outputs.
     """
     P, n_features = kernel.n_outputs, kernel.n_features
     correlation, shift = np.eye(P), np.zeros((P, P, n_features))

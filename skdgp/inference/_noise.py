@@ -2,7 +2,8 @@
 
 To first order an error e ~ N(0, S) of the regressors changes all outputs of sample a by J_a e, with the slopes J_a of
 the posterior mean. The noise of the sample then has the covariance diag(sigma^2) + J_a S J_a^T (McHutchon & Rasmussen
-2011). With G = J R and S = R diag(s) R^T this is diag(sigma^2) + G_a diag(s) G_a^T.
+2011). With G = J R and S = R diag(s) R^T this is diag(sigma^2) + G_a diag(s) G_a^T. G is called ``loading``, as in
+factor analysis.
 
 Errors of neighbouring samples of a flight are correlated: gusts, lags and unmodelled motion last longer than a sample
 interval. The drift of an output is an Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T) within a

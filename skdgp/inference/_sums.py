@@ -1,9 +1,9 @@
 """Sums over samples for sparse inference: for conditioning and for the gradient of the bound.
 
-A share is a sequence of samples. It holds one output if the outputs have independent noise, and all outputs if noisy
-regressors correlate their noise. With a drift a share is part of one flight, and the noise of its samples is
-correlated. Functions that sum over a share are module-level functions with explicit arguments, so that a thread, a
-process or another machine can run them.
+A share is a sequence of samples, a chunk of the data. It holds one output if the outputs have independent noise, and
+all outputs if noisy regressors correlate their noise. With a drift a share is part of one flight, and the noise of its
+samples is correlated. Functions that sum over a share are module-level functions with explicit arguments, so that a
+thread, a process or another machine can run them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
 class SampleShare(NamedTuple):
     """A sequence of samples of some outputs.
 
-    ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, and ``loading`` G (n, p, r) of the noise covariance
+    ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, and the ``loading`` G (n, p, r) of the noise covariance
     diag(sigma^2) + G G^T. With a drift also ``clock`` (n, 2), time and flight, and ``drift``, its variances and
     memories (2, p).
     """

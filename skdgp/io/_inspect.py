@@ -169,32 +169,19 @@ class LogSummary:
 
     def _topic_lines(self):
         if self.topics:
-            words = ", ".join(f"{t.name} {_often(t)}" + f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics)
+            often = [f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times" for t in self.topics]
+            gaps = [f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics]
+            words = [f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)]
             yield ""
-            yield _hanging(f"topics: {words}", 4)
+            yield _hanging(f"topics: {', '.join(words)}", 4)
 
 
 def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None) -> LogSummary:
     r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
 
-    Parameters
-    ----------
-    path : str or path
-        Any file that :func:`read_flight` reads.
-    servos : path or mapping, optional
-        Calibration of the servos, as of :func:`read_flight`.
-
-    Returns
-    -------
-    LogSummary
-        ``print`` shows it, ``to_dict`` gives it for JSON.
-
-    Raises
-    ------
-    FlightReadError
-        If the file cannot be read. A log without a flight can.
-    FileNotFoundError
-        If there is no such file.
+    ``path`` is any file that :func:`read_flight` reads, ``servos`` the calibration of the servos, as there. ``print``
+    shows the summary, ``to_dict`` gives it for JSON. Raises FlightReadError if the file cannot be read (a log without a
+    flight can), FileNotFoundError if there is none.
 
     Examples
     --------
@@ -234,10 +221,7 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
 def servo_template(path: PathLike) -> str:
     """Return the text of a servo file for a log of an autopilot, to be filled in with the angles of the surfaces.
 
-    Raises
-    ------
-    FlightReadError
-        If the file cannot be read, is no log of an autopilot, or holds nothing that was sent to servos.
+    Raises FlightReadError if the file cannot be read, is no such log, or holds nothing that was sent to servos.
     """
     path = Path(path)
     if path.suffix.lower() not in AUTOPILOTS:
@@ -320,10 +304,6 @@ def _topic(name, topic: Topic) -> TopicSummary:
 
 def _constant(column) -> bool:
     return bool(column.nunique() < 2)
-
-
-def _often(topic) -> str:
-    return f"{topic.rate:.3g} Hz" if np.isfinite(topic.rate) else f"{topic.messages} times"
 
 
 def _hanging(words, indent) -> str:

@@ -59,7 +59,10 @@ def flight_from_poses(
 
     f is the specific force, and the velocity through the air :math:`v_a` gives airspeed, alpha and beta. Each flight,
     and each part between gaps, is differentiated by itself. The first and last 0.1 s are two to four times less
-    accurate than the rest.
+    accurate than the rest. Raises ValueError if shapes do not match, a value is not finite, time does not increase,
+    quaternions are not of length 1, a flight has fewer than 10 samples between gaps, poses repeat or leap as where
+    markers are hidden, positions are not in metres, or the motion contradicts the frame: lift does not act upward, the
+    aircraft does not fly forward, or it does not turn to the side to which it banks.
 
     Parameters
     ----------
@@ -88,14 +91,6 @@ def flight_from_poses(
         Columns ``time``, ``flight``, air data, rates and angular accelerations, specific force, velocities, Euler
         angles, position, altitude, density of the standard atmosphere, and those of ``controls``. In
         ``attrs["pose_noise"]`` stand the standard deviations of the noise of position [m] and attitude [rad].
-
-    Raises
-    ------
-    ValueError
-        If shapes do not match, a value is not finite, time does not increase, quaternions are not of length 1, a
-        flight has fewer than 10 samples between gaps, poses repeat or leap as where markers are hidden, positions are
-        not in metres, or the motion contradicts the frame: lift does not act upward, the aircraft does not fly forward,
-        or it does not turn to the side to which it banks.
 
     Examples
     --------

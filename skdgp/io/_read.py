@@ -49,8 +49,9 @@ def read_flight(
     has the wind and the attitude, else of still air, with a warning.
 
     Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where slower, NaN in gaps)
-    and cut into flights; ``table.attrs["sources"]`` names the message of each column. :func:`inspect_log` shows what
-    is missing.
+    and cut into flights; ``table.attrs["sources"]`` names the message of each column. :func:`inspect_log` shows what is
+    missing. Warns with FlightDataWarning if a log is damaged, has gaps, its clock jumped, channels were never valid, or
+    columns are left out.
 
     Parameters
     ----------
@@ -88,11 +89,6 @@ def read_flight(
         If there is no such file.
     ImportError
         If the extra for the file's format is not installed.
-
-    Warns
-    -----
-    FlightDataWarning
-        If a log is damaged, has gaps, its clock jumped, channels were never valid, or columns are left out.
 
     Examples
     --------
@@ -133,22 +129,10 @@ def read_flight(
 def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: Any) -> pd.DataFrame:
     r"""Read several logs into one table, flight after flight.
 
-    Parameters
-    ----------
-    paths : iterable of paths, or mapping of flight identifier to path
-        A mapping names the flights itself.
-    **options
-        As of :func:`read_flight`, for all of them.
-
-    Returns
-    -------
-    DataFrame
-        As :func:`read_flight`, with a new index. Columns that some files lack are NaN there, with a warning.
-
-    Raises
-    ------
-    FlightReadError
-        As :func:`read_flight`, or if two files hold a flight of the same name.
+    ``paths`` is an iterable, or a mapping of flight identifier to path, which names the flights itself; ``options`` are
+    those of :func:`read_flight`, for all of them. The table is as of :func:`read_flight`, with a new index. Columns
+    that some files lack are NaN there, with a warning. Raises FlightReadError as :func:`read_flight`, or if two files
+    hold a flight of the same name.
 
     Examples
     --------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from numbers import Real
 from typing import TypeAlias
 
 import numpy as np
@@ -21,20 +22,10 @@ LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
 
 
 def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average") -> Score:
-    """Return the median of ``|y_true - y_pred| / |y_true|``, a fraction (0.09 is 9 %).
+    """Return the median of ``|y_true - y_pred| / |y_true|``, a fraction (0.09 is 9 %), of (n,) or (n, P) targets.
 
     Hemakumara & Sukkarieh (ICRA 2011) report this figure. It ignores large errors: report :func:`normalized_rmse`
-    beside it.
-
-    Parameters
-    ----------
-    y_true, y_pred : array-like of shape (n,) or (n, P)
-        Targets, NaN where not observed, and predictions. A zero target has an infinite error, or none if met exactly.
-    multioutput : {"raw_values", "uniform_average"} or array-like of shape (P,), default="uniform_average"
-
-    Returns
-    -------
-    float or ndarray of shape (P,)
+    beside it. A zero target has an infinite error, or none if met exactly.
 
     Examples
     --------
@@ -49,20 +40,9 @@ def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: 
 
 
 def normalized_rmse(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average") -> Score:
-    """Return the root mean squared error over the standard deviation of the targets.
+    """Return the root mean squared error over the standard deviation of the targets, (n,) or (n, P).
 
-    1 is no better than predicting their mean.
-
-    Parameters
-    ----------
-    y_true, y_pred : array-like of shape (n,) or (n, P)
-        Targets, NaN where not observed, and predictions.
-    multioutput : {"raw_values", "uniform_average"} or array-like of shape (P,), default="uniform_average"
-
-    Returns
-    -------
-    float or ndarray of shape (P,)
-        NaN, with a warning, for a constant output.
+    1 is no better than predicting their mean; NaN, with a warning, for a constant output.
 
     Examples
     --------
@@ -172,10 +152,8 @@ def interval_coverage(
     >>> interval_coverage([0.0, 1.9, 2.1, -3.0], [0.0] * 4, [1.0] * 4)
     0.5
     """
-    if not 0 < level < 1:
-        raise ValueError(f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95.")
     target, mean, std = check_scored(y_true, y_pred, y_std)
-    inside = np.abs(target - mean) <= norm.ppf(0.5 + level / 2) * std
+    inside = np.abs(target - mean) <= norm.ppf(0.5 + check_level(level) / 2) * std
     return _aggregate(_by_output(np.mean, inside, target), multioutput)
 
 
@@ -216,6 +194,13 @@ def standardized(y_true: Matrix, y_pred: Matrix, y_std: Matrix) -> Matrix:
         z = (y_true - y_pred) / y_std
     z[(y_true == y_pred) & (y_std == 0)] = 0.0
     return z
+
+
+def check_level(level: float) -> float:
+    """Return a probability strictly between 0 and 1."""
+    if not isinstance(level, Real) or not 0 < float(level) < 1:
+        raise ValueError(f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95.")
+    return float(level)
 
 
 def check_levels(levels: ArrayLike) -> Vector:

@@ -116,7 +116,8 @@ def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
 def score_flights(estimator: Any, table: pd.DataFrame, Y: Any, *, flight: str = "flight") -> pd.DataFrame:
     """Return the metrics of a fitted estimator by flight and output.
 
-    Standard deviations include measurement noise where the estimator has it.
+    Standard deviations include measurement noise where the estimator has it. Raises ValueError if the table lacks the
+    column.
 
     Parameters
     ----------
@@ -133,11 +134,6 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any, *, flight: str = 
     DataFrame
         A row per flight and output. Columns: ``n_observed``, and the metrics of :func:`score_outputs`; NaN where an
         output is never observed in a flight.
-
-    Raises
-    ------
-    ValueError
-        If the table lacks the column.
 
     Examples
     --------

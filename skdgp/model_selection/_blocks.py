@@ -68,25 +68,10 @@ class BlockSplit(BaseCrossValidator):
     ) -> Iterator[tuple[Indices, Indices]]:
         """Yield the training rows and the test rows of each split, rising.
 
-        Parameters
-        ----------
-        X : DataFrame (n, ...)
-            With the column ``time`` [s], which increases within a flight.
-        y : ignored
-        groups : array-like (n,), optional
-            The flight of each row, where X has no column ``flight``; by default all rows are one flight.
-
-        Yields
-        ------
-        train, test : ndarray of int
-
-        Raises
-        ------
-        TypeError
-            If X is not a DataFrame.
-        ValueError
-            If a parameter is out of range, ``time`` is missing or does not increase within a flight, a flight has too
-            few rows, or no training rows are left.
+        X (n, ...) has the column ``time`` [s], which increases within a flight. ``groups`` (n,) are the flight of each
+        row, where X has no column ``flight``; by default all rows are one flight. Raises TypeError if X is not a
+        DataFrame, ValueError if a parameter is out of range, ``time`` is missing or does not increase within a flight,
+        a flight has too few rows, or no training rows are left.
         """
         n_splits, gap = self.get_n_splits(), self.gap
         if not isinstance(gap, Real) or isinstance(gap, bool) or not 0 <= float(gap) < np.inf:

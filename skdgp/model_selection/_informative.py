@@ -25,7 +25,9 @@ def informative_targets(
 
     over points z spread evenly over the log. The prior covariance is that of the model, the mean over the outputs, each
     in units of its noise variance. Values of targets do not count. It helps where rows are few: see the table of
-    results; :func:`thin_targets` needs no model and does as well with a thousand rows.
+    results; :func:`thin_targets` needs no model and does as well with a thousand rows. Raises ValueError if
+    ``n_samples`` is no positive number, or Y has not as many rows as the table; NotFittedError if the model is not
+    fitted.
 
     Parameters
     ----------
@@ -46,13 +48,6 @@ def informative_targets(
     -------
     DataFrame, Series or ndarray
         A copy of ``Y`` as floats, of the same type, shape, names and index.
-
-    Raises
-    ------
-    ValueError
-        If ``n_samples`` is no positive number, or Y has not as many rows as the table.
-    NotFittedError
-        If the model is not fitted.
 
     Examples
     --------

@@ -36,7 +36,9 @@ def flight_learning_curve(
 ) -> pd.DataFrame:
     """Return the scores of models that learned from the first seconds of each training flight.
 
-    Where the curve is flat, longer flights of this kind do not improve the model: fly other manoeuvres.
+    Where the curve is flat, longer flights of this kind do not improve the model: fly other manoeuvres. Raises
+    ValueError if ``seconds`` are not positive or longer than every training flight, or there is nothing to test on:
+    neither test flights with targets, nor ``cv``, nor several flights.
 
     Parameters
     ----------
@@ -65,12 +67,6 @@ def flight_learning_curve(
     -------
     DataFrame
         A row per point and split: ``seconds``, ``split``, ``n_samples`` (rows to learn from), and a column per score.
-
-    Raises
-    ------
-    ValueError
-        If ``seconds`` are not positive or longer than every training flight, or there is nothing to test on: neither
-        test flights with targets, nor ``cv``, nor several flights.
 
     Examples
     --------
@@ -124,7 +120,8 @@ def expected_learning_curve(
 
     over points spread evenly over the whole log, where :math:`m` is the mean of the model as it is. The samples that
     the model has learned from before do not count. Where the curve with noise is flat, more of the same flight does not
-    improve predictions of measurements: fly other manoeuvres.
+    improve predictions of measurements: fly other manoeuvres. Raises ValueError if ``seconds`` are not positive or
+    longer than every flight, or too short for a row; NotFittedError if the model is not fitted.
 
     Parameters
     ----------
@@ -146,13 +143,6 @@ def expected_learning_curve(
     DataFrame
         A row per point of the curve: ``seconds``, ``n_samples``, ``normalized_rmse_NAME`` of each output, and
         ``above``, by which part their mean exceeds that of the whole log.
-
-    Raises
-    ------
-    ValueError
-        If ``seconds`` are not positive or longer than every flight, or too short for a row.
-    NotFittedError
-        If the model is not fitted.
 
     Examples
     --------

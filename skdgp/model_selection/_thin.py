@@ -18,22 +18,9 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     Smoothing and differentiation need the flight at its full rate, exact inference a few hundred samples. So the
     training subset is chosen in the targets: transformers get every row, the regressor learns from the observed ones.
 
-    Parameters
-    ----------
-    Y : DataFrame, Series or array-like of shape (n,) or (n, P)
-        Targets; rows that are NaN in every output do not count.
-    n_samples : int
-        Rows to keep; all rows where there are fewer.
-
-    Returns
-    -------
-    DataFrame, Series or ndarray
-        A copy of ``Y`` as floats, of the same type, shape, names and index.
-
-    Raises
-    ------
-    ValueError
-        If ``n_samples`` is not a positive integer.
+    Rows that are NaN in every output do not count; where there are fewer than ``n_samples``, all stay. The result is a
+    copy of ``Y``, (n,) or (n, P), as floats, of the same type, names and index. Raises ValueError if ``n_samples`` is
+    not a positive integer.
 
     Examples
     --------

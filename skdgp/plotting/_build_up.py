@@ -11,7 +11,8 @@ from scipy.stats import norm
 
 from skdgp._compute.typing import Matrix
 from skdgp._effects import Curve
-from skdgp.plotting._display import Display, Names, check_level, choose
+from skdgp.metrics._metrics import check_level
+from skdgp.plotting._display import Display, Names, choose
 from skdgp.plotting._style import (
     PALETTE,
     ROLES,
@@ -76,13 +77,7 @@ class BuildUpDisplay(Display):
     samples: pd.DataFrame
 
     def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
-        """Draw the panels.
-
-        Parameters
-        ----------
-        ax, level, outputs, legend
-            See :mod:`skdgp.plotting`.
-        """
+        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
         z = norm.ppf(0.5 + 0.5 * check_level(level))
         names, regressors = list(self.maps), list(self.samples.columns)
         rows = [names[i] for i in choose(names, outputs)]
@@ -151,6 +146,8 @@ class BuildUpDisplay(Display):
     def from_build_up(cls, build: Any, *, n_grid: int = 40, n_pairs: int = 2, **plot_options: Any) -> Self:
         """Read the effects of a build-up, and draw them.
 
+        Raises ValueError if ``n_grid`` is less than 2 or ``n_pairs`` negative.
+
         Parameters
         ----------
         build : BuildUp
@@ -162,11 +159,6 @@ class BuildUpDisplay(Display):
             samples.
         **plot_options
             See :meth:`plot`.
-
-        Raises
-        ------
-        ValueError
-            If ``n_grid`` is less than 2 or ``n_pairs`` negative.
         """
         check_matplotlib(cls.__name__)
         if n_grid < 2 or n_pairs < 0:

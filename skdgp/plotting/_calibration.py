@@ -184,10 +184,8 @@ class CalibrationDisplay(Display):
         ----------
         estimator : fitted estimator or Pipeline
             Its ``predict`` takes ``return_std``.
-        X : (n, d)
-            Regressors, or the flight table of an identification pipeline.
-        Y : (n, P)
-            Measured outputs; NaN = not observed.
+        X, Y : (n, d), (n, P)
+            Regressors, or the flights of an identification pipeline; measured outputs, NaN = not observed.
         include_noise : bool, default=True
             Whether to predict the standard deviation of a new measurement, as measured ``Y`` need. Set it to False for
             truth, and for estimators whose ``predict`` does not take ``include_noise``.

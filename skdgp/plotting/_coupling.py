@@ -32,8 +32,6 @@ class CouplingDisplay:
         The written values.
     colorbar_ : Colorbar or None
         The scale.
-    ax_, figure_ : Axes, Figure
-        Where it was drawn.
 
     Examples
     --------
@@ -48,17 +46,7 @@ class CouplingDisplay:
     output_names: tuple[str, ...]
 
     def plot(self, ax: Any = None, *, cmap: Any = "RdBu_r", colorbar: bool = True) -> Self:
-        """Draw the heat map.
-
-        Parameters
-        ----------
-        ax : Axes or Figure, optional
-            See :mod:`skdgp.plotting`.
-        cmap : str or Colormap, default="RdBu_r"
-            A diverging colour map, drawn from -1 to 1.
-        colorbar : bool, default=True
-            Whether to draw the scale.
-        """
+        """Draw the heat map into ``ax`` (see :mod:`skdgp.plotting`), with a diverging colour map from -1 to 1."""
         self.ax_ = ax = panels(ax, 1, 1, figsize=(6.2, 4.6))[0, 0]
         self.figure_ = ax.figure
         edges = np.arange(len(self.output_names) + 1) - 0.5
@@ -82,17 +70,9 @@ class CouplingDisplay:
 
     @classmethod
     def from_correlation(cls, correlation: Any, *, output_names: Any = None, **plot_options: Any) -> Self:
-        """Draw a correlation matrix.
+        """Draw a correlation matrix (P, P), or what ``output_correlation()`` returns; options of :meth:`plot`.
 
-        Parameters
-        ----------
-        correlation : (P, P) array or DataFrame, or Bunch
-            The matrix, or what ``output_correlation()`` of a fitted regressor returns (with ``correlation``
-            and ``output_names``).
-        output_names : P names, optional
-            Default: those of the Bunch or DataFrame; for six unnamed outputs CX CY CZ Cl Cm Cn.
-        **plot_options
-            See :meth:`plot`.
+        Names of the outputs are by default those of the Bunch or DataFrame; of six without names CX CY CZ Cl Cm Cn.
         """
         if hasattr(correlation, "correlation"):
             output_names = correlation.output_names if output_names is None else output_names
@@ -103,15 +83,7 @@ class CouplingDisplay:
 
     @classmethod
     def from_estimator(cls, estimator: Any, **plot_options: Any) -> Self:
-        """Draw the correlation that a fitted regressor has learned.
-
-        Parameters
-        ----------
-        estimator : fitted DependentGPRegressor, or a Pipeline that ends in one
-            Its last step has ``output_correlation()``.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Draw the ``output_correlation()`` of a fitted regressor, or of a pipeline that ends in one."""
         last = estimator.steps[-1][1] if hasattr(estimator, "steps") else estimator
         return cls.from_correlation(last.output_correlation(), **plot_options)
 

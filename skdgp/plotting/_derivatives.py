@@ -10,7 +10,8 @@ import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.checks import check_choice
-from skdgp.plotting._display import Display, Names, check_level, choose
+from skdgp.metrics._metrics import check_level
+from skdgp.plotting._display import Display, Names, choose
 from skdgp.plotting._style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
 
 DEFAULT_DERIVATIVES = (

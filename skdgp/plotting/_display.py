@@ -86,16 +86,9 @@ def _divide(ax: Any, shape: tuple[int, int], subplots: dict) -> np.ndarray:
     if spec is None:
         raise ValueError(
             f"Got one free-standing Axes for {shape[0]} x {shape[1]} panels, but expected one made by subplots, "
-            f"which can be divided: give a Figure instead."
+            "which can be divided: give a Figure instead."
         )
     return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
-
-
-def check_level(level: float) -> float:
-    """Return a probability strictly between 0 and 1."""
-    if not 0 < level < 1:
-        raise ValueError(f"Got level={level!r}, but expected a probability between 0 and 1, such as 0.95.")
-    return float(level)
 
 
 def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:

@@ -9,7 +9,8 @@ import pandas as pd
 from scipy.stats import norm
 
 from skdgp._effects import Curve, effects
-from skdgp.plotting._display import Display, Names, check_level, choose
+from skdgp.metrics._metrics import check_level
+from skdgp.plotting._display import Display, Names, choose
 from skdgp.plotting._style import (
     PALETTE,
     axis_label,
@@ -101,7 +102,10 @@ class EffectsDisplay(Display):
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
             if column == OTHERS:
-                artists = None, None, self._draw_bars(ax, i, several, z)
+                half = z * self.importance.loc[several].iloc[:, i].to_numpy()
+                style = {"width": 0.5, "color": PALETTE["purple"], "alpha": 0.6}
+                artists = None, None, ax.bar(range(len(several)), 2 * half, bottom=-half, **style)
+                ax.grid(False, axis="x")
             else:
                 artists = *self._draw_curve(ax, i, column, level), None
             if i == rows[-1]:
@@ -125,11 +129,6 @@ class EffectsDisplay(Display):
         ax.locator_params(axis="y", nbins=4)
         return artists
 
-    def _draw_bars(self, ax, i, several, z):
-        half = z * self.importance.loc[several].iloc[:, i].to_numpy()
-        ax.grid(False, axis="x")
-        return ax.bar(range(len(several)), 2 * half, bottom=-half, width=0.5, color=PALETTE["purple"], alpha=0.6)
-
     def _draw_axis(self, ax, column, several):
         """Draw what the panels of a column share: the label, and the samples or the names of the bars."""
         if column == OTHERS:
@@ -142,26 +141,12 @@ class EffectsDisplay(Display):
 
     @classmethod
     def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any) -> Self:
-        """Compute the effects of a model, and draw them.
-
-        Parameters
-        ----------
-        model, X, n_grid
-            See :func:`skdgp.effects`.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Compute the :func:`skdgp.effects` of a model, and draw them with the options of :meth:`plot`."""
         check_matplotlib(cls.__name__)
         return cls.compute(model, X, n_grid=n_grid).plot(**plot_options)
 
     @classmethod
     def compute(cls, model: Any, X: Any = None, *, n_grid: int = 30) -> Self:
-        """Compute the effects of a model, without drawing them.
-
-        Parameters
-        ----------
-        model, X, n_grid
-            See :func:`skdgp.effects`.
-        """
+        """Compute the :func:`skdgp.effects` of a model, without drawing them."""
         found = effects(model, X, n_grid=n_grid)
         return cls(curves=found.curves, importance=found.importance, samples=found.samples)

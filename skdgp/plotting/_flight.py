@@ -64,17 +64,7 @@ class FlightDisplay(Display):
     flights: dict[str, pd.DataFrame]
 
     def plot(self, ax: Any = None, *, kind: str = "inputs", **options: Any) -> Self:
-        """Draw the inputs or the path.
-
-        Parameters
-        ----------
-        ax
-            See :mod:`skdgp.plotting`.
-        kind : {"inputs", "path"}, default="inputs"
-            Picture to draw.
-        **options
-            Of :meth:`plot_inputs` or :meth:`plot_path`.
-        """
+        """Draw the inputs, or the path; ``options`` are those of :meth:`plot_inputs` or :meth:`plot_path`."""
         check_choice("kind", kind, ("inputs", "path"))
         return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
 
@@ -181,15 +171,7 @@ class FlightDisplay(Display):
 
     @classmethod
     def from_flights(cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], **plot_options: Any) -> Self:
-        """Draw flight tables.
-
-        Parameters
-        ----------
-        flights : DataFrame, or dict of name to DataFrame
-            One table (divided by its column ``flight``, where it has one) or several with their names.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Draw one flight table, divided by its column ``flight``, or several by name; options of :meth:`plot`."""
         return cls(flights=named_flights(flights)).plot(**plot_options)
 
 
@@ -271,16 +253,12 @@ def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
         north, east = flight["north"].to_numpy(dtype=float), flight["east"].to_numpy(dtype=float)
     else:
         check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
-        north, east = (_integral(flight[column], time) for column in ("v_north", "v_east"))
+        velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both").to_numpy()
+        north, east = cumulative_trapezoid(velocity, time, axis=0, initial=0).T
     points = {"time": time, "north": north, "east": east}
     if "altitude" in flight.columns:
         points["altitude"] = flight["altitude"].to_numpy(dtype=float)
     return pd.DataFrame(points).iloc[_evenly_spread(north, east)]
-
-
-def _integral(velocity: pd.Series, time: Vector) -> Vector:
-    filled = velocity.astype(float).interpolate(limit_direction="both").to_numpy()
-    return cumulative_trapezoid(filled, time, initial=0)
 
 
 def _evenly_spread(north: Vector, east: Vector) -> Indices:

@@ -40,8 +40,6 @@ class FlightLearningCurveDisplay:
         Means over the splits, one per output drawn.
     dots_ : list of Line2D
         The splits, one artist per output drawn.
-    ax_, figure_ : Axes, Figure
-        Where it was drawn.
 
     Examples
     --------
@@ -90,17 +88,7 @@ class FlightLearningCurveDisplay:
 
     @classmethod
     def from_curve(cls, curve: pd.DataFrame, *, score: str = "normalized_rmse", **plot_options: Any) -> Self:
-        """Draw the result of :func:`skdgp.model_selection.flight_learning_curve`.
-
-        Parameters
-        ----------
-        curve : DataFrame
-            Columns ``seconds``, ``split``, and ``<score>_<output>`` of each output, or ``<score>`` alone.
-        score : str, default="normalized_rmse"
-            Score to draw.
-        **plot_options
-            See :meth:`plot`.
-        """
+        """Draw a score of :func:`skdgp.model_selection.flight_learning_curve`'s result; options of :meth:`plot`."""
         columns = [score] if score in curve else [name for name in curve if str(name).startswith(f"{score}_")]
         if not columns:
             known = [str(name) for name in curve if name not in ("seconds", "split", "n_samples")]

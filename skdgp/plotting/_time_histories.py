@@ -12,11 +12,11 @@ from scipy.stats import norm
 from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice, check_columns
+from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import (
     Display,
     Names,
     as_columns,
-    check_level,
     check_std,
     check_time,
     choose,

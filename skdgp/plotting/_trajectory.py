@@ -14,7 +14,8 @@ from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics._simulation.trajectory import path_quantiles
-from skdgp.plotting._display import Display, check_level
+from skdgp.metrics._metrics import check_level
+from skdgp.plotting._display import Display
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit, tidy
 
 DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")
@@ -163,17 +164,14 @@ class TrajectoryDisplay(Display):
             values[:, :, k] = unwrapped_paths(values[:, :, k])
         bands = [f"{name}_std" for name in names]
         beyond = (trajectories["beyond"] != "").to_numpy() if "beyond" in trajectories else None
-        display = cls(
+        return cls(
             time=time,
             values=values,
             std=trajectories[bands].to_numpy(float) if n_paths == 1 and set(bands) <= set(trajectories) else None,
-            truth=None if truth is None else _interpolated(truth, time, names),
+            truth=None if truth is None else _interpolated(truth, time, names, values[0, 0]),
             beyond=None if beyond is None else beyond.reshape(n_paths, -1).mean(axis=0),
             names=tuple(names),
-        )
-        if display.truth is not None:
-            display.truth = _nearest_turn(display.truth, display.values[0], names)
-        return display.plot(**plot_options)
+        ).plot(**plot_options)
 
 
 def _band(values: Matrix, std: Vector | None, level: float) -> tuple[Vector | None, Vector, Vector | None]:
@@ -187,16 +185,13 @@ def _band(values: Matrix, std: Vector | None, level: float) -> tuple[Vector | No
     return low, middle, high
 
 
-def _interpolated(truth: pd.DataFrame, time: Vector, names: list[str]) -> Matrix:
+def _interpolated(truth: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:
+    """Return truth at times, its angles without jumps, within half a turn of the simulated ones at the start."""
     check_columns(truth, ["time", *names], what="truth")
-    clock = truth["time"].to_numpy(float)
-    columns = [np.unwrap(truth[n].to_numpy(float)) if n in EULER else truth[n].to_numpy(float) for n in names]
-    return np.stack([np.interp(time, clock, c, left=np.nan, right=np.nan) for c in columns], axis=-1)
-
-
-def _nearest_turn(truth: Matrix, values: Matrix, names: list[str]) -> Matrix:
-    """Return truth with angles shifted by multiples of 2 pi to the first of the simulated ones."""
-    for k, name in enumerate(names):
-        if name in EULER:
-            truth[:, k] += 2 * np.pi * np.round(np.nanmedian(values[:1, k] - truth[:1, k]) / (2 * np.pi))
-    return truth
+    clock, columns = truth["time"].to_numpy(float), []
+    for name, first in zip(names, start, strict=True):
+        column = truth[name].to_numpy(float)
+        column = np.interp(time, clock, np.unwrap(column) if name in EULER else column, left=np.nan, right=np.nan)
+        turns = np.round((first - column[0]) / (2 * np.pi)) if name in EULER else 0.0
+        columns.append(column + 2 * np.pi * turns)
+    return np.stack(columns, axis=-1)

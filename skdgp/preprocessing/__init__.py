@@ -1,5 +1,7 @@
 """Transformers of flight tables, from raw logs to regressors.
 
+Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in ``fit``.
+
 >>> from sklearn.pipeline import make_pipeline
 >>> from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
 >>> regressors = make_pipeline(

@@ -46,6 +46,8 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     ``saturated``  a surface at its extreme value for 0.5 s or longer, as at a stop; not warned of
     ============== ===========================================================================================
 
+    Raises ValueError if ``time`` is missing, not finite or not in order.
+
     Parameters
     ----------
     flight : DataFrame of shape (n, n_columns)
@@ -57,11 +59,6 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     -------
     DataFrame
         Columns flight, channel, kind, start and end [s], n_samples, message.
-
-    Raises
-    ------
-    ValueError
-        If ``time`` is missing, not finite or not in order.
 
     Examples
     --------
@@ -84,7 +81,8 @@ class FlightCheck(TableTransformer):
     Use it as the first step of a pipeline. Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN.
     Gaps up to ``bridge`` are interpolated linearly, in channels with a value in nearly every row; longer ones stay NaN,
     which :class:`RegressorSelector` refuses. A flight whose clock restarted becomes several, ``name``, ``name#2``.
-    ``transform`` reports all faults except gaps in time in one warning.
+    ``transform`` reports all faults except gaps in time in one warning. Raises ValueError if ``time`` is missing; if it
+    goes back and rows are not in order, or there is no column ``flight`` to name the parts in.
 
     Parameters
     ----------
@@ -97,14 +95,6 @@ class FlightCheck(TableTransformer):
     ----------
     findings_ : DataFrame
         Faults of the table seen in ``fit``, as from :func:`inspect_flight`.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
-
-    Raises
-    ------
-    ValueError
-        If ``time`` is missing; if it goes back and rows are not in order, or there is no column ``flight`` to name the
-        parts in.
 
     Warns
     -----
@@ -176,13 +166,12 @@ def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> tuple[pd.DataFrame, 
             "time to increase within a flight: add a column 'flight' with one name for each part."
         )
     check_clock(time, names)
-    table = table.assign(flight=names) if restarts.size else table
-    return table, [_restart(row, time, names) for row in restarts] + find_faults(table, ignore)
-
-
-def _restart(row: int, time: Vector, names: np.ndarray) -> Finding:
-    message = f"goes back from {time[row - 1]:.6g} s, a restart: from there on the flight is named {names[row]!r}"
-    return Finding(names[row - 1], "time", "restart", float(time[row]), float(time[row]), np.array([row]), message)
+    table, findings = table.assign(flight=names) if restarts.size else table, []
+    for row in restarts:
+        words = f"goes back from {time[row - 1]:.6g} s, a restart: from there on the flight is named {names[row]!r}"
+        place = float(time[row]), float(time[row]), np.array([row])
+        findings.append(Finding(names[row - 1], "time", "restart", *place, words))
+    return table, findings + find_faults(table, ignore)
 
 
 def _as_table(findings: list[Finding]) -> pd.DataFrame:

@@ -23,9 +23,10 @@ class ElevonSplitter(TableTransformer):
     Default: elevator = (left + right) / 2, aileron = (left - right) / 2 of two elevons. If the
     elevons are exchanged, lift and elevator of a symmetric aircraft stay, and roll moment and aileron change sign.
 
-    A table with the controls but without the surfaces (a conventional aircraft, a simulation) does not change.
-    With both, the controls are computed from the surfaces, with a warning if the logged controls differ by more than
-    0.001 rad. The surfaces stay in the table.
+    A table with the controls but without the surfaces (a conventional aircraft, a simulation) does not change. With
+    both, the controls are computed from the surfaces, with a warning if the logged controls differ by more than 0.001
+    rad. The surfaces stay in the table. Raises ValueError if the table has neither the surfaces nor the controls, or
+    the mixing has another shape.
 
     Parameters
     ----------
@@ -40,13 +41,6 @@ class ElevonSplitter(TableTransformer):
     ----------
     mixing_ : ndarray of shape (n_controls, n_surfaces)
         The mixing used.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
-
-    Raises
-    ------
-    ValueError
-        If the table has neither the surfaces nor the controls, or the mixing has another shape.
 
     Examples
     --------

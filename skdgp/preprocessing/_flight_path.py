@@ -61,6 +61,8 @@ class FlightPathReconstruction(TableTransformer):
     chapter 10), as one sparse least-squares problem. Vanes are optional. The noise of each sensor and the strength of
     gusts are estimated by maximum likelihood. ``fit`` learns the noise and, on request, scale factors, biases and lags.
     ``transform`` uses these, and estimates biases of inertial sensors, wind and gusts separately for each flight.
+    Raises ValueError if one of time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed is
+    missing, or has no value throughout a flight; if time does not increase within a flight; if angles are not radians.
 
     Parameters
     ----------
@@ -109,14 +111,6 @@ class FlightPathReconstruction(TableTransformer):
         Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
         :meth:`calibration` of the flights of ``fit``.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
-
-    Raises
-    ------
-    ValueError
-        If one of time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed is missing, or has no
-        value throughout a flight; if time does not increase within a flight; if angles are not radians.
 
     Warns
     -----
@@ -175,17 +169,9 @@ class FlightPathReconstruction(TableTransformer):
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone, and their observability.
 
-        Parameters
-        ----------
-        X : DataFrame of shape (n, n_columns)
-            Flight table.
-
-        Returns
-        -------
-        DataFrame
-            A row per flight and constant: ``estimate``, ``std`` (standard deviation), ``prior_std``, ``observable``
-            (std below half of prior_std), ``confounded_with`` (the constant whose error is most correlated) and
-            ``correlation`` with it.
+        The table has a row per flight and constant: ``estimate``, ``std`` (standard deviation), ``prior_std``,
+        ``observable`` (std below half of prior_std), ``confounded_with`` (the constant whose error is most correlated)
+        and ``correlation`` with it.
         """
         check_is_fitted(self)
         table = self._as_table(X)
@@ -204,35 +190,35 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         lags = self._clear_lags(table, errors) if self.inconsistent == "pass" else {}
         self.noise_std_ = dict(NOISE)
-        found = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
-        samples = [len(log.time) for _, _, log, _ in found]
-        variances = {name: [each.noise[name] ** 2 for *_, each in found] for name in NOISE}
+        estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
+        samples = [len(log.time) for _, _, log, _ in estimates]
+        variances = {name: [each.noise[name] ** 2 for *_, each in estimates] for name in NOISE}
         self.noise_std_ = {name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()}
-        self.gust_std_ = float(np.sqrt(np.average([_gust(each) ** 2 for *_, each in found], weights=samples)))
-        left = np.sqrt(np.average([each.air_std**2 for *_, each in found], axis=0, weights=samples))
+        self.gust_std_ = float(np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples)))
+        left = np.sqrt(np.average([each.air_std**2 for *_, each in estimates], axis=0, weights=samples))
         self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
-        self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(found, errors)
-        self.calibration_ = _calibration(found, errors)
+        self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(estimates, errors)
+        self.calibration_ = _calibration(estimates, errors)
         if not isinstance(self.calibrate, str):
             self._warn_unobservable()
         if self.inconsistent == "pass":
-            self._decide(table, found, lags)
+            self._decide(table, estimates, lags)
 
     def _clear_lags(self, table: pd.DataFrame, errors: list[str]) -> dict[str, float]:
         """Return the lags of attitude and velocity that are known, late and not negligible."""
-        found = kinematic_lags(table, gust_time=self.gust_time, gravity=self.gravity)
+        of_path = kinematic_lags(table, gust_time=self.gust_time, gravity=self.gravity)
         return {
             name: lag
-            for name, (lag, std) in found.items()
+            for name, (lag, std) in of_path.items()
             if name not in errors and lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)
         }
 
-    def _decide(self, table: pd.DataFrame, found: Flights, lags: dict[str, float]) -> None:
+    def _decide(self, table: pd.DataFrame, estimates: Flights, lags: dict[str, float]) -> None:
         """Set whether the reconstruction is used, and why."""
         if not all(name in table and has_values(table, name) for name in AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
         else:
-            self.errors_ = expected_errors(table, found, self.noise_std_)
+            self.errors_ = expected_errors(table, estimates, self.noise_std_)
             self.used_, self.reason_ = decision(self.errors_)
         late = [f"{name.removesuffix('_lag')} {lag:.2f} s late, corrected" for name, lag in lags.items()]
         self.reason_ = "; ".join([self.reason_, *late])
@@ -252,10 +238,10 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         inertial = [name for name in self._error_names() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
-        for _, rows, log, found in self._estimates(table, free=inertial, learn=GUSTS, sensors=self.sensors_):
-            for name, values in _channels(found.path, log, self.rates).items():
+        for _, rows, log, solved in self._estimates(table, free=inertial, learn=GUSTS, sensors=self.sensors_):
+            for name, values in _channels(solved.path, log, self.rates).items():
                 new[name][rows] = values
-            new["gust"][rows] = _gust(found)
+            new["gust"][rows] = _gust(solved)
         for name in EULER:
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
@@ -281,7 +267,7 @@ class FlightPathReconstruction(TableTransformer):
         self, table: pd.DataFrame, *, free: list[str], learn: Mapping[str, float], sensors: Mapping[str, float]
     ) -> Flights:
         """Return (name, rows, log, estimate) of every flight."""
-        found = []
+        estimates = []
         constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
         for name, rows, log in flight_logs(table, self.gravity):
             start, noise = first_guess(log, constants), self.noise_std_ | GUSTS
@@ -292,8 +278,8 @@ class FlightPathReconstruction(TableTransformer):
                     "at calibration(flight), and for wrong signs, units or clocks.",
                     stacklevel=4,
                 )
-            found.append((name, rows, log, each))
-        return found
+            estimates.append((name, rows, log, each))
+        return estimates
 
     def _warn_unobservable(self):
         shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
@@ -345,29 +331,29 @@ def _derivatives(air: Matrix, path: Path, log: Log) -> Matrix:
     return rates
 
 
-def _gust(found: Estimate) -> float:
+def _gust(solved: Estimate) -> float:
     """Return the change of the air's velocity in one second [m/s], root mean square of the two directions."""
-    return float(np.sqrt(np.mean([found.noise[name] ** 2 for name in GUSTS])))
+    return float(np.sqrt(np.mean([solved.noise[name] ** 2 for name in GUSTS])))
 
 
-def _pooled(found: Flights, errors: list[str]) -> dict[str, float]:
+def _pooled(estimates: Flights, errors: list[str]) -> dict[str, float]:
     """Return the errors of sensors over all flights: estimates weighted by precision, with the prior counted once."""
     names = [name for name in errors if name in SENSORS]
     places = [errors.index(name) for name in names]
     prior = np.diag([CONSTANTS[name] ** -2 for name in names])
     precision, weighted = prior.copy(), np.zeros(len(names))
-    for *_, each in found:
+    for *_, each in estimates:
         of_flight = np.linalg.inv(each.covariance[np.ix_(places, places)])
         weighted += of_flight @ each.path.constant(*names)
         precision += of_flight - prior
     return dict(zip(names, np.linalg.solve(precision, weighted).tolist(), strict=True))
 
 
-def _calibration(found: Flights, errors: list[str]) -> pd.DataFrame:
+def _calibration(estimates: Flights, errors: list[str]) -> pd.DataFrame:
     """Return a row per flight and constant."""
     names = [*errors, *MEAN_WIND]
     parts = []
-    for flight, _, _, each in found:
+    for flight, _, _, each in estimates:
         std = np.sqrt(np.diag(each.covariance))
         correlation = each.covariance / np.outer(std, std) - np.eye(len(names))
         partner = np.abs(correlation).argmax(axis=1)

@@ -84,7 +84,9 @@ class LagCorrector(TableTransformer):
     (for lags in identification see Jategaonkar 2006, chapter 10; Morelli & Klein 2016, chapter 10). Its standard
     deviation allows for residuals that are correlated within 5 s (Liang & Zeger 1986).
 
-    Lags of throttle and propeller speed can be given. They are not estimated, because engines respond slowly.
+    Lags of throttle and propeller speed can be given. They are not estimated, because engines respond slowly. Raises
+    ValueError if ``time``, an accelerometer or a gyro is missing; if ``lags`` names neither a group nor a column, or is
+    not finite.
 
     Parameters
     ----------
@@ -98,14 +100,6 @@ class LagCorrector(TableTransformer):
         By group or column: ``lag`` and ``std`` [s], ``explained`` (share of the response that the local linear model
         explains), ``applied`` (the removed lag [s]) and ``remark``. A lag below 3 standard deviations or 10 ms, or
         of a model that explains less than 0.8, is not removed.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
-
-    Raises
-    ------
-    ValueError
-        If ``time``, an accelerometer or a gyro is missing; if ``lags`` names neither a group nor a column, or is not
-        finite.
 
     Examples
     --------
@@ -185,22 +179,22 @@ def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
     """Return the lag of each group; unknown where the flights do not show it."""
     flights = flights_of(table)
     surfaces = surface_lag(flights)
-    found = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
+    lags = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
     if flights and all(has_values(table, name) for name in NEEDED):
         of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
-        found |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
-    return found
+        lags |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
+    return lags
 
 
-def _applied(found: Lag) -> tuple[float, str]:
+def _applied(estimate: Lag) -> tuple[float, str]:
     """Return the lag to remove, and a remark."""
-    if not np.isfinite(found.std):
+    if not np.isfinite(estimate.std):
         return 0.0, "not shown by these flights"
-    if found.explained < MIN_EXPLAINED:
+    if estimate.explained < MIN_EXPLAINED:
         return 0.0, "not shown: the local linear model explains too little"
-    if abs(found.lag) < MIN_SIGNIFICANCE * found.std:
+    if abs(estimate.lag) < MIN_SIGNIFICANCE * estimate.std:
         return 0.0, "not significant"
-    return (0.0, "negligible") if abs(found.lag) < MIN_LAG else (found.lag, "removed")
+    return (0.0, "negligible") if abs(estimate.lag) < MIN_LAG else (estimate.lag, "removed")
 
 
 def _given(lags: dict, table: pd.DataFrame) -> pd.DataFrame:

@@ -34,8 +34,8 @@ FOLLOWS = {
 Flights = Sequence[tuple[Any, Indices, Log, Estimate]]
 
 
-def expected_errors(table: pd.DataFrame, found: Flights, noise: Mapping[str, float]) -> pd.DataFrame:
-    r"""Return noise, residual and expected errors of the sensors of a table, by the paths found from it.
+def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str, float]) -> pd.DataFrame:
+    r"""Return noise, residual and expected errors of the sensors of a table, by the paths estimated from it.
 
     An estimate x of a channel from samples y of white noise :math:`\sigma` has the mean squared error
 
@@ -52,9 +52,9 @@ def expected_errors(table: pd.DataFrame, found: Flights, noise: Mapping[str, flo
     ``reconstruction`` and ``smoothing``.
     """
     raw = numeric(table, AIR_DATA)
-    path, slope = _path_air(raw.shape, found)
+    path, slope = _path_air(raw.shape, estimates)
     known = np.isfinite(raw) & np.isfinite(path)
-    squares = {kind: _noise_squares(kind, found) for kind in ("air", "rate", "force")}
+    squares = {kind: _noise_squares(kind, estimates) for kind in ("air", "rate", "force")}
     stds = np.sqrt(squares["air"])
     learned = np.array([noise[name] for name in AIR_DATA])
     variance = np.where(learned > MAX_AIR_NOISE * stds, 0.0, stds**2)
@@ -104,10 +104,10 @@ def _listed(errors: pd.Series) -> str:
     return ", ".join(f"{name} {factor * errors[name]:.2g} {unit}" for name, (unit, factor) in UNITS.items())
 
 
-def _path_air(shape: tuple[int, ...], found: Flights) -> tuple[Matrix, Vector]:
+def _path_air(shape: tuple[int, ...], estimates: Flights) -> tuple[Matrix, Vector]:
     """Return what airspeed and vanes should measure on the paths (n, 3), and the mean slope by their own samples."""
     values, slope = np.full(shape, np.nan), np.zeros(3)
-    for _, rows, _, each in found:
+    for _, rows, _, each in estimates:
         air = np.column_stack(air_data(each.path.air_velocity()))
         air[air[:, 0] < MIN_AIRSPEED] = np.nan
         scale = 1 + each.path.constant("airspeed_scale", "alpha_scale", "beta_scale")
@@ -117,10 +117,10 @@ def _path_air(shape: tuple[int, ...], found: Flights) -> tuple[Matrix, Vector]:
     return values, slope
 
 
-def _noise_squares(kind: str, found: Flights) -> Vector:
+def _noise_squares(kind: str, estimates: Flights) -> Vector:
     """Return the variance of white noise in the columns of each flight's log, from their third differences."""
     total, count = np.zeros(3), np.zeros(3)
-    for _, _, log, _ in found:
+    for _, _, log, _ in estimates:
         for place, column in enumerate(getattr(log, kind).T):
             rows = np.flatnonzero(np.isfinite(column))
             if len(rows) > DIFFERENCES:

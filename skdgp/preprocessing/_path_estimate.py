@@ -95,9 +95,10 @@ def estimate(
     path, places = start, [PLACE[name] for name in free]
     draws = np.random.default_rng(0).standard_normal((9 * len(log.time) + len(places), N_DRAWS))
     offset = pull = np.zeros(len(places))
+    interval = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
     for step in range(MAX_STEPS):
         if step <= DELAY_STEPS:
-            log = log._replace(delays=_delays(path, log))
+            log = log._replace(delays=tuple(np.round(path.constant(*LAGS) / interval).astype(int).tolist()))
         windows = _Windows(path, log, noise, places, gust_time)
         posterior = solve(windows, _prior(path, log, noise, places, offset, pull, gust_time), draws)
         sums = _residual_sums(_process_names(log), windows, posterior)
@@ -188,12 +189,6 @@ def _banded(diagonal: Array, coupling: Array) -> Matrix:
         for i in range(s):
             band[s + i - j, :-1, j] = coupling[:, j, i]
     return band.reshape(2 * s, n * s)
-
-
-def _delays(path: Path, log: Log) -> tuple[int, ...]:
-    """Return the lags in samples, rounded."""
-    usual = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
-    return tuple(int(lag) for lag in np.round(path.constant(*LAGS) / usual))
 
 
 def _process_names(log: Log) -> tuple[str, ...]:

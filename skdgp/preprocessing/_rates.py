@@ -25,7 +25,7 @@ class RateNondimensionalizer(TableTransformer):
 
     the usual normalisation of stability derivatives. Each rate in the table gets a column with the suffix ``_hat``
     (``p_hat``, ``alpha_dot_hat``, ``p_dot_hat``). The named sets of :class:`RegressorSelector` use it in place of the
-    measured rate.
+    measured rate. Raises ValueError if ``airspeed`` is missing or not positive, or the table has no rate.
 
     Parameters
     ----------
@@ -38,13 +38,6 @@ class RateNondimensionalizer(TableTransformer):
     ----------
     rates_ : list of str
         The rates of ``fit``; ``transform`` needs them, and ``airspeed``.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
-
-    Raises
-    ------
-    ValueError
-        If ``airspeed`` is missing or not positive, or the table has no rate.
 
     Examples
     --------

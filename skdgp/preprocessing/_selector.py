@@ -49,7 +49,8 @@ class RegressorSelector(TableTransformer):
 
     In the named sets a non-dimensional rate (``p_hat``) replaces the rate where present. Controls that the aircraft
     does not have (throttle, elevator, aileron, rudder, but not all surfaces) are left out and listed in ``absent_``.
-    All other columns are needed.
+    All other columns are needed. Raises ValueError if a column is missing (with the nearest name) or not numeric, or
+    has NaN or infinite values in ``transform``.
 
     Parameters
     ----------
@@ -68,13 +69,6 @@ class RegressorSelector(TableTransformer):
         Range of each regressor over the rows of ``fit`` that have a target.
     ranges_ : dict of str to tuple of float
         Smallest and largest value of each flight channel of the table over these rows.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing (with the nearest name) or not numeric, or has NaN or infinite values in ``transform``.
 
     Warns
     -----
@@ -102,14 +96,9 @@ class RegressorSelector(TableTransformer):
         self.extra = extra
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Select the regressors, and learn their range.
+        """Select the regressors of the flight table X, and learn their range.
 
-        Parameters
-        ----------
-        X : DataFrame of shape (n, n_columns)
-            Flight table.
-        y : array-like of shape (n,) or (n, P), optional
-            Targets, NaN where not observed: the range is that of the observed rows.
+        Rows with targets y, (n,) or (n, P), NaN where not observed, count; without targets all do.
         """
         super().fit(X, y)
         if self._passes:

@@ -26,7 +26,9 @@ class FlightSmoother(TableTransformer):
     channel. Missing values (NaN) stay missing; a slow sensor is filtered at its own rate.
 
     Smooth the whole flight at its full rate. To learn from fewer samples, thin the targets
-    (:func:`skdgp.model_selection.thin_targets`).
+    (:func:`skdgp.model_selection.thin_targets`). Raises ValueError if ``time`` is missing, does not increase within a
+    flight or is too irregular; if a named column is missing or not numeric; if angles or rates are too large for
+    radians.
 
     Parameters
     ----------
@@ -54,14 +56,6 @@ class FlightSmoother(TableTransformer):
     noise_std_, error_std_ : dict of str to float
         Standard deviation of each smoothed column's measured white noise, and the expected error after smoothing by
         "auto"; NaN for logs of less than 128 samples.
-    n_features_in_, feature_names_in_
-        Columns seen in ``fit``.
-
-    Raises
-    ------
-    ValueError
-        If ``time`` is missing, does not increase within a flight or is too irregular; if a named column is missing or
-        not numeric; if angles or rates are too large for radians.
 
     Examples
     --------

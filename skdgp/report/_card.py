@@ -44,7 +44,7 @@ SIGN = '<div class="sign"><p>Planned</p><p>Pilot</p><p>Flown: date, time, remark
 def write_flight_card(
     path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None, created: datetime | None = None
 ) -> Path:
-    """Write the flight card of a plan as one HTML file, to print on A4 and to fly from.
+    """Write the flight card of a plan as one HTML file, to print on A4 and to fly from, and return its path.
 
     Its first page says how to trim and to enter, the order of the manoeuvres, when to abort, and what the flight
     teaches. A page for each kind of manoeuvre shows the inputs as pictures and, where a pilot can fly them, as steps;
@@ -53,7 +53,7 @@ def write_flight_card(
     Parameters
     ----------
     path : path-like
-        Where to write, such as ``card.html``; its folder must exist.
+        Where to write, such as ``card.html``; FileNotFoundError if its folder does not exist.
     plan : Plan
         As of :func:`skdgp.design.plan`.
     full : mapping of str to float, optional
@@ -64,12 +64,6 @@ def write_flight_card(
     Returns
     -------
     Path
-        ``path``.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist.
 
     Examples
     --------
@@ -91,7 +85,7 @@ def write_flight_card(
     True
     """
     created = datetime.now().astimezone() if created is None else created
-    draw = can_draw("write_flight_card")
+    draw = can_draw()
     body = [_headline(plan), _entry(plan), _limits(plan), _order(plan), _teaching(plan)]
     if not draw:
         body.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
@@ -237,10 +231,10 @@ def _limit_table(plan: Plan, rows: Sequence[int]) -> str:
 def _teaching(plan: Plan) -> str:
     errors = plan.errors
     if len(errors) <= MOST_LISTED:
-        head = ["", "before", "after", "left [%]"]
+        head, known = ["", "before", "after", "left [%]"], np.isfinite(errors["before"]) & (errors["before"] > 0)
         rows = [
-            [_derivative(name), *(_milli(row[c]) for c in ("before", "after")), percent(_left(row), ".0f")]
-            for name, row in _rows(errors)
+            [_derivative(name), _milli(row["before"]), _milli(row["after"]), percent(row["left"], ".0f")]
+            for name, row in _rows(errors.assign(left=(errors["after"] / errors["before"]).where(known)))
         ]
         caption = "Standard errors of the goal, before and after the flight, in thousandths."
         shown = table(head, rows, caption=caption, classes="narrow")
@@ -411,10 +405,6 @@ def _derivative(name: str) -> str:
 
 def _signed(value: float, form: str) -> str:
     return ("+" if value > 0 else "") + number(value, form)
-
-
-def _left(row: Mapping[str, float]) -> float:
-    return row["after"] / row["before"] if np.isfinite(row["before"]) and row["before"] > 0 else np.nan
 
 
 def _rows(table: pd.DataFrame) -> list[tuple[str, dict[Any, Any]]]:

@@ -40,6 +40,8 @@ class FlightRecord:
 class FlightResult:
     """A test flight and its predictions.
 
+    Raises ValueError if the shapes do not belong together.
+
     Parameters
     ----------
     name : str
@@ -65,11 +67,6 @@ class FlightResult:
     metrics : mapping, optional
         ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers are a
         sequence, or a mapping by coefficient. Default: computed with skdgp.metrics.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not belong together.
     """
 
     name: str

@@ -6,16 +6,12 @@ from skdgp.report._tables import text
 
 
 def _key(entries) -> str:
-    lines = "".join(
-        f'<li style="color: var(--{color})">{_sample(kind)}<span>{text(name)}</span></li>'
-        for color, name, kind in entries
-    )
+    """Return a list of samples and names; a sample is a line (""), an area, a hatched area, or a marker's sign."""
+    lines = ""
+    for color, name, kind in entries:
+        sample = f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
+        lines += f'<li style="color: var(--{color})">{sample}<span>{text(name)}</span></li>'
     return f'<ul class="key">{lines}</ul>' if lines else ""
-
-
-def _sample(kind: str) -> str:
-    """Return the sample before a name: a line (""), an area, a hatched area, or the sign of a marker."""
-    return f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
 
 
 def still(words: str) -> str:

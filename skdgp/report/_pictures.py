@@ -29,12 +29,9 @@ from skdgp.report._content import FlightResult, measured_states
 
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
-
-
 INK = "#20242a"
 WIDTH = 4.6
 """Width of a panel [in]: half a desktop page, or a phone with letters still readable."""
-
 POINTS = 72
 """Units of an SVG in an inch."""
 

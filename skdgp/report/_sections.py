@@ -59,15 +59,12 @@ def messages(content: ReportContent) -> str:
     return f'<section><h2>Warnings</h2><ul class="alerts">{lines}</ul></section>'
 
 
-def _likelihood(model) -> str:
-    """Return the name of the likelihood: a sparse model's is a bound, not comparable with an exact one."""
-    return "Log likelihood, lower bound" if "sparse" in (model.inference or "") else "Log likelihood"
-
-
 def what_was_done(content: ReportContent) -> str:
     """Return samples, regressors, model, time and versions."""
     model, aircraft = content.model, content.aircraft
     pairs: list[tuple[str, object]] = [] if isinstance(aircraft, str) else list(aircraft.items())
+    is_bound = "sparse" in (model.inference or "")  # which is not comparable with the likelihood of an exact model
+    likelihood = "Log likelihood, lower bound" if is_bound else "Log likelihood"
     pairs += [
         ("Learned from", ", ".join(_flown(record.name, record.table["time"]) for record in content.train)),
         ("Tested on", ", ".join(_flown(result.name, result.time) for result in content.test)),
@@ -80,7 +77,7 @@ def what_was_done(content: ReportContent) -> str:
         ("Kernel", model.kernel),
         ("Trend", model.trend),
         ("Inference", model.inference),
-        (_likelihood(model), _grouped(model.log_marginal_likelihood, ".1f")),
+        (likelihood, _grouped(model.log_marginal_likelihood, ".1f")),
         ("Iterations", _iterations(model)),
         ("Time of the fit", None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s"),
         *model.extra.items(),
@@ -152,7 +149,11 @@ def flight(result: FlightResult, noise_std, detail: Detail, draw: bool) -> str:
     if draw:
         parts.append(_coefficients(result, span, detail))
     if result.replay is not None or result.replay_errors is not None:
-        parts.append(_replays(result, span, detail, draw))
+        parts.append("<h3>Replayed states</h3>")
+    if result.replay_errors is not None:
+        parts.append(replay_table(result.replay_errors))
+    if draw and result.replay is not None:
+        parts += [_states(result, horizon, span, detail) for horizon in np.unique(result.replay["horizon"])]
     if draw:
         parts.append(_calibration(result))
     return "".join([*parts, "</section>"])
@@ -172,15 +173,6 @@ def _coefficients(result: FlightResult, span, detail: Detail) -> str:
         )
     chart = charts.coefficient_chart(result, band, span, detail.every)
     return f"<h3>Coefficients</h3>{figures.columns(columns, key, caption, chart)}"
-
-
-def _replays(result: FlightResult, span, detail: Detail, draw: bool) -> str:
-    parts = ["<h3>Replayed states</h3>"]
-    if result.replay_errors is not None:
-        parts.append(replay_table(result.replay_errors))
-    if draw and result.replay is not None:
-        parts += [_states(result, horizon, span, detail) for horizon in np.unique(result.replay["horizon"])]
-    return "".join(parts)
 
 
 def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
@@ -263,7 +255,8 @@ def flown(content: ReportContent, detail: Detail) -> str:
         panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
         chart = charts.input_chart(flights[name], name, links[name], _color(k), detail.every)
         parts.append(figures.figure(panels, f"Inputs of {text(name)}.", key, chart))
-    tracked = {name: table for name, table in flights.items() if _has_path(table)}
+    positions = {"north", "east"}, {"v_north", "v_east"}
+    tracked = {name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)}
     if tracked:
         key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
         paths = pictures.path_panels(tracked)
@@ -301,10 +294,6 @@ def how_to_read() -> str:
         "<i>C</i><sub>Y</sub> <i>C</i><sub>l</sub> <i>C</i><sub>n</sub>. Longitudinal: <i>C</i><sub>X</sub> "
         "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div></section>"
     )
-
-
-def _has_path(table: pd.DataFrame) -> bool:
-    return {"north", "east"} <= set(table.columns) or {"v_north", "v_east"} <= set(table.columns)
 
 
 def _color(k: int) -> str:

@@ -18,27 +18,11 @@ from skdgp.report._tables import text
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
-    """Write a report as one HTML file that needs nothing else: no network, no other file.
+    """Write a report as one HTML file that needs nothing else, no network, no other file; return its path.
 
     The file appears whole or not at all. It holds pictures as they are printed; on a screen its script makes charts of
-    them, to zoom and to read values. Without matplotlib the report has no pictures and says so.
-
-    Parameters
-    ----------
-    path : path-like
-        Where to write, such as ``report.html``; its folder must exist.
-    content : ReportContent
-        What to show.
-
-    Returns
-    -------
-    Path
-        ``path``.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist.
+    them, to zoom and to read values. Without matplotlib the report has no pictures and says so. Raises
+    FileNotFoundError if the folder does not exist.
 
     Examples
     --------
@@ -49,18 +33,23 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
     >>> path.read_text(encoding="utf-8").splitlines()[0]
     '<!DOCTYPE html>'
     """
-    page = render_report(content)
-    return write_atomically(path, text_writer(page))
+    return write_atomically(path, text_writer(render_report(content)))
 
 
 def render_report(content: ReportContent) -> str:
     """Return the report as one HTML document."""
-    kind = "Aerodynamic identification report"
-    return render_page(kind, content.title, _meta(content), _body(content), _colophon(content))
+    aircraft = content.aircraft if isinstance(content.aircraft, str) else content.aircraft.get("Aircraft", "")
+    created = datetime.now().astimezone() if content.created is None else content.created
+    flights = f"flights: {len(content.train)} training, {len(content.test)} test"
+    meta = " · ".join(text(part) for part in (aircraft, flights, f"{created:%d %B %Y, %H:%M}") if part)
+    version = content.model.versions.get("skdgp")
+    made = f"Made by skdgp{f' {text(version)}' if version else ''}."
+    colophon = f"{made} SI units; degrees in pictures and in the table of states."
+    return render_page("Aerodynamic identification report", content.title, meta, _body(content), colophon)
 
 
 def _body(content: ReportContent) -> str:
-    draw = can_draw("write_report")
+    draw = can_draw()
     parts = [sections.summary(content), sections.messages(content), sections.what_was_done(content)]
     if not draw:
         parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
@@ -76,17 +65,3 @@ def _body(content: ReportContent) -> str:
     if draw and sections.flown_tables(content):
         parts.append(sections.flown(content, detail))
     return "\n".join([*parts, sections.how_to_read()])
-
-
-def _meta(content: ReportContent) -> str:
-    aircraft = content.aircraft if isinstance(content.aircraft, str) else content.aircraft.get("Aircraft", "")
-    flights = f"{len(content.train)} training, {len(content.test)} test"
-    created = datetime.now().astimezone() if content.created is None else content.created
-    parts = [aircraft, f"flights: {flights}", f"{created:%d %B %Y, %H:%M}"]
-    return " · ".join(text(part) for part in parts if part)
-
-
-def _colophon(content: ReportContent) -> str:
-    version = content.model.versions.get("skdgp")
-    made = f"skdgp {version}" if version else "skdgp"
-    return f"Made by {text(made)}. SI units; degrees in pictures and in the table of states."

@@ -67,8 +67,7 @@ POSE = [0, 1, 2, 6, 7, 8, 9]
 """Position and quaternion among the 13 states."""
 QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
 STEP, START_POSES, DENSITY = 0.01, 21, 1.225
-NOISE = dict.fromkeys(STATES[:3], 0.005) | dict.fromkeys(STATES[3:6], 0.05)
-NOISE |= dict.fromkeys(STATES[6:9], 0.01) | dict.fromkeys(STATES[9:], 0.1)
+NOISE = {name: std for group, std in zip(GROUPS, (0.005, 0.05, 0.01, 0.1), strict=True) for name in GROUPS[group]}
 """Of the states that motion capture gives, for output error."""
 
 

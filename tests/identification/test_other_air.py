@@ -9,8 +9,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.identification import FlightPipeline
+from skdgp.identification import FlightPipeline, default_regressor
 from skdgp.identification._other_air import mirrored, without_gusts
 from skdgp.preprocessing import RegressorSelector
 
@@ -167,6 +168,28 @@ class TestPipeline:
         cases = (True, None), (False, None), (True, DependentGPRegressor())
         found = [make_identification_pipeline(glider, gusty=gusty, regressor=own)[-1] for gusty, own in cases]
         assert [(one.length_scale_prior, one.n_latent) for one in found] == [("auto", 2), (None, None), (None, None)]
+
+    @pytest.mark.parametrize("calibrated", [False, True])
+    def test_setting_gusty_changes_the_prior_of_the_default_regressor_too(self, calibrated):
+        glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+        last = CalibratedRegressor(default_regressor()) if calibrated else None
+        pipeline = make_identification_pipeline(glider, regressor=last)
+        prefix = "calibratedregressor__estimator__" if calibrated else "dependentgpregressor__"
+
+        def prior():
+            return tuple(pipeline.get_params()[prefix + name] for name in ("length_scale_prior", "n_latent"))
+
+        assert clone(pipeline.set_params(gusty=True)).get_params()["gusty"]
+        assert prior() == ("auto", 2)
+        pipeline.set_params(gusty=False)
+        assert prior() == (None, None)
+        pipeline.set_params(**{"gusty": True, prefix + "n_latent": None, prefix + "length_scale_prior": (2.0, 0.5)})
+        assert prior() == ((2.0, 0.5), None)
+        pipeline.set_params(gusty=False)
+        assert prior() == ((2.0, 0.5), None)
+        own = DependentGPRegressor()
+        pipeline.set_params(**{"gusty": True, prefix.split("__")[0]: own})
+        assert (own.length_scale_prior, own.n_latent) == (None, None)
 
     def test_pipelines_of_earlier_versions_have_neither(self):
         pipeline = pipeline_of(NAMES, LinearRegression())

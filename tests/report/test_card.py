@@ -100,10 +100,7 @@ def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):
 
 
 def test_without_posterior_or_matplotlib_it_says_so(plan, tmp_path, monkeypatch):
-    def absent(who):
-        raise ImportError
-
-    monkeypatch.setattr(_page, "check_matplotlib", absent)
+    monkeypatch.setattr(_page, "find_spec", lambda name: None)
     bare = plan.flight[[name for name in plan.flight if not name.endswith(("_low", "_high"))]]
     write_flight_card(
         tmp_path / "card.html", replace(plan, flight=bare, manoeuvres=plan.manoeuvres.assign(risk=np.nan))

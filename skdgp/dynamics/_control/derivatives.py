@@ -52,7 +52,7 @@ def stability_derivatives(
         C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D.
 
     Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and the rates p and r are
-    in them.
+    in them. Raises ValueError if axes are unknown, or the model is not defined there.
 
     Parameters
     ----------
@@ -89,11 +89,6 @@ def stability_derivatives(
         ``n_effective`` is the number of independent samples that would determine the slope as well. Without stored
         samples (compact models) ``std_random``, ``std_method`` and ``n_effective`` are missing. A model by formula has
         no such parts.
-
-    Raises
-    ------
-    ValueError
-        If axes are unknown, or the model is not defined there.
 
     Notes
     -----

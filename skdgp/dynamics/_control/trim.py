@@ -125,7 +125,9 @@ def trim(
 
     The unknowns are alpha, theta, phi and four controls: those of the model, and the one that sets the thrust. With
     ``bank`` the turn rate is unknown instead of phi. Sideslip is unknown, instead of zero, where there are fewer
-    controls, as without a rudder, or where both ``bank`` and ``turn_rate`` are given (a steady sideslip).
+    controls, as without a rudder, or where both ``bank`` and ``turn_rate`` are given (a steady sideslip). Raises
+    ValueError if there is no such flight, with the accelerations that remain and the unknowns at a limit; if a given
+    value is not finite, or an angle of 90 degrees or more.
 
     Parameters
     ----------
@@ -157,12 +159,6 @@ def trim(
     Returns
     -------
     Trim or list of Trim
-
-    Raises
-    ------
-    ValueError
-        If there is no such flight, with the accelerations that remain and the unknowns at a limit; if a given value is
-        not finite, or an angle of 90 degrees or more.
 
     Examples
     --------

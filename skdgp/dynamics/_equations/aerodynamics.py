@@ -239,14 +239,9 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
 
     ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned from a table whose
     columns are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It
-    predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them.
-
-    Raises
-    ------
-    TypeError
-        If it is none of these.
-    ValueError
-        If the regressors have no names, or were scaled before they were chosen, or a coefficient is missing.
+    predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them. Raises TypeError if
+    it is none of these; ValueError if the regressors have no names, or were scaled before they were chosen, or a
+    coefficient is missing.
 
     Notes
     -----

@@ -38,6 +38,10 @@ def aerodynamic_coefficients(
         F_A = m f - F_T,   M_A = I omega_dot + omega x (I omega) - M_T,
         (CX, CY, CZ) = F_A / (qbar S),   (Cl, Cm, Cn) = M_A / (qbar S (b, c, b)),   qbar = rho V^2 / 2.
 
+    Raises ValueError if a column is missing, time does not increase, airspeed is not positive, values are impossible in
+    SI units, or nothing gives the thrust. Warns with FlightDataWarning if samples were not measured: the coefficients
+    are NaN there.
+
     Parameters
     ----------
     flight : pandas.DataFrame
@@ -64,17 +68,6 @@ def aerodynamic_coefficients(
     pandas.DataFrame
         Columns CX, CY, CZ, Cl, Cm, Cn with the flight's index; NaN where a channel needed is NaN, stuck, impossible or
         a spike (as :func:`skdgp.preprocessing.inspect_flight` finds them).
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, time does not increase, airspeed is not positive, values are impossible in SI
-        units, or nothing gives the thrust.
-
-    Warns
-    -----
-    FlightDataWarning
-        If samples were not measured: the coefficients are NaN there.
 
     Examples
     --------

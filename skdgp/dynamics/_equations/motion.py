@@ -187,15 +187,15 @@ class Motion:
         for _ in range(MOST_ITERATIONS):
             self._insert(X, guess, airspeed)
             now = self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
-            found = self._follow(state, now, velocity, wind, air)
+            result = self._follow(state, now, velocity, wind, air)
             if self.lagged:
-                return now._replace(implicit=found)
-            off = ((found - guess) / (1.0 + np.abs(found)))[..., self._follows]
+                return now._replace(implicit=result)
+            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._follows]
             settled = np.abs(off).max(axis=-1) < TOLERANCE
             if np.all(settled | ~np.isfinite(off).all(axis=-1)):
                 break
-            guess = _anderson(tried, found, off)
-        return now._replace(implicit=found, settled=settled)
+            guess = _anderson(tried, result, off)
+        return now._replace(implicit=result, settled=settled)
 
     def _explicit(self, state, controls, air, airspeed, alpha, beta, density, altitude) -> Array:
         """Return the regressors (..., d), of which those that follow from the loads are not yet set."""
@@ -247,11 +247,11 @@ class Motion:
             acceleration = acceleration + cross(state[..., RATES], wind)
             if air.wind_rate is not None:
                 acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
-        found = np.empty((*state.shape[:-1], len(IMPLICIT)))
-        found[..., :2] = (air_data_slopes(velocity)[..., 1:, :] @ acceleration[..., None])[..., 0]
-        found[..., 2:5] = now.derivative[..., RATES]
-        found[..., 5:] = now.force / self.aircraft.mass
-        return found
+        implicit = np.empty((*state.shape[:-1], len(IMPLICIT)))
+        implicit[..., :2] = (air_data_slopes(velocity)[..., 1:, :] @ acceleration[..., None])[..., 0]
+        implicit[..., 2:5] = now.derivative[..., RATES]
+        implicit[..., 5:] = now.force / self.aircraft.mass
+        return implicit
 
 
 def _density_of_air(altitude: Array) -> Array:
@@ -259,18 +259,18 @@ def _density_of_air(altitude: Array) -> Array:
     return standard_density(np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan))
 
 
-def _anderson(tried: list[tuple[Array, Array]], found: Array, off: Array) -> Array:
-    """Return the next guess from the last ones, (found, off) each: the mixture whose residual vanishes to first order.
+def _anderson(tried: list[tuple[Array, Array]], result: Array, off: Array) -> Array:
+    """Return the next guess from the last ones, (result, off) each: the mixture whose residual vanishes to first order.
 
     Anderson (1965), over the last `MEMORY` changes, for each trajectory by itself.
     """
-    tried.append((found, off))
+    tried.append((result, off))
     del tried[: -MEMORY - 1]
     if len(tried) == 1:
-        return found
+        return result
     changes, steps = ([b[i] - a[i] for a, b in pairwise(tried)] for i in (1, 0))
     D, F = np.stack(changes, axis=-1), np.stack(steps, axis=-1)
     normal = np.swapaxes(D, -1, -2) @ D
     normal = normal + (RIDGE * np.trace(normal, axis1=-2, axis2=-1) + TINY)[..., None, None] * np.eye(len(changes))
     mixture = np.linalg.solve(normal, np.swapaxes(D, -1, -2) @ off[..., None])
-    return found - (F @ mixture)[..., 0]
+    return result - (F @ mixture)[..., 0]

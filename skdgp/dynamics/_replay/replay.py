@@ -49,7 +49,8 @@ def replay(
     """Return predicted coefficients integrated along a flight, restarting from the measured state every horizon.
 
     The equations of `rigid_body_derivative` are integrated by RK4 over the log's samples, with the loads of the
-    predicted coefficients at the measured airspeed and density, the propulsive and external loads and gravity.
+    predicted coefficients at the measured airspeed and density, the propulsive and external loads and gravity. Raises
+    ValueError if a column is missing, shapes disagree, or a parameter is out of its range.
 
     Parameters
     ----------
@@ -84,11 +85,6 @@ def replay(
         v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ...
         A row where one window ends and the next starts shows the end. Rows not flown are NaN, their window -1: those
         without loads, and those before the first row whose whole state was measured.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, shapes disagree, or a parameter is out of its range.
 
     Notes
     -----
@@ -201,20 +197,15 @@ class _Path(NamedTuple):
         if std is not None:
             per_coefficient = np.hstack(aerodynamic_loads(np.ones((len(flight), 6)), airspeed, density, aircraft))
             load_factor = per_coefficient[:, :, None] * _covariance_factor(std, len(flight))
-        return cls(flight["time"].to_numpy(float), force, moment, _measured_states(flight), load_factor)
+        measured = [names for names in (EARTH_VELOCITY, BODY_VELOCITY) if all(name in flight for name in names)]
+        velocity = measured[0] if measured else EARTH_VELOCITY
+        check_columns(flight, velocity)
+        return cls(flight["time"].to_numpy(float), force, moment, table_states(flight, velocity), load_factor)
 
     def is_driven(self) -> Any:
         """Return where the loads, and with them the uncertainty, are known, (n,)."""
         driven = np.isfinite(self.force).all(axis=1) & np.isfinite(self.moment).all(axis=1)
         return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))
-
-
-def _measured_states(flight: pd.DataFrame) -> Array:
-    """Return the states (n, 13) that a flight measured; position 0 where it has none."""
-    if all(name in flight for name in BODY_VELOCITY) and not all(name in flight for name in EARTH_VELOCITY):
-        return table_states(flight, BODY_VELOCITY)
-    check_columns(flight, EARTH_VELOCITY)
-    return table_states(flight, EARTH_VELOCITY)
 
 
 def _coefficient_array(coefficients: Any, flight: pd.DataFrame) -> Array:

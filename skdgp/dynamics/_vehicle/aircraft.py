@@ -23,6 +23,9 @@ from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, as_floats
 class Aircraft:
     """Mass, inertia, reference lengths and thrust line of an aircraft.
 
+    Raises ValueError if a number is not positive and finite, or the inertia is not symmetric and positive definite.
+    Warns if one principal moment of inertia exceeds the sum of the other two, which no real body's does.
+
     Parameters
     ----------
     name : str
@@ -38,16 +41,6 @@ class Aircraft:
         Position and direction of the engine's force; without it, through the centre of gravity and forward.
     propeller : Propeller or mapping, optional
         Thrust as a function of propeller speed and airspeed, for flights without thrust columns.
-
-    Raises
-    ------
-    ValueError
-        If a number is not positive and finite, or the inertia is not symmetric and positive definite.
-
-    Warns
-    -----
-    UserWarning
-        If one principal moment of inertia exceeds the sum of the other two, which no real body's does.
 
     Examples
     --------
@@ -73,7 +66,10 @@ class Aircraft:
         if not isinstance(self.name, str) or not self.name.isprintable():
             raise ValueError(f"Got name={self.name!r}, but expected a line of text.")
         for name, unit in (("mass", "kg"), ("wing_area", "m^2"), ("span", "m"), ("chord", "m")):
-            object.__setattr__(self, name, _positive(getattr(self, name), name, unit))
+            value = as_floats(getattr(self, name))
+            if value.shape != () or not 0 < value < np.inf:
+                raise ValueError(f"Got {name}={getattr(self, name)!r}, but expected a number > 0, finite [{unit}].")
+            object.__setattr__(self, name, float(value))
         object.__setattr__(self, "inertia", _inertia(self.inertia))
         for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
             value = getattr(self, name)
@@ -135,13 +131,6 @@ class Aircraft:
             f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} m, "
             f"c {self.chord:g} m)"
         )
-
-
-def _positive(value: Any, name: str, unit: str) -> float:
-    number = as_floats(value)
-    if number.shape != () or not 0 < number < np.inf:
-        raise ValueError(f"Got {name}={value!r}, but expected a number > 0, finite [{unit}].")
-    return float(number)
 
 
 def _inertia(value: ArrayLike) -> Array:

@@ -118,6 +118,8 @@ class Propeller:
     ) -> Propeller:
         """Fit the propeller to a bench table by least squares in newtons.
 
+        Warns if the table is static and no pitch is given: thrust in flight is then overstated.
+
         Parameters
         ----------
         table : pandas.DataFrame
@@ -133,11 +135,6 @@ class Propeller:
             true zero-thrust advance ratios are often somewhat higher.
         rotation : {1, -1}
             1 turns clockwise seen from behind.
-
-        Warns
-        -----
-        UserWarning
-            If the table is static and no pitch is given: thrust in flight is then overstated.
 
         Examples
         --------

@@ -28,8 +28,8 @@ def aerodynamic_loads(
 ) -> tuple[Array, Array]:
     """Return force (..., 3) [N] and moment (..., 3) [N m] of coefficients (..., 6).
 
-    F_A = qbar S (CX, CY, CZ),  M_A = qbar S (b Cl, c Cm, b Cn),  qbar = rho V^2 / 2, in body axes about the centre
-    of gravity.
+    F_A = qbar S (CX, CY, CZ),  M_A = qbar S (b Cl, c Cm, b Cn),  qbar = rho V^2 / 2, in body axes about the centre of
+    gravity.
 
     Parameters
     ----------
@@ -67,7 +67,8 @@ def propeller_loads(
 ) -> tuple[Array, Array]:
     """Return force (..., 3) [N] and moment (..., 3) [N m] of the aircraft's propeller on its thrust line.
 
-    Equation 7 of Hemakumara & Sukkarieh (2011): F_T = T(Omega, V) d,  M_T = r_T x F_T + Q d.
+    Equation 7 of Hemakumara & Sukkarieh (2011): F_T = T(Omega, V) d,  M_T = r_T x F_T + Q d. Raises ValueError if the
+    aircraft has no propeller.
 
     Parameters
     ----------
@@ -79,11 +80,6 @@ def propeller_loads(
     -------
     force, moment : ndarray (..., 3)
         In body axes, the moment about the centre of gravity.
-
-    Raises
-    ------
-    ValueError
-        If the aircraft has no propeller.
     """
     propeller = aircraft.propeller
     if propeller is None:

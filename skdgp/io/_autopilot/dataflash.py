@@ -164,13 +164,13 @@ class _Reader:
                     self._define(position + HEAD)
                 position += of.length
                 continue
-            found = data.find(MARK, position + 1)
-            found = n if found < 0 else found
-            if of is not None and found == n:
+            following = data.find(MARK, position + 1)
+            following = n if following < 0 else following
+            if of is not None and following == n:
                 self.cut = True
-            elif data[position:found].strip(b"\x00\xff"):  # pages of the memory chip are filled up
-                self.skipped += found - position
-            position = found
+            elif data[position:following].strip(b"\x00\xff"):  # pages of the memory chip are filled up
+                self.skipped += following - position
+            position = following
 
     def _define(self, start):
         kind, length, name, codes, columns = np.frombuffer(self.data, self.formats[FMT].dtype, 1, start)[0].tolist()
@@ -209,7 +209,7 @@ class _Reader:
     def topics(self) -> dict[str, Topic]:
         """Return what has a time, by instance."""
         numbered = self._numbered()
-        found: dict[str, Topic] = {}
+        by_name: dict[str, Topic] = {}
         for kind, of in self.formats.items():
             if (
                 of.name in DEFINITIONS
@@ -222,25 +222,25 @@ class _Reader:
             instance = numbered.get(kind, of.instance)
             topic = Topic(records["TimeUS"] * 1e-6, order, records, of.scale)
             if instance is None:
-                found.setdefault(of.name, topic)
+                by_name.setdefault(of.name, topic)
                 continue
             numbers = records[instance]
             for number in np.unique(numbers).tolist():
-                found.setdefault(instance_name(of.name, int(number)), topic.select(numbers == number))
-        return dict(sorted(found.items()))
+                by_name.setdefault(instance_name(of.name, int(number)), topic.select(numbers == number))
+        return dict(sorted(by_name.items()))
 
     def _numbered(self) -> dict[int, str | None]:
         """Return by type the field that numbers instances, where the log says so: unit "#" of an FMTU message."""
         of, records = self.records("FMTU")
         if of is None or not {"FmtType", "UnitIds"} <= set(of.names):
             return {}
-        found = {}
+        fields = {}
         for kind, units in zip(records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True):
             names = self.formats[kind].names if kind in self.formats else ()
             place = units.find("#")
             field = names[place] if 0 <= place < len(names) else None
-            found[kind] = field if field and self.formats[kind].dtype[field].kind in "iu" else None
-        return found
+            fields[kind] = field if field and self.formats[kind].dtype[field].kind in "iu" else None
+        return fields
 
     def remarks(self):
         """Yield remarks on damage."""
@@ -251,11 +251,11 @@ class _Reader:
 
 
 def _servos(outputs, parameters) -> dict[str, ServoChannel]:
-    found: dict[str, ServoChannel] = {}
+    channels: dict[str, ServoChannel] = {}
     for n in range(1, 15):
         surface, turned = SERVOS.get(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), (None, False))
         if surface is not None and f"C{n}" in outputs:
             keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
             low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
-            found.setdefault(surface, ServoChannel(f"RCOU.C{n}", low, trim, high, turned != bool(back)))
-    return found
+            channels.setdefault(surface, ServoChannel(f"RCOU.C{n}", low, trim, high, turned != bool(back)))
+    return channels

@@ -155,11 +155,11 @@ class _Reader:
             elif self._read_message(kind, start, end):
                 position = end
             else:
-                found = self._next(position + 1)
+                following = self._next(position + 1)
                 complete = end <= len(data) or kind not in KINDS
-                self.cut = self.cut or (found == len(data) and not complete)
-                self.skipped += found - position if complete else 0
-                position = found
+                self.cut = self.cut or (following == len(data) and not complete)
+                self.skipped += following - position if complete else 0
+                position = following
 
     def _read_message(self, kind, start, end) -> bool:
         """Return whether there is a message: of a known kind that makes sense, or of a new kind between known ones."""
@@ -181,8 +181,8 @@ class _Reader:
         return True
 
     def _next(self, position):
-        found = (match.start() for match in NEXT.finditer(self.data, position))
-        return next((start for start in found if self._chain(start, 3)), len(self.data))
+        starts = (match.start() for match in NEXT.finditer(self.data, position))
+        return next((start for start in starts if self._chain(start, 3)), len(self.data))
 
     # Each of these reads the bytes of one message from start to end, and returns whether they make sense.
 
@@ -306,15 +306,15 @@ class _Reader:
 
     def topics(self) -> dict[str, Topic]:
         """Return the topics by name; of two of one name the longer."""
-        found: dict[str, Topic] = {}
+        by_name: dict[str, Topic] = {}
         for each in [*self.subscriptions.values(), *self.finished]:
             name = instance_name(each.name, each.instance)
-            if each.starts and len(each.starts) > len(found.get(name, ())):
+            if each.starts and len(each.starts) > len(by_name.get(name, ())):
                 size = each.dtype.itemsize
                 raw = b"".join([self.data[start : start + size] for start in each.starts])
                 records = np.frombuffer(raw, each.dtype)
-                found[name] = Topic(_sampled(each.name, records) * 1e-6, np.array(each.starts), records)
-        return dict(sorted(found.items()))
+                by_name[name] = Topic(_sampled(each.name, records) * 1e-6, np.array(each.starts), records)
+        return dict(sorted(by_name.items()))
 
     def remarks(self):
         if self.skipped:
@@ -361,13 +361,13 @@ def _vehicle(topics, parameters) -> str | None:
 def _servos(topics, parameters) -> dict[str, ServoChannel]:
     """Return the servos of control allocation, else those of a plane mixed by fixed rules."""
     outputs = topics.get("actuator_servos")
-    found: dict[str, ServoChannel] = {}
+    channels: dict[str, ServoChannel] = {}
     for n in range(8):
         surface = SURFACES.get(whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)))
         if surface is not None and outputs is not None and f"control[{n}]" in outputs:
-            found.setdefault(surface, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1))
-    if found:
-        return found
+            channels.setdefault(surface, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1))
+    if channels:
+        return channels
     name = "actuator_controls_1" if "actuator_controls_1" in topics else "actuator_controls_0"  # 1: a VTOL's wings
     if name not in topics or "control[2]" not in topics[name]:
         return {}

@@ -508,14 +508,20 @@ class _SingleFit:
         bounds = theta_bounds(kernel, self.noise_bounds)
         return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
 
-    def try_width(self, kernel, width_factor, max_iter):
-        """Return the kernel and the Optimum of a short search from one starting width, with few values."""
-        start = kernel.single_output().initialize(
-            self.x, self.y, np.random.RandomState(self.seed), width_factor=width_factor
-        )
-        theta = np.concatenate([start.theta, np.log(self.noise)])
-        name = f"{self.search.keywords['stage']} from {width_factor}"
-        return self.optimize(start, theta, max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter), name)
+    def try_widths(self, kernel, max_iter):
+        """Return the best kernel and Optimum of short searches from several starting widths, with few values."""
+        step, max_iter = max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter)
+        trials: dict = {}  # by their start: a trend has no widths
+        for factor in WIDTH_FACTORS:
+            start = kernel.single_output().initialize(
+                self.x, self.y, np.random.RandomState(self.seed), width_factor=factor
+            )
+            theta = np.concatenate([start.theta, np.log(self.noise)])
+            if theta.tobytes() not in trials:
+                name = f"{self.search.keywords['stage']} from {factor}"
+                trials[theta.tobytes()] = self.optimize(start, theta, step, max_iter, name)
+        n_evaluations = sum(optimum.n_evaluations for _, optimum in trials.values())
+        return *max(trials.values(), key=lambda trial: trial[1].value), n_evaluations
 
 
 @one_blas_thread()  # and one after another: two threads gain nothing on small matrices
@@ -539,26 +545,24 @@ def fit_singles(
     search = partial(maximize, optimizer=optimizer, stop=stop)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
     outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
-    trials = [output.try_width(kernel, factor, max_iter) for output in outputs for factor in WIDTH_FACTORS]
-    n = len(WIDTH_FACTORS)
-    best = [max(trials[k : k + n], key=lambda trial: trial[1].value) for k in range(0, len(trials), n)]
-
+    trials = [output.try_widths(kernel, max_iter) for output in outputs]
     most = min(SINGLE_ITERATIONS, 2 * max_iter)
     refined = [
-        output.optimize(single, optimum.theta, 1, most) for output, (single, optimum) in zip(outputs, best, strict=True)
+        output.optimize(single, optimum.theta, 1, most)
+        for output, (single, optimum, _) in zip(outputs, trials, strict=True)
     ]
     k = len(noise) // Y.shape[1]  # noise parameters of each output
     return Singles(
         [single.clone_with_theta(optimum.theta[:-k]) for single, optimum in refined],
         np.array([np.exp(optimum.theta[-k:]) for _, optimum in refined]).T.ravel(),
-        sum(optimum.n_evaluations for _, optimum in (*trials, *refined)),
+        sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
     )
 
 
 class Objective:
     """The function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient.
 
-    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where the
+    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
     neither the kernel nor noise of the regressors couples outputs, the likelihood is the sum of those of the outputs.
     """
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix
 from skdgp.inference._compact import observed_values
 from skdgp.inference._fit import autocorrelation_time
 from skdgp.inference._likelihood import Data
@@ -80,7 +80,7 @@ def _of_output(x, y, X):
     distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(2 * z.shape[1:]), hermitian=True), z)
     quiet = distance <= np.quantile(distance, QUIET)
     every = _Polynomial(basis, z, y)
-    weights = _Polynomial(basis, z[quiet], y[quiet]).weights, instrumented(basis(z), y, every.weights)
+    weights = _Polynomial(basis, z[quiet], y[quiet]).weights, _instrumented(basis(z), y, every.weights)
     error, white = every.error(at)
     return _slopes_of(basis, at) @ np.stack(weights, axis=-1) / scale[:, None], error / scale[:, None], white / scale
 
@@ -91,7 +91,7 @@ def _basis_for(n, d):
     return next((basis for basis, size in sizes.items() if n >= FEWEST * size), None)
 
 
-def instrumented(Q: Matrix, y: Vector, weights: Vector) -> Vector:
+def _instrumented(Q, y, weights):
     """Return weights of y (n,) by two-stage least squares, instruments being earlier rows of the terms Q (n, m).
 
     They are earlier by more than the errors of ``weights`` last (Soderstrom & Stoica 1989, section 8.1): an error that
@@ -101,8 +101,7 @@ def instrumented(Q: Matrix, y: Vector, weights: Vector) -> Vector:
     first = lag * DELAYS[-1]
     past = np.hstack([Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS])
     orthogonal = np.linalg.qr(past)[0]
-    found: Vector = np.linalg.lstsq(orthogonal @ (orthogonal.T @ Q[first:]), y[first:], rcond=None)[0]
-    return found
+    return np.linalg.lstsq(orthogonal @ (orthogonal.T @ Q[first:]), y[first:], rcond=None)[0]
 
 
 class _Polynomial:

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import slope_errors
-from skdgp.inference._slopes import _line, _parabola, _Polynomial, _slopes_of, instrumented
+from skdgp.inference._slopes import _instrumented, _line, _parabola, _Polynomial, _slopes_of
 
 AT = np.array([[0.3, -0.2]])
 
@@ -94,5 +94,5 @@ def test_past_regressors_tell_the_damping_that_gusts_flatten(every):
         rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
     x, load = np.column_stack([rate, stick])[::every], (-rate + stick + gust)[::every]
     flat = _Polynomial(_parabola, x, load).weights
-    found = instrumented(_parabola(x), load, flat)
+    found = _instrumented(_parabola(x), load, flat)
     assert abs(found[1] + 1) < 0.5 * abs(flat[1] + 1)

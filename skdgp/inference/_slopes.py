@@ -108,21 +108,22 @@ class _Polynomial:
     """Least squares in a basis, from sums over blocks of consecutive samples."""
 
     def __init__(self, basis: Any, z: Matrix, y: Array) -> None:
-        self.basis, self.n = basis, len(y)
+        self.basis = basis
         blocks = np.array_split(np.arange(len(y)), int(np.clip(len(y) // BLOCK_ROWS, 2, BLOCKS)))
         sums = [(Q.T @ Q, Q.T @ y[rows], y[rows] @ y[rows]) for rows in blocks for Q in [basis(z[rows])]]
         self.outer, self.inner, square = (np.array(part) for part in zip(*sums, strict=True))
         self.inverse = np.linalg.pinv(self.outer.sum(axis=0), hermitian=True)
         self.weights = self.inverse @ self.inner.sum(axis=0)
         left = square.sum() - self.weights @ self.inner.sum(axis=0)
-        self.variance = max(float(left), 0.0) / max(self.n - len(self.weights), 1)
+        self.variance = max(float(left), 0.0) / max(len(y) - len(self.weights), 1)
+        scores = self.inner - self.outer @ self.weights
+        self.errors = scores @ self.inverse * np.sqrt(len(scores) / (len(scores) - 1))  # of the weights, by block
 
     def error(self, at: Matrix) -> tuple[Array, Array]:
         """Return the error of the slopes (n, d, n_blocks), and its deviation (n, d) if samples were independent."""
-        D, n_blocks = _slopes_of(self.basis, at) @ self.inverse, len(self.inner)
-        scores = self.inner - self.outer @ self.weights
-        error = D @ scores.T * np.sqrt(n_blocks / (n_blocks - 1))
-        return error, np.sqrt(self.variance * np.einsum("nkp,pq,nkq->nk", D, self.outer.sum(axis=0), D))
+        D = _slopes_of(self.basis, at) @ self.inverse
+        white = np.sqrt(self.variance * np.einsum("nkp,pq,nkq->nk", D, self.outer.sum(axis=0), D))
+        return _slopes_of(self.basis, at) @ self.errors.T, white
 
 
 def _line(z):

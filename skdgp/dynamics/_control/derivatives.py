@@ -82,7 +82,7 @@ def stability_derivatives(
 
         - ``std_posterior``: over functions drawn from the posterior,
         - ``std_random``: errors correlated between samples and between outputs, estimated block by block,
-        - ``std_method``: scatter of the slopes of this model and of two polynomials of the measured samples, which shows
+        - ``std_method``: scatter of the slopes of this model and of two polynomials of the measured samples: it shows
           slopes that gusts flatten or bias,
         - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative.
 

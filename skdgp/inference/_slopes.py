@@ -24,6 +24,7 @@ BLOCK_ROWS = 10  # fewest samples in a block
 FEWEST = 5  # smallest number of samples for each weight of a polynomial
 QUIET = 0.5  # share of the samples, those nearest to the mean, of the quiet polynomial
 DELAYS = (2, 4, 6)  # of the regressors that are instruments, in autocorrelation times of the errors
+SINGULAR = 1e-10  # share of the largest eigenvalue below which instruments count as equal
 
 
 class SlopeErrors(NamedTuple):
@@ -99,9 +100,12 @@ def _instrumented(Q, y, weights):
     """
     lag = min(round(autocorrelation_time(y - Q @ weights)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]
-    past = np.hstack([Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS])
-    orthogonal = np.linalg.qr(past)[0]
-    return np.linalg.lstsq(orthogonal @ (orthogonal.T @ Q[first:]), y[first:], rcond=None)[0]
+    past, now = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS], Q[first:]
+    between = np.block([[one.T @ other for other in past] for one in past])
+    with_now = np.vstack([one.T @ now for one in past])
+    projected = with_now.T @ np.linalg.pinv(between, rcond=SINGULAR, hermitian=True)
+    right = projected @ np.concatenate([one.T @ y[first:] for one in past])
+    return np.linalg.pinv(projected @ with_now, rcond=SINGULAR, hermitian=True) @ right
 
 
 class _Polynomial:

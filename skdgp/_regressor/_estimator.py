@@ -680,8 +680,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
         ``random``: errors correlated between neighbouring samples and between outputs, of a polynomial of second order,
         :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the scatter of the slopes
-        of this model, of polynomials of first order of all samples and of the half that move least, and of second order
-        without what past errors predict. Rows must be in the order of the log.
+        of this model and of two polynomials: of the half of the samples that move least, and of all of them with past
+        regressors as instruments. They are of second order where the half has 5 samples for each term, else of first.
+        Rows must be in the order of the log.
 
         Parameters
         ----------

@@ -11,12 +11,12 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT
 from skdgp._flight.clock import flight_segments
-from skdgp.inference._unpredicted import unpredicted
 
 LATERAL = frozenset(("beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder", "CY", "Cl", "Cn"))
 """Regressors and coefficients whose sign changes in a mirror."""
 EARLIEST, LATEST, N_LAGS = 0.05, 0.2, 7
 """Past errors that predict an error [s]: smoothing mixes closer ones with it, gust rates forget earlier ones."""
+ROUNDS, TOLERANCE = 100, 1e-3
 
 
 def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -77,6 +77,28 @@ def without_gusts(X: Matrix, Y: Matrix, time: Any, flight: Any) -> Matrix:
         )
     step = np.median(np.diff(time))
     lags = np.unique(np.maximum(1, np.round(np.linspace(EARLIEST, LATEST, N_LAGS) / step).astype(int)))
+    segments = list(flight_segments(time, flight))
     Z = StandardScaler().fit(X[known]).transform(X)
     Q = np.linalg.qr(np.column_stack([PolynomialFeatures(2).fit_transform(Z), np.abs(Z)])[known])[0]
-    return unpredicted(Q, Y, lags, flight_segments(time, flight), known)
+    predicted, scale = np.zeros_like(Y), Y[known].std(axis=0)
+    for _ in range(ROUNDS):
+        before, clean, error = predicted, (Y - predicted)[known], np.zeros_like(Y)
+        error[known] = Y[known] - Q @ (Q.T @ clean)
+        predicted = _predicted(error, lags, segments, known)
+        if (np.abs(predicted - before).max(axis=0) <= TOLERANCE * scale).all():
+            break
+    return Y - predicted
+
+
+def _predicted(error, lags, segments, known):
+    """Return what the errors at the lags predict of the errors, (n, P)."""
+    past = np.zeros((len(lags), *error.shape))
+    for rows in segments:
+        part = error[rows]
+        for k, lag in enumerate(lags):
+            past[k, rows][lag:] = part[:-lag]
+    predicted = np.zeros_like(error)
+    for j, e in enumerate(error.T):
+        weights = np.linalg.lstsq(past[:, known, j].T, e[known], rcond=None)[0]
+        predicted[known, j] = weights @ past[:, known, j]
+    return predicted

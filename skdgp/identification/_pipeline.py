@@ -346,7 +346,8 @@ class FlightPipeline(Pipeline):
             factor = np.full(Y.shape[1], float(len(samples)))
             if self.gusty:
                 factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)
-            last.posterior_ = with_more_noise(last.posterior_, factor, len(samples))
+            measured = Z[: len(X)], (targets.to_numpy(float) - last._center) / last._scale
+            last.posterior_ = with_more_noise(last.posterior_, factor, measured)
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
@@ -380,8 +381,8 @@ def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, 
     return factor
 
 
-def with_more_noise(posterior: Any, factor: Vector, n_copies: int) -> Any:
-    """Return the posterior of ``n_copies`` of each sample with the noise of each output times a factor (P,)."""
+def with_more_noise(posterior: Any, factor: Vector, measured: tuple[Matrix, Matrix]) -> Any:
+    """Return the posterior with the noise of each output times a factor (P,), and X, Y as they were measured."""
     noise = np.array(posterior.noise)
     noise[: len(factor)] *= factor
     more: Any
@@ -389,7 +390,7 @@ def with_more_noise(posterior: Any, factor: Vector, n_copies: int) -> Any:
         more = ExactPosterior(posterior.kernel, noise, posterior.data)
     else:
         more = SparsePosterior(posterior.kernel, posterior.features, noise, posterior.shares)
-    more.n_copies = n_copies
+    more.measured = measured
     return more
 
 

@@ -35,6 +35,8 @@ class ExactPosterior:
     log_marginal_likelihood : float
     """
 
+    measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
+
     def __init__(self, kernel: Any, noise: Vector, data: Data) -> None:
         self.kernel, self.noise, self.data = kernel, np.asarray(noise, dtype=float), data
         self._rows = slice(None)

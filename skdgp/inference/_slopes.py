@@ -1,10 +1,10 @@
 """Errors of slopes that the standard deviations of a posterior do not contain, estimated from polynomials.
 
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
-neighbouring samples and of different outputs are correlated, and the widths may be wrong: gusts flatten slopes where
-the motion is small, and functions that are too simple average the curvature. Three polynomials have other errors: of
-first order of all samples, of first order of the half with the smallest motion, and of second order without the part of
-the errors that past errors predict, which gusts do not flatten. Their differences show how large such errors are.
+neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
+the motion is small, and correlate errors with rates at the same time. Two polynomials show how large such errors are:
+of the half of the samples with the smallest motion, where slopes are flattest, and of all samples with past regressors
+as instruments, which do not correlate with the present error.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ import numpy as np
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix
 from skdgp.inference._compact import observed_values
-from skdgp.inference._unpredicted import unpredicted
+from skdgp.inference._fit import autocorrelation_time
+from skdgp.inference._likelihood import Data
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
 FEWEST = 5  # smallest number of samples for each weight of a polynomial
 QUIET = 0.5  # share of the samples, those nearest to the mean, of the quiet polynomial
-LAGS = range(2, 9)  # samples to the past errors that predict an error; smoothing mixes the next one with it
+DELAYS = (2, 4, 6)  # of the regressors that are instruments, in autocorrelation times of the errors
+SINGULAR = 1e-10  # share of the largest eigenvalue below which instruments count as equal
 
 
 class SlopeErrors(NamedTuple):
@@ -50,73 +52,82 @@ class SlopeErrors(NamedTuple):
 def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 
-    The polynomial of highest order has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
+    The polynomial of all samples has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
     and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
-    whatever the correlation within a block and between outputs (Liang & Zeger 1986). Copies of a
-    sample, as of mirrored flights, err together.
+    whatever the correlation within a block and between outputs (Liang & Zeger 1986). Where a posterior has learned
+    from other samples than those ``measured``, such as mirrored ones, polynomials are of the measured ones.
     """
     if getattr(posterior, "shares", ()) is None:
         return None
-    data = observed_values(posterior)
+    data = observed_values(posterior) if posterior.measured is None else Data.from_table(*posterior.measured)
     parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]
     if any(part is None for part in parts):
         return None
-    n_blocks = max(part[1].shape[-1] for part in parts)
-    random = [np.pad(part[1], [(0, 0), (0, 0), (0, n_blocks - part[1].shape[-1])]) for part in parts]
-    slopes = np.stack([posterior.gradient(X), *_common([part[0] for part in parts])], axis=-1)
+    polynomials, errors, white = zip(*parts, strict=True)
+    n_blocks = max(error.shape[-1] for error in errors)
+    random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
+    slopes = np.concatenate([posterior.gradient(X)[..., None], np.stack(polynomials, axis=1)], axis=-1)
     method = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
-    white, n_copies = np.stack([part[2] for part in parts], axis=1), getattr(posterior, "n_copies", 1)
-    random, white = (np.sqrt(n_copies) * part for part in (np.stack(random, axis=1), white))
-    return SlopeErrors(random, method, white, max(map(len, data.y)) // n_copies)
-
-
-def _common(slopes):
-    """Return the slopes of each polynomial that all outputs have, (n, P, d) each."""
-    return [np.stack(of_outputs, axis=1) for of_outputs in zip(*slopes, strict=False)]
+    return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))
 
 
 def _of_output(x, y, X):
-    """Return the slopes (n, d) by each polynomial, the error (n, d, n_blocks) of the finest, and its white std."""
-    n, d = x.shape
-    if n < FEWEST * (d + 1) / QUIET:
+    """Return the slopes (n, d, 2) by polynomials, the error (n, d, n_blocks) of that of all samples, its white std."""
+    basis = _basis_for(QUIET * len(x), x.shape[1])
+    if basis is None:
         return None
     centre, scale = x.mean(axis=0), column_scale(x)
     z, at = (x - centre) / scale, (X - centre) / scale
-    distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(d, d), hermitian=True), z)
+    distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(2 * z.shape[1:]), hermitian=True), z)
     quiet = distance <= np.quantile(distance, QUIET)
-    fits = [_Polynomial(_line, z[quiet], y[quiet]), _Polynomial(_line, z, y)]
-    finest = fits[-1]
-    if n >= FEWEST * (1 + d + d * (d + 1) // 2):
-        finest, Q = _Polynomial(_parabola, z, y), np.linalg.qr(_parabola(z))[0]
-        clean = unpredicted(Q, y[:, None], LAGS, [slice(n)], np.ones(n, bool))
-        fits.append(_Polynomial(_parabola, z, clean[:, 0]))
-    error, white = finest.error(at)
-    return [fit.slopes(at) / scale for fit in fits], error / scale[:, None], white / scale
+    every = _Polynomial(basis, z, y)
+    weights = _Polynomial(basis, z[quiet], y[quiet]).weights, _instrumented(basis(z), y, every.weights)
+    error, white = every.error(at)
+    return _slopes_of(basis, at) @ np.stack(weights, axis=-1) / scale[:, None], error / scale[:, None], white / scale
+
+
+def _basis_for(n, d):
+    """Return the highest order of polynomials of d regressors that n samples determine, or None."""
+    sizes = {_parabola: 1 + d + d * (d + 1) // 2, _line: 1 + d}
+    return next((basis for basis, size in sizes.items() if n >= FEWEST * size), None)
+
+
+def _instrumented(Q, y, weights):
+    """Return weights of y (n,) by two-stage least squares, instruments being earlier rows of the terms Q (n, m).
+
+    They are earlier by more than the errors of ``weights`` last (Soderstrom & Stoica 1989, section 8.1): an error that
+    causes motion, such as that of a gust, correlates with present regressors, and so biases least squares.
+    """
+    lag = min(round(autocorrelation_time(y - Q @ weights)), len(y) // (2 * DELAYS[-1]))
+    first = lag * DELAYS[-1]
+    past, now = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS], Q[first:]
+    between = np.block([[one.T @ other for other in past] for one in past])
+    with_now = np.vstack([one.T @ now for one in past])
+    projected = with_now.T @ np.linalg.pinv(between, rcond=SINGULAR, hermitian=True)
+    right = projected @ np.concatenate([one.T @ y[first:] for one in past])
+    return np.linalg.pinv(projected @ with_now, rcond=SINGULAR, hermitian=True) @ right
 
 
 class _Polynomial:
     """Least squares in a basis, from sums over blocks of consecutive samples."""
 
     def __init__(self, basis: Any, z: Matrix, y: Array) -> None:
-        self.basis, self.n = basis, len(y)
+        self.basis = basis
         blocks = np.array_split(np.arange(len(y)), int(np.clip(len(y) // BLOCK_ROWS, 2, BLOCKS)))
         sums = [(Q.T @ Q, Q.T @ y[rows], y[rows] @ y[rows]) for rows in blocks for Q in [basis(z[rows])]]
         self.outer, self.inner, square = (np.array(part) for part in zip(*sums, strict=True))
         self.inverse = np.linalg.pinv(self.outer.sum(axis=0), hermitian=True)
         self.weights = self.inverse @ self.inner.sum(axis=0)
         left = square.sum() - self.weights @ self.inner.sum(axis=0)
-        self.variance = max(float(left), 0.0) / max(self.n - len(self.weights), 1)
-
-    def slopes(self, at: Matrix) -> Array:
-        """Return the slopes (n, d) at points (n, d)."""
-        return _slopes_of(self.basis, at) @ self.weights
+        self.variance = max(float(left), 0.0) / max(len(y) - len(self.weights), 1)
+        scores = self.inner - self.outer @ self.weights
+        self.errors = scores @ self.inverse * np.sqrt(len(scores) / (len(scores) - 1))  # of the weights, by block
 
     def error(self, at: Matrix) -> tuple[Array, Array]:
         """Return the error of the slopes (n, d, n_blocks), and its deviation (n, d) if samples were independent."""
-        D, n_blocks = _slopes_of(self.basis, at) @ self.inverse, len(self.inner)
-        scores = self.inner - self.outer @ self.weights
-        error = D @ scores.T * np.sqrt(n_blocks / (n_blocks - 1))
-        return error, np.sqrt(self.variance * np.einsum("nkp,pq,nkq->nk", D, self.outer.sum(axis=0), D))
+        D = _slopes_of(self.basis, at) @ self.inverse
+        white = np.sqrt(self.variance * np.einsum("nkp,pq,nkq->nk", D, self.outer.sum(axis=0), D))
+        return _slopes_of(self.basis, at) @ self.errors.T, white
 
 
 def _line(z):

@@ -69,7 +69,7 @@ class SparsePosterior:
     shares: Any
     sums: Sums
     statistics: Any  # list of Statistics, None if the noise is correlated
-    n_copies = 1  # of each sample
+    measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
 
     def __init__(self, kernel: Any, features: Any, noise: Vector, shares: list) -> None:
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
@@ -77,7 +77,7 @@ class SparsePosterior:
         self._begin()
 
     def __getstate__(self):
-        state = {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares", "n_copies")}
+        state = {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares", "measured")}
         if self.shares is None:  # otherwise the sums are computed again from the samples, which take less space
             state["sums"] = self.sums.packed(self.features, self.kernel.n_outputs)
         return state

@@ -18,6 +18,7 @@ from skdgp.dynamics._control.derivatives import PARTS
 from skdgp.identification import FlightPipeline
 from skdgp.identification._pipeline import default_regressor
 from skdgp.inference import autocorrelation_time
+from skdgp.inference._slopes import _parabola, _Polynomial
 from skdgp.preprocessing import RegressorSelector
 
 CONTROLS = NAMES[-4:]
@@ -74,6 +75,8 @@ class Found(NamedTuple):
     slopes_std: np.ndarray
     slopes_parts: np.ndarray | None = None
     """The `PARTS` of a deviation, (4, 6, 11)."""
+    function_random: np.ndarray | None = None
+    """Deviation of the function by errors correlated between samples, (n, 6), as ``std_random`` is of slopes."""
 
 
 def asked_of(subject, case):
@@ -186,7 +189,16 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
     asked = pd.DataFrame(asked_of(subject, case), columns=case.regressors)
     function, std = pipeline.predict(asked, return_std=True, include_input_noise=False)
     slopes, slopes_std, *parts = slopes_of(pipeline, subject, case, ("value", "std", *PARTS))
-    return Found(function, std, slopes, slopes_std, np.array(parts)), pipeline[-1].kernel_
+    random = correlated(X, Y, asked_of(subject, case))
+    return Found(function, std, slopes, slopes_std, np.array(parts), random), pipeline[-1].kernel_
+
+
+def correlated(X, Y, asked):
+    """Return the deviation (n, 6) of the polynomial of second order by its errors over blocks of the log."""
+    scaler = StandardScaler().fit(X)
+    z, terms = scaler.transform(X), _parabola(scaler.transform(asked))
+    fits = [_Polynomial(_parabola, z[known], y[known]) for y, known in zip(Y.T, np.isfinite(Y).T, strict=True)]
+    return np.sqrt(np.transpose([((terms @ fit.errors.T) ** 2).sum(axis=1) for fit in fits]))
 
 
 def learned(model, X, Y, case, table, **options):

@@ -6,10 +6,13 @@ from scipy.signal import lfilter
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import slope_errors
-from skdgp.inference._slopes import _line, _parabola, _Polynomial
-from skdgp.inference._unpredicted import unpredicted
+from skdgp.inference._slopes import _instrumented, _line, _parabola, _Polynomial, _slopes_of
 
 AT = np.array([[0.3, -0.2]])
+
+
+def slopes_at(fit):
+    return _slopes_of(fit.basis, AT) @ fit.weights
 
 
 def wandering(rng, shape, memory):
@@ -25,7 +28,7 @@ def test_are_the_scatter_over_many_logs(memory):
         x, noise = wandering(rng, (2400, 2), memory), wandering(rng, 2400, memory)
         fit = _Polynomial(_parabola, x, x @ [1.0, 2.0] + x[:, 0] ** 2 + noise)
         error, alone = fit.error(AT)
-        found.append(fit.slopes(AT)[0])
+        found.append(slopes_at(fit)[0])
         stated.append(np.sum(error[0] ** 2, axis=-1))
         white.append(alone[0])
     ratio = np.std(found, axis=0) / np.sqrt(np.mean(stated, axis=0))
@@ -37,8 +40,8 @@ def test_are_the_scatter_over_many_logs(memory):
 def test_are_of_the_polynomial():
     x = np.random.default_rng(1).normal(size=(400, 2))
     y = 1.0 + x @ [2.0, -1.0] + 0.5 * x[:, 0] * x[:, 1] - x[:, 1] ** 2
-    assert _Polynomial(_parabola, x, y).slopes(AT)[0] == pytest.approx([2 + 0.5 * -0.2, -1 + 0.5 * 0.3 + 2 * 0.2])
-    assert _Polynomial(_line, x, x @ [2.0, -1.0]).slopes(AT)[0] == pytest.approx([2.0, -1.0])
+    assert slopes_at(_Polynomial(_parabola, x, y))[0] == pytest.approx([2 + 0.5 * -0.2, -1 + 0.5 * 0.3 + 2 * 0.2])
+    assert slopes_at(_Polynomial(_line, x, x @ [2.0, -1.0]))[0] == pytest.approx([2.0, -1.0])
 
 
 @pytest.fixture(scope="module")
@@ -82,15 +85,14 @@ def test_none_without_samples_enough(log, model):
     assert slope_errors(compact.posterior_, AT) is None
 
 
-def test_past_errors_tell_the_damping_that_gusts_flatten():
+@pytest.mark.parametrize("every", [1, 2])
+def test_past_regressors_tell_the_damping_that_gusts_flatten(every):
     """A load turns the rate, so its lasting error, as of a gust, is in the rate: least squares finds too little."""
     rng = np.random.default_rng(3)
-    gust, stick, rate = wandering(rng, 3000, 3), wandering(rng, 3000, 20), np.zeros(3000)
-    for t in range(1, 3000):
+    gust, stick, rate = wandering(rng, 9000, 1.5), wandering(rng, 9000, 20), np.zeros(9000)
+    for t in range(1, 9000):
         rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
-    x, load = np.column_stack([rate, stick]), -rate + stick + gust
-    A = _parabola(x)
-    clean = unpredicted(np.linalg.qr(A)[0], load[:, None], range(1, 8), [slice(3000)], np.ones(3000, bool))
-    flat, found = (np.linalg.lstsq(A, y, rcond=None)[0][1] for y in (load, clean[:, 0]))
-    assert flat > -0.4
-    assert found == pytest.approx(-1.0, abs=0.2)
+    x, load = np.column_stack([rate, stick])[::every], (-rate + stick + gust)[::every]
+    flat = _Polynomial(_parabola, x, load).weights
+    found = _instrumented(_parabola(x), load, flat)
+    assert abs(found[1] + 1) < 0.5 * abs(flat[1] + 1)

@@ -100,7 +100,7 @@ class ExactPosterior:
         if data.n_values == 0:
             return self
         new = object.__new__(ExactPosterior)
-        new.kernel, new.noise = self.kernel, self.noise
+        new.kernel, new.noise, new.measured = self.kernel, self.noise, self.measured
         new.data = self.data.joined(data)
         new._rows = self._appended_rows([len(y) for y in data.y])
         with threads_for(self.data.n_values):

@@ -124,7 +124,7 @@ class SparsePosterior:
     def _with(self, shares, statistics, sums, noise=None) -> SparsePosterior:
         """Return the posterior of other samples or with another noise, with the same features."""
         new = object.__new__(SparsePosterior)
-        new.kernel, new.features, new.Lu = self.kernel, self.features, self.Lu
+        new.kernel, new.features, new.Lu, new.measured = self.kernel, self.features, self.Lu, self.measured
         new.noise = self.noise if noise is None else noise
         new.shares, new.statistics, new.sums = shares, statistics, sums
         new._condition()

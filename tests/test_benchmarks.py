@@ -20,6 +20,7 @@ SCRIPTS = (
     "workers",
     "comparison",
     "ablation",
+    "seeds",
     "structure",
     "derivatives",
     "referee",

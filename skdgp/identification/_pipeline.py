@@ -281,7 +281,8 @@ class FlightPipeline(Pipeline):
         """Set parameters as scikit-learn's ``Pipeline``; ``gusty`` also turns the prior of the last step on or off.
 
         ``length_scale_prior`` and ``n_latent`` of a :class:`skdgp.DependentGPRegressor` at the end become those of
-        :func:`default_regressor`, unless the same call sets them or the step, or they had values of your own.
+        :func:`default_regressor`, unless the same call sets them or the step, or they differ from those of the other
+        setting: this changes a regressor of your own, too.
         """
         before = SMOOTH if self.gusty else dict.fromkeys(SMOOTH)
         super().set_params(**params)
@@ -346,7 +347,8 @@ class FlightPipeline(Pipeline):
             factor = np.full(Y.shape[1], float(len(samples)))
             if self.gusty:
                 factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)
-            measured = Z[: len(X)], (targets.to_numpy(float) - last._center) / last._scale
+            rows = np.flatnonzero(targets.notna().any(axis=1))
+            measured = Z[rows], (targets.to_numpy(float)[rows] - last._center) / last._scale
             last.posterior_ = with_more_noise(last.posterior_, factor, measured)
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:

@@ -68,20 +68,24 @@ class Data(NamedTuple):
         return Data(X, y, sample_noise, drift)
 
     def by_output(self) -> list[Data]:
-        """Return the values of each output alone; the other outputs have none."""
+        """Return the values of each output that has any alone, for evaluations one after another.
+
+        Noise of regressors would couple them, so there must be none. Outputs of the same rows share their pairs.
+        """
 
         def only(i, parts):
             return [part if k == i else part[:0] for k, part in enumerate(parts)]
 
+        pairs: dict = {X.tobytes(): RowPairs(X) for X in self.X if 0 < len(X) <= PAIRED}
         return [
             Data(
                 only(i, self.X),
                 only(i, self.y),
-                self.sample_noise and SampleNoise(*(only(i, parts) for parts in self.sample_noise)),
-                self.drift and self.drift._replace(clock=only(i, self.drift.clock)),
-                RowPairs(X) if len(X) <= PAIRED else None,
+                drift=self.drift and self.drift._replace(clock=only(i, self.drift.clock)),
+                pairs=pairs.get(X.tobytes()),
             )
             for i, X in enumerate(self.X)
+            if len(X)
         ]
 
     @property

@@ -80,10 +80,12 @@ def _of_output(x, y, X):
     z, at = (x - centre) / scale, (X - centre) / scale
     distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(2 * z.shape[1:]), hermitian=True), z)
     quiet = distance <= np.quantile(distance, QUIET)
-    every = _Polynomial(basis, z, y)
-    weights = _Polynomial(basis, z[quiet], y[quiet]).weights, _instrumented(basis(z), y, every.weights)
+    every, Q = _Polynomial(basis, z, y), basis(z)
+    rest = y - Q @ every.weights  # so that slopes are those of all samples where the others do not determine them
+    changes = _Polynomial(basis, z[quiet], rest[quiet]).weights, _instrumented(Q, rest)
+    slopes = _slopes_of(basis, at) @ (every.weights[:, None] + np.stack(changes, axis=-1))
     error, white = every.error(at)
-    return _slopes_of(basis, at) @ np.stack(weights, axis=-1) / scale[:, None], error / scale[:, None], white / scale
+    return slopes / scale[:, None], error / scale[:, None], white / scale
 
 
 def _basis_for(n, d):
@@ -92,13 +94,13 @@ def _basis_for(n, d):
     return next((basis for basis, size in sizes.items() if n >= FEWEST * size), None)
 
 
-def _instrumented(Q, y, weights):
+def _instrumented(Q, y):
     """Return weights of y (n,) by two-stage least squares, instruments being earlier rows of the terms Q (n, m).
 
-    They are earlier by more than the errors of ``weights`` last (Soderstrom & Stoica 1989, section 8.1): an error that
-    causes motion, such as that of a gust, correlates with present regressors, and so biases least squares.
+    They are earlier by more than the errors ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1): an
+    error that causes motion, such as that of a gust, correlates with present regressors, and so biases least squares.
     """
-    lag = min(round(autocorrelation_time(y - Q @ weights)), len(y) // (2 * DELAYS[-1]))
+    lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]
     past, now = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS], Q[first:]
     between = np.block([[one.T @ other for other in past] for one in past])

@@ -150,7 +150,9 @@ class SparsePosterior:
 
     def without_samples(self) -> SparsePosterior:
         """Return the same posterior without samples: it keeps only their sums and predicts the same."""
-        return self._with(None, None, self.sums)
+        posterior = self._with(None, None, self.sums)
+        posterior.measured = None
+        return posterior
 
     def updated(self, data: Data) -> SparsePosterior:
         """Return the posterior with further values: their sums are added."""

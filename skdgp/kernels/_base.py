@@ -420,16 +420,19 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def add_pairs(self, i: int, pairs: RowPairs, out: Vector) -> None:
         for kernel in (self.k1, self.k2):
-            kernel.add_pairs(i, pairs, out)
+            if kernel.couples(i, i):
+                kernel.add_pairs(i, pairs, out)
 
     def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
-        return np.concatenate([k.pair_gradient(i, pairs, w) for k in (self.k1, self.k2)])
+        parts = [k.pair_gradient(i, pairs, w) if k.couples(i, i) else np.zeros(k.n_dims) for k in (self.k1, self.k2)]
+        return np.concatenate(parts)
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
 
     def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
-        return self.k1.derivative_times(i, j, Xi, Xj, w) + self.k2.derivative_times(i, j, Xi, Xj, w)
+        parts = [k.derivative_times(i, j, Xi, Xj, w) for k in (self.k1, self.k2) if k.couples(i, j)]
+        return sum(parts, np.zeros(np.shape(Xi)))
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)

@@ -464,10 +464,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.theta_gradient(self._gradients_from_moments(i, i, mass, first, second))
 
     def _columns(self):
-        """Return the columns of X that the outputs depend on; of one column a slice, which needs no copy."""
+        """Return the columns of X that the outputs depend on; of one or all a slice, which needs no copy."""
         if self.regressors is None:
             return slice(None)
-        columns = list(self.regressors)
+        columns = np.flatnonzero(~self._without_effect(self.n_features))
         return slice(columns[0], columns[0] + 1) if len(columns) == 1 else columns
 
     def terms(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:

@@ -72,6 +72,16 @@ def test_of_a_straight_line_all_methods_agree(log):
     assert np.abs(model.slope_errors(log[0][:1]).method).max() < 1e-5
 
 
+def test_a_control_that_rests_in_the_quiet_half_keeps_its_slope(log):
+    """Doublets from trim: the quiet half says nothing about the control, not that it has no effect."""
+    rng, n = np.random.default_rng(4), 600
+    step = np.arange(n) % 60 // 3
+    x = np.column_stack([wandering(rng, n, 5), 0.1 * (step == 0) - 0.1 * (step == 1)])
+    model = DependentGPRegressor(structure="trend").fit(x, x @ [0.05, -0.3] + 0.01 * rng.normal(size=n))
+    errors = model.slope_errors(x[:1])
+    assert np.abs(errors.method[0, 0, 1]).max() < 2 * np.sqrt(np.sum(errors.random[0, 0, 1] ** 2)) < 0.1
+
+
 def test_exact_and_sparse_inference_keep_the_same_samples(log, model):
     sparse = DependentGPRegressor(structure="trend", inference="sparse").fit(log[0], log[1])
     same = model.slope_errors(log[0][:1]).random
@@ -94,5 +104,5 @@ def test_past_regressors_tell_the_damping_that_gusts_flatten(every):
         rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
     x, load = np.column_stack([rate, stick])[::every], (-rate + stick + gust)[::every]
     flat = _Polynomial(_parabola, x, load).weights
-    found = _instrumented(_parabola(x), load, flat)
+    found = flat + _instrumented(_parabola(x), load - _parabola(x) @ flat)
     assert abs(found[1] + 1) < 0.5 * abs(flat[1] + 1)

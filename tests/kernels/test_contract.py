@@ -65,6 +65,7 @@ KERNELS = {
     "one regressor": convolved(2, d=1, shift=True),
     "one regressor, full": convolved(1, d=1, covariance_type="full"),
     "of few regressors": convolved(1, d=3, regressors=[2, 0]),
+    "of one regressor, named twice": convolved(1, d=3, regressors=[2, 2]),
     "of few regressors, tied and shifted": convolved(1, covariance_type="tied", shift=True, regressors=[1]),
     "additive": trend() + (convolved(0, regressors=[0]) + (convolved(0, seed=3, regressors=[1]) + convolved(1))),
     "fixed widths": convolved(length_scale_bounds="fixed"),

@@ -5,14 +5,14 @@
 An aircraft with known truth flies 60 s of inputs of half the limits, in calm or in moderate air. From this flight a
 linear trend is learned, and its noise (`flight_noise`). `plan` chooses 60 s from it and predicts the standard errors of
 all derivatives from these 60 s alone. The plan is flown 100 times by the truth, each time in other gusts and with other
-noise of the sensors. From each flight derivatives at the trim are estimated by the polynomial of second order of least
+noise of the sensors. From each flight derivatives at its trim are estimated by the polynomial of second order of least
 squares; predicted is their standard error, found their standard deviation. Columns:
 
     predicted / found, within 25 %
                   quantiles over the 48 derivatives, and their share with a ratio of .75 to 1.25
     predicted with
-                  the noise of the model's residuals; that before smoothing; unknown curvature too, as this plan; and
-                  regressors of flights in gusts, each manoeuvre without the pause after it
+                  the noise of the model's residuals, or that at the frequencies of the motion; unknown curvature too;
+                  aircraft and entries that are drawn, as this plan; and after the flights, their regressors
 
 An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.
 """
@@ -29,16 +29,17 @@ import numpy as np
 import pandas as pd
 from _closed_loop_flights import AXES, PAUSE, SUBJECTS, Subject, exploratory, sortie
 from _common import finish, parser_of
-from closed_loop import ENVELOPE, REGRESSORS, _manoeuvres, learned, rows_of, seen
+from closed_loop import REGRESSORS, WIDE, _manoeuvres, learned, rows_of, seen
 from sklearn.preprocessing import PolynomialFeatures
 from study import kept
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import Information, Plan, coefficient_noise, expected_information, plan
-from skdgp.dynamics import SimulationWarning, simulate
+from skdgp.design import Information, coefficient_noise, expected_information, plan
+from skdgp.dynamics import SimulationWarning
 from skdgp.identification import flight_noise
 
-SECONDS, EVERY, DRAWS = 60.0, 2, 8
+SECONDS, EVERY, DRAWS = 60.0, 2, 20
+PLAN = "and entries (plan)"
 AIR = ("calm", "moderate")
 GROWTH = (0.5, 1.0, 2.0)
 """Of the envelope: the first of these that gusts alone do not leave."""
@@ -57,7 +58,7 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     )  # fmt: skip
     for growth in GROWTH:
         try:
-            found = make(noise=noise, envelope=replace(ENVELOPE, growth=growth))
+            found = make(noise=noise, envelope=replace(WIDE, growth=growth))
             break
         except ValueError as error:
             print(error, flush=True)
@@ -65,39 +66,34 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     inputs = sortie(_manoeuvres(found))
     rows = []
     for k, log in enumerate(subject.fly([inputs] * n_flights, SECONDS, air, [0, 1])):
-        rows.append(rows_of(seen(log, [0, 1, k]), subject)[1:])
+        rows.append(rows_of(seen(log, [0, 1, k]), subject))
+    flown_at = np.mean([X[time < PAUSE].mean(axis=0) for time, X, _ in rows], axis=0)  # the model's trim differs
     still = partial(expected_information, found.flight, subject.aircraft, REGRESSORS)
     predicted = {
         "residuals of the model": still(coefficient_noise(model)),
-        "noise before smoothing": still(noise),
-        "and curvature": found.after,
-        "and gusts": in_gusts(model, found, subject, noise, about),
+        "noise of the motion": still(noise),
+        "and curvature": still(noise, about=about),
+        PLAN: found.after,
     }
     errors = {name: one.std.to_numpy() for name, one in predicted.items()}
-    return {"predicted": errors, "found": scatter(rows, about), "manoeuvres": found.manoeuvres, "growth": growth}
+    errors["regressors as flown"] = as_flown(rows[:DRAWS], subject, noise, flown_at)
+    return {"predicted": errors, "found": scatter(rows, flown_at), "manoeuvres": found.manoeuvres, "growth": growth}
 
 
-def in_gusts(model: Any, found: Plan, subject: Subject, noise: pd.DataFrame, about: np.ndarray) -> Information:
-    """Return the information of a plan that aircraft drawn from the posterior fly in gusts, mean over `DRAWS`."""
-    point, parts = found.trims[0], []
-    for k, row in found.manoeuvres.iterrows():
-        train = sortie([found.inputs(k)]).train
-        table = train.table(40.0, trim=point.controls, pause=PAUSE)
-        table = table[table["time"] >= PAUSE - 1e-9].assign(time=lambda one: one["time"] - PAUSE)
-        parts.append(simulate(
-            model, subject.aircraft, point, table, 0.04, duration=float(row["duration"]), n_paths=DRAWS,
-            gusts="as flown", random_state=k,
-        ).assign(part=k))  # fmt: skip
-    flown = pd.concat(parts)
-    flown = flown[flown["ended"] == ""].assign(flight=lambda one: one["flight"].astype(str) + one["part"].astype(str))
-    told = expected_information(flown, subject.aircraft, REGRESSORS, noise, about=about)
-    return replace(told, fisher=told.fisher / DRAWS)
+def as_flown(rows: list[Any], subject: Subject, noise: pd.DataFrame, about: np.ndarray) -> np.ndarray:
+    """Return the standard errors (6, 8) by the regressors of flights, root mean square over the flights."""
+    found = []
+    for time, X, _ in rows:
+        flight = pd.DataFrame(X, columns=REGRESSORS).assign(time=time)[::EVERY]
+        scaled = noise.assign(white=noise["white"] * np.sqrt(0.04 / np.diff(flight["time"]).mean()))
+        found.append(expected_information(flight, subject.aircraft, REGRESSORS, scaled, about=about).std.to_numpy())
+    return np.sqrt(np.mean(np.square(found), axis=0))
 
 
 def scatter(rows: list[Any], about: np.ndarray) -> np.ndarray:
     """Return the standard deviation of the derivatives (6, 8) at a point, by least squares of second order."""
     slopes = []
-    for X, Y in rows:
+    for _, X, Y in rows:
         size = X.std(axis=0)
         basis = PolynomialFeatures(2).fit_transform((X[::EVERY] - about) / size)
         slopes.append(np.linalg.lstsq(basis, Y[::EVERY], rcond=None)[0][1 : 1 + len(size)].T / size)
@@ -108,8 +104,8 @@ def toy() -> dict[str, Any]:
     """Return errors without a flight: does the script make its tables?"""
     rng = np.random.default_rng(0)
     basis = rng.standard_normal((20, 400, 8))
-    rows = [(X, X @ rng.standard_normal((8, 6)) + 0.1 * rng.standard_normal((400, 6))) for X in basis]
-    return {"predicted": {"and curvature": np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
+    rows = [(None, X, X @ rng.standard_normal((8, 6)) + 0.1 * rng.standard_normal((400, 6))) for X in basis]
+    return {"predicted": {PLAN: np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
 
 
 def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -127,7 +123,7 @@ def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
 
 def each(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each coefficient: predicted / found standard errors of each derivative."""
-    predicted = found["predicted"]["and curvature"]
+    predicted = found["predicted"][PLAN]
     return [
         {"aircraft": name, "air": air, "coefficient": one}
         | {key: f"{a:.2g} / {b:.2g}" for key, a, b in zip(REGRESSORS, predicted[i], found["found"][i], strict=True)}

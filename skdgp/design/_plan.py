@@ -489,7 +489,8 @@ class _Planner:
         longest = max(train.duration for train in trains) + self.pause
         tables = [train.table(self.rate, trim=point.controls, pause=longest - train.duration) for train in trains]
         duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)
-        controls, options = tables, {}
+        controls: Any = tables
+        options: dict[str, Any] = {}
         if n_paths and self.aerodynamics.is_uncertain:
             controls, options = self._entered(point, tables[0], n_paths)
             options["gusts"] = gusts

@@ -191,8 +191,8 @@ def _entry(plan: Plan) -> str:
         f"<li>Trim at the values of the table, hands off, for {pause}.</li>"
         "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock.</li>"
         "<li>Leave the other controls at their trim while the inputs run: corrections spoil the measurement.</li>"
-        f"<li>Return to the trim, and hold it for {pause} before the next manoeuvre. Wait longer if the aircraft has "
-        "not come to rest; the order may be interrupted between manoeuvres, not within one.</li>"
+        f"<li>Return to the trim, and hold it for {pause} before the next manoeuvre. Wait longer if airspeed and pitch "
+        "are not back; the order may be interrupted between manoeuvres, not within one.</li>"
     )
     caption = "Trim, as the model expects it; deflections of the controls are positions, not deviations."
     return f"<section><h2>Trim and entry</h2>{table(head, rows, caption=caption)}<ol>{steps}</ol></section>"
@@ -267,8 +267,8 @@ def _teaching(plan: Plan) -> str:
     pairs = plan.confounded
     if len(pairs):
         named = [
-            f"{one.first} and {one.second} in {one.coefficient} ({number(one.correlation, '.2f')})"
-            for one in pairs.head(5).itertuples()
+            f"{one['first']} and {one['second']} in {one['coefficient']} ({number(one['correlation'], '.2f')})"
+            for one in pairs.head(5).to_dict("records")
         ]
         more = f" and {len(pairs) - 5} more pairs" if len(pairs) > 5 else ""
         shown += (

@@ -121,14 +121,10 @@ def summary(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def each(name: str, air: str, found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return a row for each coefficient: predicted / found standard errors of each derivative."""
-    predicted = found["predicted"][PLAN]
-    return [
-        {"aircraft": name, "air": air, "coefficient": one}
-        | {key: f"{a:.2g} / {b:.2g}" for key, a, b in zip(REGRESSORS, predicted[i], found["found"][i], strict=True)}
-        for i, one in enumerate(COEFFICIENTS)
-    ]
+def by_coefficient(name: str, air: str, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the ratio of errors predicted by the plan to those found, geometric mean over regressors."""
+    ratio = np.exp(np.log(found["predicted"][PLAN] / found["found"]).mean(axis=1))
+    return {"aircraft": name, "air": air} | dict(zip(COEFFICIENTS, ratio.tolist(), strict=True))
 
 
 def main(words: Any = None) -> None:
@@ -148,7 +144,7 @@ def main(words: Any = None) -> None:
         options,
         "standard_errors",
         summary=[row for key, found in cases.items() for row in summary(*key, found)],
-        each=[row for key, found in cases.items() for row in each(*key, found)],
+        by_coefficient=[by_coefficient(*key, found) for key, found in cases.items()],
     )
 
 

@@ -260,7 +260,8 @@ def plan(
         As `input_bands` returns, for a model without recognisable modes.
     curvature : bool, default=False
         Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
-        larger. False: coefficients are linear.
+        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air. False:
+        coefficients are linear.
     pause : float, default=3.0
         After each manoeuvre [s]; the response in it counts.
     rate : float, default=50.0

@@ -124,8 +124,10 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in planned.errors.iterrows()]
     pairs = planned.confounded
     if len(pairs):
-        shown = [f"{one['first']} and {one['second']} in {one['coefficient']}" for _, one in pairs.head(5).iterrows()]
-        lines += ["", f"not told apart: {', '.join(shown)}"]
+        shown = [
+            f"{one.first} and {one.second} in {one.coefficient} ({one.correlation:.2f})" for one in pairs.itertuples()
+        ]
+        lines += ["", f"errors that are still correlated: {', '.join(shown[:5])}"]
     if not options.full:
         lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
     return "\n".join([*lines, "", *map(str, files)])

@@ -202,7 +202,7 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     ----------
     model : DependentGPRegressor or Pipeline that ends with it
         Fitted; with ``time`` it knows the drift, else all noise is white. A pipeline of
-        :func:`skdgp.identification.identify` has that of its flights before smoothing, see
+        :func:`skdgp.identification.identify` has that of its flights at the frequencies of their motion, see
         :func:`skdgp.identification.flight_noise`.
 
     Returns

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal, NamedTuple, cast
@@ -70,6 +70,8 @@ ENTRY = {"phi": 0.035, "theta": 0.035}
 """Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
 """The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
+ENTRIES = 12
+"""Over which the information of a manoeuvre is averaged."""
 SHRINK, LEAST = 0.85, 0.2
 """Factor by which a manoeuvre is made smaller until it is safe, and the least scale."""
 VAGUE = 1e-8
@@ -103,7 +105,8 @@ class Plan:
         posterior also what holds 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on for beta,
         load_factor, bank, airspeed and altitude.
     parts : tuple of Information
-        Of each manoeuvre; ``after`` is ``before`` and their sum.
+        Of each manoeuvre, with ``curvature`` the mean over aircraft and entries that are drawn; ``after`` is ``before``
+        and their sum.
     limits : DataFrame
         ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
@@ -175,8 +178,10 @@ class Plan:
 
     @property
     def confounded(self) -> pd.DataFrame:
-        """Pairs of regressors that are still not told apart: see :meth:`Information.confounded`."""
-        return self.after.confounded()
+        """Pairs with a derivative of the goal that are still not told apart: see :meth:`Information.confounded`."""
+        pairs = self.after.confounded()
+        names = pairs[["first", "second"]].apply(lambda one: pairs["coefficient"] + "_" + one.str.removesuffix(HAT))
+        return pairs[names.isin(self.goal).any(axis=1)].reset_index(drop=True)
 
 
 def plan(
@@ -255,7 +260,8 @@ def plan(
         As `input_bands` returns, for a model without recognisable modes.
     curvature : bool, default=False
         Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
-        larger. False: coefficients are linear.
+        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air. False:
+        coefficients are linear.
     pause : float, default=3.0
         After each manoeuvre [s]; the response in it counts.
     rate : float, default=50.0
@@ -472,19 +478,23 @@ class _Planner:
             )
         return float(room)
 
-    def _flown_by(self, at: int, several: Sequence[Mapping[str, Signal]], drawn: bool = False) -> list[pd.DataFrame]:
+    def _flown_by(
+        self, at: int, several: Sequence[Mapping[str, Signal]], n_paths: int = 0, gusts: Any = None
+    ) -> list[pd.DataFrame]:
         """Return the simulated flights of manoeuvres from a trim, each with the pause after it.
 
-        ``drawn``: the first alone, by aircraft, gusts and entries that are drawn.
+        With ``n_paths`` the first alone, by so many aircraft and entries that are drawn.
         """
         point = self.trims[at]
         trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
         longest = max(train.duration for train in trains) + self.pause
         tables = [train.table(self.rate, trim=point.controls, pause=longest - train.duration) for train in trains]
         duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)
-        controls, options = (
-            self._entered(point, tables[0]) if drawn and self.aerodynamics.is_uncertain else (tables, {})
-        )
+        controls: Any = tables
+        options: dict[str, Any] = {}
+        if n_paths and self.aerodynamics.is_uncertain:
+            controls, options = self._entered(point, tables[0], n_paths)
+            options["gusts"] = gusts
         flown = simulate(
             self.model, self.aircraft, [point] * len(tables), controls, STEP, duration=duration, thrust=self.thrust,
             **options,
@@ -493,11 +503,11 @@ class _Planner:
         ends = [train.duration + self.pause + 1e-6 for train in trains]
         return [part[part["time"] <= end].reset_index(drop=True) for part, end in zip(parts, ends, strict=True)]
 
-    def _entered(self, point: Trim, table: pd.DataFrame) -> tuple[Callable, dict[str, Any]]:
-        """Return controls held beside the trim, and what else `simulate` needs to draw aircraft, gusts and entries."""
+    def _entered(self, point: Trim, table: pd.DataFrame, n_paths: int) -> tuple[Any, dict[str, Any]]:
+        """Return controls held beside the trim, and what else `simulate` needs to draw aircraft and entries."""
         rng, time = np.random.default_rng(self.seed), table["time"].to_numpy()
         beside: dict[str, Any] = {
-            axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((self.n_paths, 1))
+            axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((n_paths, 1))
             for axis, limit in self.limits.items()
         }
         columns = {str(name): values.to_numpy() for name, values in table.items() if name != "time"}
@@ -506,15 +516,13 @@ class _Planner:
             return {name: np.interp(t, time, values) + beside.get(name, 0.0) for name, values in columns.items()}
 
         start = ENTRY | {"u": ENTRY_SPEED * point.airspeed}
-        return controls, {
-            "n_paths": self.n_paths, "gusts": self.gusts, "random_state": self.seed, "initial_std": start
-        }  # fmt: skip
+        return controls, {"n_paths": n_paths, "random_state": self.seed, "initial_std": start}
 
     def _checked_hold(self, at: int) -> _Hold:
         """Return trimmed flight; raise ValueError if it leaves the envelope by itself."""
         longest = max((*MULTISINES, self.pause))
         still = {self.axes[0]: Steps([longest], [0.0])}
-        flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], drawn=True)[0]
+        flight, paths = self._flown_by(at, [still])[0], self._flown_by(at, [still], self.n_paths, self.gusts)[0]
         risk, causes = self._risk_of(paths[paths["time"] <= self.pause + 1e-6])
         if risk > self.envelope.risk:
             point = self.trims[at]
@@ -564,6 +572,13 @@ class _Planner:
     def _information(self, flight: pd.DataFrame) -> Information:
         """Return what a simulated flight will tell."""
         return expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise, about=self.about)
+
+    def _entered_information(self, one: _Manoeuvre) -> Information:
+        """Return what a manoeuvre teaches on average over aircraft and entries that are drawn, in still air."""
+        n = ENTRIES if self.aerodynamics.is_uncertain else 1
+        flown = self._flown_by(one.at, [one.inputs], n)[0]
+        found = self._information(flown[flown["ended"] == ""])
+        return replace(found, fisher=found.fisher / n)
 
     def _bands(self, at: int, bands: pd.DataFrame | None) -> pd.DataFrame:
         """Return widths and frequencies of the inputs of a trim."""
@@ -713,7 +728,8 @@ class _Planner:
             if not _moves(inputs):  # smaller than a detent
                 break
             flight, hold = self._flown_by(one.at, [inputs])[0], self.holds[one.at]
-            paths = self._flown_by(one.at, [inputs], drawn=True)[0] if self.aerodynamics.is_uncertain else flight
+            is_uncertain = self.aerodynamics.is_uncertain
+            paths = self._flown_by(one.at, [inputs], self.n_paths, self.gusts)[0] if is_uncertain else flight
             more = hold.margin * hold.response(self._channels(flight))
             risk, causes = self._risk_of(paths, np.tile(more, (len(paths) // len(more), 1)))
             if risk <= self.envelope.risk:
@@ -739,6 +755,9 @@ class _Planner:
 
     def _plan_of(self, chosen: list[_Manoeuvre], library: dict[str, _Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres, those of one trim together."""
+        if self.curvature:  # products that the mean's flight leaves at zero are small in others
+            taught = {one.name: self._entered_information(one) for one in chosen}
+            chosen = [replace(one, information=taught[one.name]) for one in chosen]
         chosen = sorted(chosen, key=lambda one: one.at)
         trains, rows, gained = [], [], self._gain([])
         flights: list[pd.DataFrame] = []

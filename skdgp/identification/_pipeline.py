@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import orth
 from sklearn import get_config
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
@@ -16,12 +17,12 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import SENSOR_GUST
+from skdgp._flight.clock import flight_segments
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
 from skdgp.identification._other_air import mirrored, named_targets, without_gusts
 from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, residual_drift
-from skdgp.inference._noise import fit_drift_to_integrals
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -34,7 +35,7 @@ from skdgp.preprocessing import (
 
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 LEAST_ROWS, MOST_ROWS = 5, 20000
-"""For each term of a polynomial, and for the whole of it."""
+"""For each term of a polynomial, and for all of them."""
 SMOOTH = {"length_scale_prior": "auto", "n_latent": 2}
 """What the default regressor of gusty flights has; the other one has None."""
 
@@ -414,19 +415,23 @@ def flight_noise(
     step: float = 0.04,
     **loads: Any,
 ) -> pd.DataFrame | None:
-    r"""Return the noise of measured coefficients before any smoothing: what decides the errors of derivatives.
+    r"""Return the noise of measured coefficients at the frequencies of the motion: what decides errors of derivatives.
 
-    Residuals of smoothed channels are too small. A smoother of several channels removes the noise in which they differ;
-    what resembles the motion stays, and has its full effect on the derivatives. So these are residuals of unsmoothed
-    coefficients and regressors, averaged over ``step``; the function is the polynomial of second order of the smoothed
-    ones. Rates of change, such as ``alpha_dot``, stay smoothed.
+    The noise of smoothed channels is not white. A smoother removes it between the frequencies of the motion and leaves
+    it there, where it has its full effect on the derivatives, and where the fit takes up a part of it. With the columns
+    Q of an orthonormal basis of a polynomial of second order, :math:`Q_1` of its linear part, the residuals
+    :math:`r = (I - Q Q^T) y` of a coefficient, and Fourier transforms over n rows, the variance of one row is
+
+    .. math:: \sigma^2 = \frac{\sum_\omega |\hat Q_1|^2 |\hat r|^2}{\sum_\omega |\hat Q_1|^2 (n - |\hat Q|^2)}
+
+    (|.|^2 is summed over columns), which is right for white noise.
 
     Parameters
     ----------
     pipeline : Pipeline
         Fitted.
     flights : DataFrame (n, ...)
-        One or more flights at their full rate.
+        One or more flights at their full rate; 20,000 rows are used.
     aircraft : Aircraft
     regressors : ndarray or DataFrame (n, d), optional
         What the steps before the last make of the flights, if it is known already.
@@ -439,7 +444,7 @@ def flight_noise(
     Returns
     -------
     DataFrame or None
-        Standard deviations ``white`` and ``drift``, and ``memory`` [s] of each coefficient, for
+        Of each coefficient the standard deviation ``white``, a ``drift`` of zero and its ``memory`` [s], for
         :func:`skdgp.design.expected_information`; None if there are less than five rows for each term.
 
     Examples
@@ -453,40 +458,34 @@ def flight_noise(
     ...                                      reconstruction="passthrough",
     ...                                      regressor=DependentGPRegressor(structure="trend", max_iter=2))
     >>> model = model.fit(train, aerodynamic_coefficients(train, flights.aircraft))
-    >>> flight_noise(model, train, flights.aircraft).columns.tolist()
-    ['white', 'drift', 'memory']
+    >>> flight_noise(model, train, flights.aircraft).round(4).loc["Cm"].to_dict()
+    {'white': 0.0016, 'drift': 0.0, 'memory': 1.0}
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the fit has told them
-        smooth = np.asarray(pipeline[:-1].transform(flights) if regressors is None else regressors)
-        table = flights
-        for _, one in pipeline.steps[:-1]:
-            if one in (None, "passthrough"):
-                continue
-            seen = one.transform(table)
-            if isinstance(one, FlightPathReconstruction | FlightSmoother):
-                seen[[*table]] = table  # as measured
-            table = seen
-        targets, measured = (
-            aerodynamic_coefficients(flights, aircraft, cutoff=cutoff, **loads) for cutoff in ("auto", None)
-        )
-    X, Y, terms = np.asarray(table), targets.to_numpy(), PolynomialFeatures(2)
-    known = np.isfinite(np.column_stack([smooth, X, Y, measured])).all(axis=1)
-    if known.sum() < LEAST_ROWS * terms.fit(np.zeros((1, X.shape[1]))).n_output_features_:
+        X = np.asarray(pipeline[:-1].transform(flights) if regressors is None else regressors, dtype=float)
+        targets = aerodynamic_coefficients(flights, aircraft, **loads)
+    Y, terms = targets.to_numpy(), PolynomialFeatures(2)
+    known = np.flatnonzero(np.isfinite(np.column_stack([X, Y])).all(axis=1))[:MOST_ROWS]
+    if len(known) < LEAST_ROWS * terms.fit(np.zeros((1, X.shape[1]))).n_output_features_:
         return None
-    thin = np.flatnonzero(known)[:: max(1, known.sum() // MOST_ROWS)]
-    weights = np.linalg.lstsq(terms.transform(smooth[thin]), Y[thin], rcond=None)[0]
-    residuals = measured[known] - terms.transform(X[known]) @ weights
-    flight = pd.factorize(flights["flight"])[0] if "flight" in flights else np.zeros(len(flights))
-    time = flights["time"].to_numpy(float)
-    between = np.diff(time)[np.diff(flight) == 0]
-    width = np.median(between) * max(1, round(step / np.median(between)))
-    clock = pd.DataFrame({"time": time, "flight": flight}, flights.index)
-    rows = pd.concat([clock[known], residuals], axis=1).groupby([flight[known], time[known] // width]).mean()
-    clock = rows[["time", "flight"]].to_numpy()
-    white, drift, memory = np.array([fit_drift_to_integrals(rows[name].to_numpy(), clock, 1e-12) for name in targets]).T
-    values = {"white": np.sqrt(white * width / step), "drift": np.sqrt(drift), "memory": memory}
-    return pd.DataFrame(values, index=list(targets))
+    X, Y, time = X[known], Y[known], flights["time"].to_numpy(float)[known]
+    X = StandardScaler().fit_transform(X)
+    whole, linear = orth(terms.transform(X)), orth(np.column_stack([np.ones(len(X)), X]))
+    residuals = Y - whole @ (whole.T @ Y)
+    total, share = np.zeros(Y.shape[1]), 0.0
+    segments = flight_segments(time, flights["flight"].iloc[known] if "flight" in flights else None)
+    for rows in segments:
+        moved, taken = (_power(basis[rows]).sum(axis=1) for basis in (linear, whole))
+        total, share = total + moved @ _power(residuals[rows]), share + moved @ (len(time[rows]) - taken)
+    steps = np.concatenate([np.diff(time[rows]) for rows in segments])
+    white = np.sqrt(total / share * np.median(steps) / step)
+    return pd.DataFrame({"white": white, "drift": 0.0, "memory": 1.0}, index=list(targets))
+
+
+def _power(values: Matrix) -> Matrix:
+    """Return the squared Fourier transform of each column, (n // 2 + 1, k)."""
+    return np.abs(np.fft.rfft(values, axis=0)) ** 2
 
 
 def _predict(last, regressors, ratio, params):

@@ -36,6 +36,11 @@ DIRECTIONS = {
 }  # fmt: skip
 SOME = 0.95
 """Part of an error that is left, above which a manoeuvre teaches nothing worth naming."""
+GOALS = {
+    "function": ("all coefficients", "over the flown range, each in units of its spread"),
+    "free-flight": ("free flight", "after 2 s: of alpha, beta, bank and pitch [rad]"),
+}
+"""In words: the goals that are no derivatives."""
 LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.rad2deg(1.0)), "deg")}
 NO_BREAK = "\u00a0"
 SIGN = '<div class="sign"><p>Planned</p><p>Pilot</p><p>Flown: date, time, remarks</p></div>'
@@ -150,12 +155,14 @@ def _headline(plan: Plan) -> str:
     known = np.isfinite(errors).all(axis=None)
     ratio = np.exp(np.log(errors["after"] / errors["before"]).mean()) if known else np.nan
     seconds = sum(train.duration + _pause(plan, k) for k, train in enumerate(plan.trains))
-    what = plan.goal[0] if len(plan.goal) == 1 else f"{len(plan.goal)} derivatives"
+    whole = [GOALS[name][0] for name in plan.goal if name in GOALS]
+    others = [name for name in plan.goal if name not in GOALS]
+    what = " and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])])
     tiles = [
         (f"{number(seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
         (f"{len(rows)}", "manoeuvres, one after another"),
         (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre to leave the limits"),
-        (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {text(what)} is left, on geometric average"),
+        (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {text(what)} is left (geometric mean)"),
     ]
     if not known:
         tiles[3] = ("new", f"nothing was known of {text(what)}")
@@ -178,15 +185,23 @@ def _entry(plan: Plan) -> str:
         f"<li>Trim at the values of the table, hands off, for {pause}.</li>"
         "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock.</li>"
         "<li>Leave the other controls at their trim while the inputs run: corrections spoil the measurement.</li>"
-        f"<li>Return to the trim, and hold it for {pause} before the next manoeuvre. Wait longer if the aircraft has "
-        "not come to rest; the order may be interrupted between manoeuvres, not within one.</li>"
+        f"<li>Return to the trim, and hold it for {pause} before the next manoeuvre. Wait longer if airspeed and pitch "
+        "are not back; the order may be interrupted between manoeuvres, not within one.</li>"
     )
     caption = "Trim, as the model expects it; deflections of the controls are positions, not deviations."
     return f"<section><h2>Trim and entry</h2>{table(head, rows, caption=caption)}<ol>{steps}</ol></section>"
 
 
 def _order(plan: Plan) -> str:
-    head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size<br>[% of limit]", "risk [%]", "errors [%]", "flown"]
+    head = [
+        "manoeuvre",
+        "begins<br>[s]",
+        "lasts<br>[s]",
+        "size [% of<br>deflection allowed]",
+        "risk [%]",
+        "errors [%]",
+        "flown",
+    ]
     rows: list[list[str]] = []
     for k, row in enumerate(plan.manoeuvres.to_dict("records")):
         if len(plan.trims) > 1 and (k == 0 or row["train"] != plan.manoeuvres["train"].iloc[k - 1]):
@@ -195,9 +210,9 @@ def _order(plan: Plan) -> str:
         last = [percent(row["risk"]), percent(-row["gain"], ".0f"), "☐"]
         rows.append([f"{k + 1}. {text(row['name'])}", *numbers, *last])
     caption = (
-        "Order of flight. Risk: predicted probability of leaving a limit; if K of N flights drawn leave one, it is "
-        "(K + 1) / (N + 2). Errors: change of the errors of the goal, on geometric average, by this manoeuvre after "
-        "those before it."
+        "Order of flight. Risk: predicted probability of leaving a limit; if K of N simulated flights leave one, it is "
+        "(K + 1) / (N + 2), never zero. Errors: change of the errors of the goal (geometric mean) by this manoeuvre "
+        "after those before it."
     )
     return f"<section><h2>Order of flight</h2>{table(head, rows, caption=caption)}</section>"
 
@@ -236,7 +251,8 @@ def _teaching(plan: Plan) -> str:
             [_derivative(name), _milli(row["before"]), _milli(row["after"]), percent(row["left"], ".0f")]
             for name, row in _rows(errors.assign(left=(errors["after"] / errors["before"]).where(known)))
         ]
-        caption = "Standard errors of the goal, before and after the flight, in thousandths."
+        caption = "Standard errors of the goal, before and after the flight, in thousandths"
+        caption += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
         shown = table(head, rows, caption=caption, classes="narrow")
     else:
         head, rows = _by_coefficient(errors, ("after", "before"))
@@ -244,9 +260,15 @@ def _teaching(plan: Plan) -> str:
         shown = table(head, rows, caption=caption)
     pairs = plan.confounded
     if len(pairs):
-        named = [f"{one.first} and {one.second} in {one.coefficient}" for one in pairs.head(5).itertuples()]
+        named = [
+            f"{one['first']} and {one['second']} in {one['coefficient']} ({number(one['correlation'], '.2f')})"
+            for one in pairs.head(5).to_dict("records")
+        ]
         more = f" and {len(pairs) - 5} more pairs" if len(pairs) > 5 else ""
-        shown += f'<p class="note">Not told apart by this flight: {text(", ".join(named)).replace(HAT, "")}{more}.</p>'
+        shown += (
+            '<p class="note">Errors that are still correlated, so that a combination of the two is known better than '
+            f"each: {text(', '.join(named)).replace(HAT, '')}{more}.</p>"
+        )
     return f"<section><h2>What the flight teaches</h2>{shown}{SIGN}</section>"
 
 
@@ -351,11 +373,15 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
     after = errors_of(sum((plan.parts[k] for k in rows), plan.before), plan.weights)[goal]
     left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
     shown = [
-        f"{percent(left[name], '.0f')}{THIN}% of that of {_derivative(name)}"
+        f"{percent(left[name], '.0f')}{THIN}% of the error of {_derivative(name)}"
         if left[name] > 0 else f"{_derivative(name)} known to ±{number(after[name], '.2g')}"
         for name in map(str, left.index[:most]) if left[name] < SOME
     ]  # fmt: skip
-    return f"Errors it leaves, by itself: {', '.join(shown)}." if shown else "It teaches nothing of the goal by itself."
+    return (
+        f"If only this is flown, it leaves {', '.join(shown)}."
+        if shown
+        else "It teaches nothing of the goal by itself."
+    )
 
 
 def _pause(plan: Plan, train: int) -> float:
@@ -399,7 +425,7 @@ def _value(name: str, frame: pd.DataFrame, end: str) -> str:
 def _derivative(name: str) -> str:
     coefficient, _, regressor = name.partition("_")
     if not regressor:  # another goal
-        return text(name)
+        return text(GOALS[name][0])
     return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
 
 

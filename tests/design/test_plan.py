@@ -88,7 +88,9 @@ def test_expected_errors_are_those_of_the_whole_flight(planned, model, uav):
     found, seen = planned
     whole = sum(found.parts, found.before)
     np.testing.assert_allclose(found.errors["after"], whole.std.loc["Cm", ["alpha", "q_hat"]])
-    pd.testing.assert_frame_equal(found.confounded, whole.confounded())
+    pairs = whole.confounded()
+    of_goal = (pairs["coefficient"] == "Cm") & pairs[["first", "second"]].isin(["alpha", "q_hat"]).any(axis=1)
+    pd.testing.assert_frame_equal(found.confounded, pairs[of_goal].reset_index(drop=True))
     assert (found.errors["after"] < found.errors["before"]).all()
     gains = found.manoeuvres["gain"]
     assert 1 - np.prod(1 - gains) == pytest.approx(
@@ -128,8 +130,9 @@ def test_the_same_seed_gives_the_same_plan(model, uav, curvature):
     pd.testing.assert_frame_equal(one.manoeuvres, two.manoeuvres)
     np.testing.assert_array_equal(one.after.fisher, two.after.fisher)
     about = [*one.to_dict()["at"].values()] if curvature else None
-    whole = one.before + expected_information(one.flight, uav, NAMES, NOISE, about=about)
-    np.testing.assert_allclose(one.errors["after"], whole.std.loc["Cm", ["q_hat"]])
+    still = one.before + expected_information(one.flight, uav, NAMES, NOISE, about=about)
+    ratio = one.after.std.loc["Cm", "q_hat"] / still.std.loc["Cm", "q_hat"]
+    assert ratio < 1 if curvature else ratio == pytest.approx(1)  # entries beside the trim teach more
 
 
 def test_the_posterior_is_the_information_of_a_linear_model(model):

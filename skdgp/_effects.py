@@ -53,9 +53,10 @@ class Effects:
     _terms: dict[str, CentredTerm]
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
-        """Return the terms at X (n, ...), input of the model or of the pipeline that ends in it: by name, (n, P) each.
+        """Return the terms at X (n, ...), input of the model or of the pipeline that ends in it: a dict of (n, P).
 
-        Their sum and ``intercept`` are the predicted mean. With ``return_std`` also return standard deviations by name.
+        Their sum and ``intercept`` are the predicted mean. With ``return_std`` return a pair of such dicts, means and
+        standard deviations.
         """
         regressor, before, _, _ = split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))

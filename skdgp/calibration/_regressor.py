@@ -204,7 +204,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def predict(self, X: Any, return_std: bool = False, include_noise: bool = True, return_cov: bool = False) -> Any:
         """Return the mean at X (n, d), and on request its standard deviation or covariance, scaled.
 
-        Mean and deviation are (n, P), or (n,) for y of shape (n,).
+        Mean and deviation are (n, P), or (n,) for y of shape (n,); by default the mean alone.
+
         With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated interval of probability
         ``level``: of a new measurement, as calibrated, or, without ``include_noise``, of the function, scaled alike.
         ``return_cov`` is the joint covariance (P n, P n) of the function, scaled alike. Raises ValueError if both are

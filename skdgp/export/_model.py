@@ -321,8 +321,9 @@ class PortableModel:
         """Return the mean of the coefficients and, with ``return_std``, their standard deviation at exact regressors.
 
         X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, at exact states
-        with their sources. Measured noise is not removed: that is the pipeline's task. Both results are (n, P). Errors
-        are those of ``regressor_values``.
+        with their sources. Measured noise is not removed: that is the pipeline's task. Both results are (n, P), outputs
+        in the order of ``outputs``; the deviation is that of the coefficient, without measurement noise. Errors are
+        those of ``regressor_values``.
         """
         Z = (self.regressor_values(X) - self.shift) / self.scale
         parts = [self._predict(Z[rows], return_std) for rows in self._chunks(len(Z))]

@@ -25,7 +25,8 @@ def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: 
     """Return the median of ``|y_true - y_pred| / |y_true|``, a fraction (0.09 is 9 %), of (n,) or (n, P) targets.
 
     Hemakumara & Sukkarieh (ICRA 2011) report this figure. It ignores large errors: report :func:`normalized_rmse`
-    beside it. A zero target has an infinite error, or none if met exactly.
+    beside it. A zero target has an infinite error, or none if met exactly. Targets that are NaN do not count. The
+    result is a number, with ``multioutput="raw_values"`` one for each output (P,); an array (P,) gives weights.
 
     Examples
     --------
@@ -42,7 +43,9 @@ def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: 
 def normalized_rmse(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average") -> Score:
     """Return the root mean squared error over the standard deviation of the targets, (n,) or (n, P).
 
-    1 is no better than predicting their mean; NaN, with a warning, for a constant output.
+    1 is no better than predicting their mean; NaN, with a warning, for a constant output. Targets that are NaN do not
+    count. The result is a number, with ``multioutput="raw_values"`` one for each output (P,); an array (P,) gives
+    weights.
 
     Examples
     --------

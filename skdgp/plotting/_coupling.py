@@ -32,6 +32,8 @@ class CouplingDisplay:
         The written values.
     colorbar_ : Colorbar or None
         The scale.
+    ax_, figure_
+        Where it is drawn.
 
     Examples
     --------

@@ -64,7 +64,7 @@ class FlightDisplay(Display):
     flights: dict[str, pd.DataFrame]
 
     def plot(self, ax: Any = None, *, kind: str = "inputs", **options: Any) -> Self:
-        """Draw the inputs, or the path; ``options`` are those of :meth:`plot_inputs` or :meth:`plot_path`."""
+        """Draw the inputs or the path (``kind="path"``); options as in :meth:`plot_inputs` or :meth:`plot_path`."""
         check_choice("kind", kind, ("inputs", "path"))
         return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
 

@@ -88,7 +88,10 @@ class FlightLearningCurveDisplay:
 
     @classmethod
     def from_curve(cls, curve: pd.DataFrame, *, score: str = "normalized_rmse", **plot_options: Any) -> Self:
-        """Draw a score of :func:`skdgp.model_selection.flight_learning_curve`'s result; options of :meth:`plot`."""
+        """Draw a score of :func:`skdgp.model_selection.flight_learning_curve`'s result; options of :meth:`plot`.
+
+        ``curve`` has the columns seconds, split and ``<score>_<output>`` for each output, or ``<score>`` alone.
+        """
         columns = [score] if score in curve else [name for name in curve if str(name).startswith(f"{score}_")]
         if not columns:
             known = [str(name) for name in curve if name not in ("seconds", "split", "n_samples")]

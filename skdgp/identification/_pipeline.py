@@ -424,7 +424,7 @@ def flight_noise(
 
     .. math:: \sigma^2 = \frac{\sum_\omega |\hat Q_1|^2 |\hat r|^2}{\sum_\omega |\hat Q_1|^2 (n - |\hat Q|^2)}
 
-    (|.|^2 is summed over columns), which is right for white noise.
+    (squares are summed over columns), which is right for white noise.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ def test_functions_reproduce_the_model(path, pipeline, regressors):
 def test_correlation_of_the_coefficients_is_that_of_drawn_functions(path, pipeline, regressors):
     model = Evaluator(path("functions"))
     stated = model.correlation(COEFFICIENTS)
-    drawn = pipeline[-1].sample_y(pipeline[:-1].transform(regressors[::8]), 500, random_state=0)
+    drawn = pipeline[-1].sample_y(pipeline[:-1].transform(regressors[::8]), 4000, random_state=0)
     off = drawn - drawn.mean(axis=-1, keepdims=True)
     covariance = np.einsum("nis,njs->ij", off, off)
     size = np.sqrt(np.diag(covariance))

@@ -266,12 +266,19 @@ class TestSimulate:
         with_drift, without = (flown(known, gusts="as flown", drift=drift)["p"] for drift in (True, False))
         np.testing.assert_allclose(with_drift, without, atol=1e-12)
 
+    def test_a_number_is_the_intensity_of_vertical_gusts(self, model):
+        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE)
+        by_number, scaled = (flown(known, gusts=gusts)["q"] for gusts in (3 * TRUE.intensity[2], TRUE.scaled(3)))
+        np.testing.assert_allclose(by_number, scaled, atol=1e-9)
+
     @pytest.mark.parametrize(
         ("options", "message"),
         [
             ({"gusts": TRUE, "n_paths": None}, "gusts without n_paths"),
             ({"gusts": "as flown"}, "does not know the turbulence"),
-            ({"gusts": 3.0}, "expected a Turbulence"),
+            ({"gusts": 3.0}, "does not know the turbulence"),
+            ({"gusts": -3.0}, "expected a Turbulence"),
+            ({"gusts": True}, "expected a Turbulence"),
             ({"gusts": np.ones(3)}, "expected a Turbulence"),
             ({"gusts": TRUE.scaled(np.nan)}, "three intensities >= 0"),
             ({"gusts": TRUE.scaled(-1.0)}, "three intensities >= 0"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from numbers import Real
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -64,7 +65,7 @@ def simulate(
     *,
     duration: float | None = None,
     wind: Any = None,
-    gusts: Turbulence | Literal["as flown"] | None = None,
+    gusts: Turbulence | Literal["as flown"] | float | None = None,
     n_paths: int | None = None,
     random_state: Seed = 0,
     drift: bool = True,
@@ -102,12 +103,13 @@ def simulate(
     wind : array-like (3,), DataFrame or callable, optional
         Velocity of the air, north, east, down [m/s]: constant; a table with ``time``, ``wind_north``, ``wind_east``,
         ``wind_down``; or a function (t, position (..., 3)).
-    gusts : Turbulence or "as flown", optional
+    gusts : Turbulence, "as flown" or float, optional
         Turbulence in which each path meets gusts of its own, with their rates p, q, r, besides the ``wind``. A table or
         function as ``wind`` contains the velocity of the gusts: then only rates are drawn. "as flown": that of the
-        training flights. The drift loses what the rates explain of it, and in calmer air than that of the training
-        flights up to three quarters of the rest of its variance; where the model does not know the turbulence of its
-        flights, it keeps all, and the paths spread too far.
+        training flights. A number: the same, with vertical gusts of this standard deviation [m/s]. The drift loses what
+        the rates explain of it, and in calmer air than that of the training flights up to three quarters of the rest of
+        its variance; where the model does not know the turbulence of its flights, it keeps all, and the paths spread
+        too far.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
         is the uncertainty of the trajectory.
@@ -215,15 +217,19 @@ def _turbulence(gusts: Any, motion: Motion, n_paths: int | None) -> Turbulence |
         if not (np.isfinite(size).all() and (intensity >= 0).all() and (length > 0).all()):
             raise ValueError(f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w.")
         return gusts
-    if not (isinstance(gusts, str) and gusts == "as flown"):
-        raise ValueError(f"Got gusts={gusts!r}, but expected a Turbulence, 'as flown' or None.")
-    if motion.aerodynamics.turbulence is None:
+    scaled = isinstance(gusts, Real) and not isinstance(gusts, bool) and 0.0 <= float(gusts) < np.inf
+    if not scaled and not (isinstance(gusts, str) and gusts == "as flown"):
         raise ValueError(
-            "Got gusts='as flown', but the model does not know the turbulence of its flights: their tables lack "
+            f"Got gusts={gusts!r}, but expected a Turbulence, 'as flown', an intensity [m/s] from 0 on, or None."
+        )
+    flown = motion.aerodynamics.turbulence
+    if flown is None:
+        raise ValueError(
+            f"Got gusts={gusts!r}, but the model does not know the turbulence of its flights: their tables lack "
             "airspeed, alpha, beta, attitude or v_north, v_east, v_down, or last less than 30 s. Give "
             "Turbulence.from_flight(flight, span) or Turbulence.low_altitude(height, wind_at_6m)."
         )
-    return motion.aerodynamics.turbulence
+    return flown.scaled(float(gusts) / flown.intensity[2]) if scaled else flown
 
 
 def _gusty(

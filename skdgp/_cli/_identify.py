@@ -144,8 +144,8 @@ LEARNING = [
         "--structure",
         ["auto", "joint", "additive", "trend"],
         "trend: the trend alone; joint: with processes; additive: also with functions of one regressor "
-        "each; auto: trend or joint, what predicts blocks of the training flights better that are held out in turn "
-        "(default: auto)",
+        "each; auto: additive up to 5000 samples, else joint, or the trend where it predicts quarters of the training "
+        "flights better that are held out in turn (default: auto)",
     ),
     opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
     opt.option(

@@ -71,7 +71,7 @@ ENTRY = {"phi": 0.035, "theta": 0.035}
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
 """The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
 ENTRIES = 12
-"""Over which the information of a manoeuvre is averaged."""
+"""Number of aircraft and entries drawn, over which the information of a manoeuvre is averaged."""
 SHRINK, LEAST = 0.85, 0.2
 """Factor by which a manoeuvre is made smaller until it is safe, and the least scale."""
 VAGUE = 1e-8

@@ -253,12 +253,17 @@ class FlightPipeline(Pipeline):
 
     Examples
     --------
-    >>> import numpy as np
+    >>> import numpy as np, pandas as pd
     >>> from skdgp.identification import make_identification_pipeline
     >>> from skdgp.dynamics import Aircraft
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    >>> make_identification_pipeline(glider).set_params(gusty=True)[-1].n_latent
-    2
+    >>> t = np.arange(0, 4, 0.1)
+    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
+    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
+    >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough")
+    >>> mean, std = model.fit(flight, Y).predict(flight, return_std=True)
+    >>> mean.shape, std.shape
+    ((40, 2), (40, 2))
     """
 
     steps: list[tuple[str, Any]]
@@ -431,7 +436,7 @@ def flight_noise(
     pipeline : Pipeline
         Fitted.
     flights : DataFrame (n, ...)
-        One or more flights at their full rate; 20,000 rows are used.
+        One or more flights at their full rate; the first 20,000 rows are used.
     aircraft : Aircraft
     regressors : ndarray or DataFrame (n, d), optional
         What the steps before the last make of the flights, if it is known already.

@@ -509,7 +509,7 @@ class _SingleFit:
         return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
 
     def try_widths(self, kernel, max_iter):
-        """Return the best kernel and Optimum of short searches from several starting widths, with few values."""
+        """Return the best kernel and Optimum of short searches from several widths, and their number of evaluations."""
         step, max_iter = max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter)
         trials: dict = {}  # by their start: a trend has no widths
         for factor in WIDTH_FACTORS:

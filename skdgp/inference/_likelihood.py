@@ -89,6 +89,11 @@ class Data(NamedTuple):
         ]
 
     @property
+    def only_output(self) -> int:
+        """Number of the output that has values where no other one has."""
+        return next(i for i, y in enumerate(self.y) if len(y))
+
+    @property
     def n_values(self) -> int:
         """Number of observed values N."""
         return sum(len(y) for y in self.y)
@@ -145,7 +150,7 @@ def covariance(kernel: Any, noise: Vector, data: Data, workspace: Matrix | None 
         data.pairs.begin()
         values = data.pairs.buffer()
         values.fill(0.0)
-        kernel.add_pairs(int(np.argmax(sizes)), data.pairs, values)
+        kernel.add_pairs(data.only_output, data.pairs, values)
         upper.ravel()[data.pairs.place] = values
     else:
         if not all(couplings(kernel)):
@@ -219,11 +224,10 @@ def _gradient(kernel, noise, data, y, L, weights):
         # The tile and its mirror image: twice one half.
         return kernel.block_gradient(a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows], W)
 
-    sizes = [len(x) for x in data.X]
     if data.pairs is not None:
         w = np.take(minus_W.ravel(), data.pairs.place, out=data.pairs.buffer(), mode="clip")  # in place only so
         w[data.pairs.own] *= 0.5
-        d_theta = -kernel.pair_gradient(int(np.argmax(sizes)), data.pairs, w)
+        d_theta = -kernel.pair_gradient(data.only_output, data.pairs, w)
     else:
-        d_theta = -np.sum(thread_map(contract, _pairs(kernel, sizes)), axis=0)
+        d_theta = -np.sum(thread_map(contract, _pairs(kernel, [len(x) for x in data.X])), axis=0)
     return np.concatenate([d_theta, -noise_gradient(minus_W, noise, data)])

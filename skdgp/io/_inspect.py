@@ -180,9 +180,8 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
     r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
 
     ``path`` is any file that :func:`read_flight` reads, ``servos`` the end points of the servos (a file or a mapping of
-    channels), as there. ``print``
-    shows the summary, ``to_dict`` gives it for JSON. Raises FlightReadError if the file cannot be read (a log without a
-    flight can), FileNotFoundError if there is none.
+    channels), as there. ``print`` shows the summary, ``to_dict`` gives it for JSON. Raises FlightReadError if the file
+    cannot be read (a log without a flight can), FileNotFoundError if there is none.
 
     Examples
     --------

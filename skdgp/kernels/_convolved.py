@@ -16,7 +16,7 @@ from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._prior_paths import PathBundle, ValuePaths, convolved_paths
 from skdgp.kernels._start import log_normal, resolve_prior, starting_values
-from skdgp.kernels._strips import Exponent, product, signed_sum, weighted_sums
+from skdgp.kernels._strips import Exponent, exponential_times, signed_sum, weighted_sums
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
 MAX_SCALE_RATIO = 1e5  # largest over smallest standard deviation of regressors with a common length scale
@@ -502,7 +502,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         middle, total = _middle(Xj), np.zeros(np.shape(Xi))
         weighted = w[:, None] * np.column_stack([Xj - middle, np.ones(len(Xj))])
         for k, exponent in enumerate(self._exponents(i, j, Xi, Xj)):
-            sums = product(exponent, weighted, len(Xi))
+            sums = exponential_times(exponent, weighted, len(Xi))
             separation = (Xi - middle - shift[k]) * sums[:, -1:] - sums[:, :-1]
             total -= gains[k] * separation @ self._precision(i, j, k)
         return total

@@ -69,7 +69,7 @@ def signed_sum(exponents, signs, shape) -> np.ndarray:
     return total
 
 
-def product(exponent, B, n_rows) -> np.ndarray:
+def exponential_times(exponent, B, n_rows) -> np.ndarray:
     """Return exp(exponent) @ B, (n_rows, k)."""
     out = np.empty((n_rows, B.shape[1]))
     buffer = np.empty(min(n_rows * len(B), STRIP + 8 * len(B)))

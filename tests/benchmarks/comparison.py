@@ -171,13 +171,19 @@ class Kept:
             (self.folder / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
 
 
-def main(words=None):
-    parser = parser_of(__doc__)
+def runs_parser(description, flights):
+    """Return a parser of scripts that keep their runs: folder of the data, flights, ``--redo``."""
+    parser = parser_of(description)
     parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
-    parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
+    parser.add_argument("--flights", nargs="+", choices=flights, default=list(flights))
+    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
+    return parser
+
+
+def main(words=None):
+    parser = runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--inputs", nargs="+", choices=INPUTS, default=list(INPUTS))
     parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours", "jura"], default=[*METHODS, "jura"])
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parser.parse_args(words)
     if options.data is None and not options.smoke:
         parser.error("the folder of the shared data is needed")

@@ -16,11 +16,10 @@ from __future__ import annotations
 
 import sys
 import warnings
-from pathlib import Path
 
 import comparison
 import numpy as np
-from _common import finish, parser_of
+from _common import finish
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
@@ -145,11 +144,8 @@ def curve_of(log, seed, structure):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
-    parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
+    parser = comparison.runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parser.parse_args(words)
     if options.smoke:
         options.flights, options.seeds = ["toy"], [0]

@@ -19,7 +19,7 @@ import comparison
 import numpy as np
 import pandas as pd
 import sportcub
-from _common import finish, parser_of
+from _common import finish
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
@@ -112,12 +112,9 @@ def table(runs):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser = comparison.runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--sportcub", type=Path, help="unpacked copy of jgoppert/sysid_litreview_26")
-    parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parser.parse_args(words)
     if options.smoke:
         options.flights, options.seeds = ["toy"], [0]

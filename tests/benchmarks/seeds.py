@@ -10,12 +10,11 @@ unless ``--redo`` says so.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
-from _common import finish, parser_of
+from _common import finish
 from _comparison_methods import Identification
-from comparison import FLIGHTS, Kept, scores, task_of, toy
+from comparison import FLIGHTS, Kept, runs_parser, scores, task_of, toy
 
 STEP = "dependentgpregressor__random_state"
 
@@ -40,11 +39,8 @@ def _range(values):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
-    parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
+    parser = runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parser.parse_args(words)
     if options.data is None and not options.smoke:
         parser.error("the folder of the shared data is needed")

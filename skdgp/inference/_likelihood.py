@@ -70,7 +70,7 @@ class Data(NamedTuple):
     def by_output(self) -> list[Data]:
         """Return the values of each output that has any alone, for evaluations one after another.
 
-        Noise of regressors would couple them, so there must be none. Outputs of the same rows share their pairs.
+        What noise of regressors has in common between outputs is lost. Outputs of the same rows share their pairs.
         """
 
         def only(i, parts):
@@ -81,6 +81,7 @@ class Data(NamedTuple):
             Data(
                 only(i, self.X),
                 only(i, self.y),
+                self.sample_noise and SampleNoise(*(only(i, part) for part in self.sample_noise)),
                 drift=self.drift and self.drift._replace(clock=only(i, self.drift.clock)),
                 pairs=pairs.get(X.tobytes()),
             )

@@ -326,9 +326,12 @@ class MultiOutputKernel(Kernel):
                 value, chosen = self._value(f.name).copy(), f.index >= 0
                 value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
                 values[f.name] = value
+        arrays = self.__dict__.get("_cache", {}).get("arrays")
         for name, value in values.items():
             setattr(self, name, value)
         self._cache = {"free": free}  # other values, the same parameters
+        if arrays is not None:
+            self._cache["arrays"] = arrays | values
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""

@@ -540,8 +540,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         latents, gains, c, F, _ = self._pair(i, j)
         gradients = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
         w = self._value("amplitude")[latents]
-        np.add.at(gradients["amplitude"], (latents, i), c * w[:, j] * mass)
-        np.add.at(gradients["amplitude"], (latents, j), c * w[:, i] * mass)
+        gradients["amplitude"][latents, i] += c * w[:, j] * mass
+        gradients["amplitude"][latents, j] += c * w[:, i] * mass
         mass, first = gains * mass, gains[:, None] * first
         lengths = self._value("length_scale")[latents]
         if self.covariance_type == "full":
@@ -549,17 +549,17 @@ class ConvolvedGaussian(MultiOutputKernel):
             roots = self._roots()[latents][:, [i, j]].swapaxes(0, 1)
             for output, R in zip((i, j), roots, strict=True):
                 dR = full_slopes(mass, gains[:, None, None] * second, F, roots, R)
-                np.add.at(gradients["length_scale"], (latents, output), -(dR * R).sum(axis=-1))
+                gradients["length_scale"][latents, output] += -(dR * R).sum(axis=-1)
                 shear = (dR / lengths[:, output, :, None])[:, *lower]
-                np.add.at(gradients["shear"], (latents, output), shear)
+                gradients["shear"][latents, output] += shear
             slope = np.einsum("mkl,mpl,mp->mk", F, F, first)
         else:
             slopes = diagonal_slopes(mass, gains[:, None] * second, lengths[:, i], lengths[:, j])
             for output, by_length in zip((i, j), slopes, strict=True):
-                np.add.at(gradients["length_scale"], (latents, output), by_length)
+                gradients["length_scale"][latents, output] += by_length
             slope = F**2 * first
-        np.add.at(gradients["shift"], (latents, i), slope)
-        np.add.at(gradients["shift"], (latents, j), -slope)
+        gradients["shift"][latents, i] += slope
+        gradients["shift"][latents, j] += -slope
         return gradients
 
     def is_stationary(self) -> bool:

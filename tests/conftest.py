@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from skdgp import datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
-from skdgp.inference import _fit
+from skdgp.inference import _singles
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -82,9 +82,9 @@ def short_fits(monkeypatch):
 
     For tests of what is done with a model, whatever it has learned.
     """
-    monkeypatch.setattr(_fit, "WIDTH_FACTORS", _fit.WIDTH_FACTORS[:1])
-    monkeypatch.setattr(_fit, "TRIAL_ITERATIONS", 2)
-    monkeypatch.setattr(_fit, "SINGLE_ITERATIONS", 2)
+    monkeypatch.setattr(_singles, "WIDTH_FACTORS", _singles.WIDTH_FACTORS[:1])
+    monkeypatch.setattr(_singles, "TRIAL_ITERATIONS", 2)
+    monkeypatch.setattr(_singles, "SINGLE_ITERATIONS", 2)
 
 
 @pytest.fixture(scope="session")

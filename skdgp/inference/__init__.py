@@ -15,9 +15,10 @@ drift     the part of the noise that is correlated in time
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, autocorrelation_time, fit_exact, fit_sparse, input_noise_loading, residual_drift
+from skdgp.inference._fit import Fit, fit_exact, fit_sparse, input_noise_loading, residual_drift
 from skdgp.inference._kernel_selection import Choice, choose_kernel, held_out_errors
 from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._noise import autocorrelation_time
 from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._slopes import SlopeErrors, slope_errors
 from skdgp.inference._sparse import SparsePosterior

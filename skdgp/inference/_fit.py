@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from threading import Event
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
-from skdgp._compute.threads import one_blas_thread, threads_for
-from skdgp._compute.typing import Indices, Matrix, Seed, Vector
+from skdgp._compute.threads import threads_for
+from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._likelihood import Data, couplings, log_likelihood
-from skdgp.inference._noise import fit_drift, fit_drift_to_integrals
+from skdgp.inference._likelihood import Data
+from skdgp.inference._noise import autocorrelation_time, fit_drift, fit_drift_to_integrals
+from skdgp.inference._objective import Objective, theta_bounds
 from skdgp.inference._optimize import maximize
+from skdgp.inference._rows import HELD_OUT_ROWS, held_out_rows, some_rows, stratified
+from skdgp.inference._singles import fit_singles
 from skdgp.inference._sparse import SparsePosterior, maximize_features
 from skdgp.inference._sums import shares_of
 
-SUBSET = 1800  # values from which sparse inference learns hyperparameters
-BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
-GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
-HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
-FEWEST_VALUES = 40  # values of each output below which nothing is held out: their error would be chance
 FEATURE_ITERATIONS = 4  # iterations that move and scale the inducing variables on the bound
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
@@ -431,38 +427,6 @@ def _initial_input_noise(noise, P, data, d):
     return np.concatenate([0.5 * noise[:P], noise[P:], start]), np.tile(INPUT_BOUNDS, (d, 1))
 
 
-def some_rows(Y: Matrix, random_state: Seed):
-    """Return rows with about SUBSET observed values, an equal number for each output where it has them."""
-    observed = np.isfinite(Y)
-    quota = SUBSET // Y.shape[1]
-    rows = stratified(np.arange(len(Y)), max(2, SUBSET * len(Y) // observed.sum()), random_state)
-    for output in observed.T:
-        n_missing = min(quota, output.sum()) - output[rows].sum()
-        rest = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)
-        rows = np.concatenate([rows, stratified(rest, max(n_missing, 0), random_state)])
-    return np.sort(rows)
-
-
-def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None]:
-    """Return rows to learn from and rows to hold out, for early stopping.
-
-    Held out is one block of rows at a random place in each of BLOCKS parts of the log, with a gap on either side. None
-    is held out where an output would have too few values.
-    """
-    observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
-    edges = np.linspace(0, len(observed), BLOCKS + 1)
-    length = HELD_OUT * len(observed) / BLOCKS
-    gap = GAP * length
-    starts = edges[:-1] + gap + (np.diff(edges) - length - 2 * gap) * random_state.uniform(size=BLOCKS)
-    place = np.arange(len(observed))
-    inside = (place >= starts[:, None]) & (place < starts[:, None] + length)
-    near = (place >= starts[:, None] - gap) & (place < starts[:, None] + length + gap)
-    held, rest = observed[inside.any(axis=0)], observed[~near.any(axis=0)]
-    if min(np.isfinite(Y[held]).sum(axis=0).min(), np.isfinite(Y[rest]).sum(axis=0).min()) < FEWEST_VALUES:
-        return some_rows(Y, random_state), None
-    return rest[some_rows(Y[rest], random_state)], held
-
-
 def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any) -> Matrix:
     """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs."""
     if kernel.features(X[:1]).size == kernel.features(X[:2]).size:
@@ -472,191 +436,3 @@ def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any)
         return distinct
     subset = X[random_state.permutation(len(X))[: 50 * n_inducing]]
     return cluster_centres(subset, column_scale(X), n_inducing, random_state)
-
-
-# -- fits of single outputs: the starting point of the joint search -----------------------------------------
-
-
-SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
-WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
-TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
-
-
-class Singles(NamedTuple):
-    """Kernel and noise of a separate fit of each output, and the number of evaluations."""
-
-    kernels: list
-    noise: np.ndarray
-    n_evaluations: int
-
-
-class _SingleFit:
-    """The values of one output and the maximisation of its likelihood."""
-
-    def __init__(self, i, X, Y, clock, noise, noise_bounds, seed, search):
-        rows = stratified(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
-        self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
-        self.clock = None if clock is None else clock[rows]
-        self.noise, self.noise_bounds = noise[i :: Y.shape[1]], noise_bounds[i :: Y.shape[1]]
-        self.search = partial(search, stage=f"output {i + 1}")
-
-    def optimize(self, kernel, theta, step, max_iter, name=None):
-        """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
-        clock = None if self.clock is None else self.clock[::step]
-        data = Data.from_table(self.x[::step], self.y[::step], None, clock)
-        likelihood = Objective(kernel, data, len(self.noise))
-        bounds = theta_bounds(kernel, self.noise_bounds)
-        return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
-
-    def try_widths(self, kernel, max_iter):
-        """Return the best kernel and Optimum of short searches from several widths, and their number of evaluations."""
-        step, max_iter = max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter)
-        trials: dict = {}  # by their start: a trend has no widths
-        for factor in WIDTH_FACTORS:
-            start = kernel.single_output().initialize(
-                self.x, self.y, np.random.RandomState(self.seed), width_factor=factor
-            )
-            theta = np.concatenate([start.theta, np.log(self.noise)])
-            if theta.tobytes() not in trials:
-                name = f"{self.search.keywords['stage']} from {factor}"
-                trials[theta.tobytes()] = self.optimize(start, theta, step, max_iter, name)
-        n_evaluations = sum(optimum.n_evaluations for _, optimum in trials.values())
-        return *max(trials.values(), key=lambda trial: trial[1].value), n_evaluations
-
-
-@one_blas_thread()  # and one after another: two threads gain nothing on small matrices
-def fit_singles(
-    kernel: Any,
-    noise: Vector,
-    noise_bounds,
-    X: Matrix,
-    Y: Matrix,
-    clock: Matrix | None,
-    optimizer: Any,
-    max_iter: int,
-    random_state: Any,
-    stop: Event,
-) -> Singles:
-    """Return a separate fit of each output, with at most twice ``max_iter`` iterations each.
-
-    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
-    long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
-    """
-    search = partial(maximize, optimizer=optimizer, stop=stop)
-    seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
-    outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
-    trials = [output.try_widths(kernel, max_iter) for output in outputs]
-    most = min(SINGLE_ITERATIONS, 2 * max_iter)
-    refined = [
-        output.optimize(single, optimum.theta, 1, most)
-        for output, (single, optimum, _) in zip(outputs, trials, strict=True)
-    ]
-    k = len(noise) // Y.shape[1]  # noise parameters of each output
-    return Singles(
-        [single.clone_with_theta(optimum.theta[:-k]) for single, optimum in refined],
-        np.array([np.exp(optimum.theta[-k:]) for _, optimum in refined]).T.ravel(),
-        sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
-    )
-
-
-class Objective:
-    """The function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient.
-
-    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where the
-    kernel does not couple outputs, this is the sum of their likelihoods: P^2 times faster. It neglects what errors of
-    regressors have in common between outputs, which posteriors do not; errors on other flights are the same.
-    """
-
-    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None) -> None:
-        self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
-        self.parts = [data] if any(couplings(kernel)) else data.by_output()
-        self.theta, self.weights = np.empty(0), [np.empty(part.n_values) for part in self.parts]
-        self.workspace = np.empty(max(part.n_values for part in self.parts) ** 2)
-
-    def __call__(self, theta):
-        candidate, noise = self._split(theta)
-        value, gradient = 0.0, np.zeros(len(theta))
-        for part, weights in zip(self.parts, self.weights, strict=True):
-            n = part.n_values
-            workspace = self.workspace[: n * n].reshape(n, n)
-            by_part = log_likelihood(candidate, noise, part, True, workspace, weights)
-            value, gradient = value + by_part[0], gradient + by_part[1]
-        self.theta = np.array(theta)
-        prior, slope = candidate.log_prior(eval_gradient=True)
-        gradient[: len(slope)] += slope
-        return value + prior, gradient
-
-    def held_out_error(self, theta: Vector) -> float:
-        """Return the mean squared error of the held-out values, averaged over the outputs."""
-        if not np.array_equal(theta, self.theta):  # not the last point that was evaluated
-            self(theta)
-        kernel, held_out = self._split(theta)[0], self.held_out
-        weights = np.split(np.concatenate(self.weights), np.cumsum([len(y) for y in self.data.y])[:-1])
-        errors = []
-        for i, (X, y) in enumerate(zip(held_out.X, held_out.y, strict=True)):
-            pairs = [(j, Xj, w) for j, (Xj, w) in enumerate(zip(self.data.X, weights, strict=True))]
-            mean = sum(kernel.block(i, j, X, Xj) @ w for j, Xj, w in pairs if kernel.couples(i, j))
-            errors.append(np.mean((y - mean) ** 2) if len(y) else 0.0)
-        return float(np.mean(errors))
-
-    def _split(self, theta):
-        return self.kernel.clone_with_theta(theta[: -self.n_noise]), np.exp(theta[-self.n_noise :])
-
-
-def theta_bounds(kernel: Any, noise_bounds):
-    """Return the bounds of [theta, log noise]."""
-    return np.concatenate([kernel.bounds, np.log(noise_bounds)])
-
-
-def stratified(rows: Any, n, random_state: Any):
-    """Return a stratified sample of n rows: one random row of each of n equal parts, since neighbours are redundant."""
-    if n >= len(rows):
-        return rows
-    edges = np.linspace(0, len(rows), n + 1)
-    return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
-
-
-# -- correlation of neighbouring residuals ------------------------------------------------------------------
-
-
-WINDOW = 5.0  # autocorrelation times over which correlations are summed
-
-
-def autocorrelation_time(residuals: Vector) -> float:
-    r"""Return the integrated autocorrelation time, in samples, at least 1.
-
-    The mean of n values with autocorrelation rho has the variance of the mean of n / tau independent values, with
-
-    .. math:: \tau = 1 + 2 \sum_{k=1}^{K} \rho_k,
-
-    summed up to the first K of at least 5 tau, since later terms add only noise (Sokal 1997, section 3).
-
-    Parameters
-    ----------
-    residuals : ndarray (n,)
-        In the order of recording. Shuffled residuals are uncorrelated: tau is about 1.
-
-    Returns
-    -------
-    float
-        tau, in samples.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skdgp.inference import autocorrelation_time
-    >>> white = np.random.default_rng(0).normal(size=5000)
-    >>> round(autocorrelation_time(white))
-    1
-    >>> round(autocorrelation_time(np.repeat(white, 8)))
-    8
-    """
-    centred = residuals - np.mean(residuals)
-    n = len(centred)
-    power = np.abs(rfft(centred, next_fast_len(2 * n))) ** 2
-    covariance = irfft(power)[:n]
-    if not covariance[0] > 0:
-        return 1.0
-    tau = 2 * np.cumsum(covariance / covariance[0]) - 1
-    enough = np.arange(n) >= WINDOW * tau
-    return float(max(1.0, tau[np.argmax(enough)] if enough.any() else tau[-1]))

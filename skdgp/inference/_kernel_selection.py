@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,8 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._fit import GAP, Fit, Hyperparameters, fit_exact, fit_sparse, inducing_centres, some_rows
+from skdgp.inference._fit import Fit, Hyperparameters, fit_exact, fit_sparse, inducing_centres
+from skdgp.inference._rows import quarters, some_rows
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,6 @@ def choose_kernel(
     return Choice(k, scores)
 
 
-BLOCKS = 4  # blocks of the log, held out in turn
 BLOCK_ROWS = 2000  # largest number of rows for a comparison by blocks
 FEWEST_ROWS = 40  # rows below which blocks are too short for a comparison
 
@@ -135,11 +134,9 @@ def held_out_errors(fit: Fit, X: Matrix, Y: Matrix, n_inducing: int) -> Vector |
         "centres": inducing_centres(learned.kernel, X[rows], n_inducing, np.random.RandomState(0)),
     }
     error = np.full((len(rows), Y.shape[1]), np.nan)
-    for a, b in pairwise(np.linspace(0, len(rows), BLOCKS + 1).astype(int)):
-        gap = int(GAP * (b - a))
-        rest, block = np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b]
+    for rest, block, place in quarters(rows):
         posterior = fit_sparse(learned.kernel, X[rest], Y[rest], **options).posterior
-        error[a:b] = (Y[block] - posterior.predict(X[block])) ** 2
+        error[place] = (Y[block] - posterior.predict(X[block])) ** 2
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # an output without values has no mean
         return np.nanmean(error, axis=0) / np.nanvar(Y[rows], axis=0)

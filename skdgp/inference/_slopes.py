@@ -16,8 +16,8 @@ import numpy as np
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix
 from skdgp.inference._compact import observed_values
-from skdgp.inference._fit import autocorrelation_time
 from skdgp.inference._likelihood import Data
+from skdgp.inference._noise import autocorrelation_time
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block

@@ -16,7 +16,7 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, checkpointing, listening
 from skdgp._compute.checkpoint import CHECKSUM_SIZE, FILES, _checksum, _read
-from skdgp.inference import _fit
+from skdgp.inference import _rows
 
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -76,7 +76,7 @@ def killed(folder, at, model=None, **options):
     ids=["exact", "sparse", "noisy regressors, restarts", "latents chosen", "early stopping"],
 )
 def test_killed_again_and_again_it_ends_as_if_it_had_not_been(parameters, tmp_path, monkeypatch):
-    monkeypatch.setattr(_fit, "FEWEST_VALUES", 5)  # so that rows are held out of as few as these
+    monkeypatch.setattr(_rows, "FEWEST_VALUES", 5)  # so that rows are held out of as few as these
     folder, model = tmp_path / "checkpoint", quick(**parameters)
     plain, n = evaluated(lambda: quick(**parameters).fit(X, Y))
     moments = np.sort(np.random.default_rng(1).choice(np.arange(1, n), 3, replace=False))

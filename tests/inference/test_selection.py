@@ -5,7 +5,7 @@ import pytest
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor, listening
-from skdgp.inference import Data, _fit, choose_kernel, fit_exact, held_out_errors, log_likelihood
+from skdgp.inference import Data, _rows, choose_kernel, fit_exact, held_out_errors, log_likelihood
 from skdgp.kernels import ConvolvedGaussian
 
 # Fits cut short to be quick say so.
@@ -44,8 +44,8 @@ def test_the_criterion_is_the_likelihood_less_half_log_n_for_each_hyperparameter
 
 def test_of_many_values_some_are_used(monkeypatch):
     _, Y = drawn(0.0)
-    monkeypatch.setattr(_fit, "SUBSET", 60)
-    rows = _fit.some_rows(Y, np.random.RandomState(0))
+    monkeypatch.setattr(_rows, "SUBSET", 60)
+    rows = _rows.some_rows(Y, np.random.RandomState(0))
     assert 20 <= len(rows) < 30
     found = choose_kernel([ConvolvedGaussian(0)], X, Y, **OPTIONS)
     assert found.scores == choose_kernel([ConvolvedGaussian(0)], X[rows], Y[rows], **OPTIONS).scores

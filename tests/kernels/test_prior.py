@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import Data, log_likelihood
-from skdgp.inference._fit import Objective
+from skdgp.inference._objective import Objective
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 PRIOR = [[2.0, 0.7], [5.0, 1.3]]

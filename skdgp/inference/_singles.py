@@ -1,0 +1,97 @@
+"""Fits of single outputs: the starting point of the joint search."""
+
+from __future__ import annotations
+
+from functools import partial
+from threading import Event
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.threads import one_blas_thread
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._likelihood import Data
+from skdgp.inference._objective import Objective, theta_bounds
+from skdgp.inference._optimize import maximize
+from skdgp.inference._rows import stratified
+
+SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
+WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
+TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
+
+
+class Singles(NamedTuple):
+    """Kernel and noise of a separate fit of each output, and the number of evaluations."""
+
+    kernels: list
+    noise: np.ndarray
+    n_evaluations: int
+
+
+class _SingleFit:
+    """The values of one output and the maximisation of its likelihood."""
+
+    def __init__(self, i, X, Y, clock, noise, noise_bounds, seed, search):
+        rows = stratified(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
+        self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
+        self.clock = None if clock is None else clock[rows]
+        self.noise, self.noise_bounds = noise[i :: Y.shape[1]], noise_bounds[i :: Y.shape[1]]
+        self.search = partial(search, stage=f"output {i + 1}")
+
+    def optimize(self, kernel, theta, step, max_iter, name=None):
+        """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
+        clock = None if self.clock is None else self.clock[::step]
+        data = Data.from_table(self.x[::step], self.y[::step], None, clock)
+        likelihood = Objective(kernel, data, len(self.noise))
+        bounds = theta_bounds(kernel, self.noise_bounds)
+        return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
+
+    def try_widths(self, kernel, max_iter):
+        """Return the best kernel and Optimum of short searches from several widths, and their number of evaluations."""
+        step, max_iter = max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter)
+        trials: dict = {}  # by their start: a trend has no widths
+        for factor in WIDTH_FACTORS:
+            start = kernel.single_output().initialize(
+                self.x, self.y, np.random.RandomState(self.seed), width_factor=factor
+            )
+            theta = np.concatenate([start.theta, np.log(self.noise)])
+            if theta.tobytes() not in trials:
+                name = f"{self.search.keywords['stage']} from {factor}"
+                trials[theta.tobytes()] = self.optimize(start, theta, step, max_iter, name)
+        n_evaluations = sum(optimum.n_evaluations for _, optimum in trials.values())
+        return *max(trials.values(), key=lambda trial: trial[1].value), n_evaluations
+
+
+@one_blas_thread()  # and one after another: two threads gain nothing on small matrices
+def fit_singles(
+    kernel: Any,
+    noise: Vector,
+    noise_bounds,
+    X: Matrix,
+    Y: Matrix,
+    clock: Matrix | None,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Any,
+    stop: Event,
+) -> Singles:
+    """Return a separate fit of each output, with at most twice ``max_iter`` iterations each.
+
+    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
+    long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
+    """
+    search = partial(maximize, optimizer=optimizer, stop=stop)
+    seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
+    outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
+    trials = [output.try_widths(kernel, max_iter) for output in outputs]
+    most = min(SINGLE_ITERATIONS, 2 * max_iter)
+    refined = [
+        output.optimize(single, optimum.theta, 1, most)
+        for output, (single, optimum, _) in zip(outputs, trials, strict=True)
+    ]
+    k = len(noise) // Y.shape[1]  # noise parameters of each output
+    return Singles(
+        [single.clone_with_theta(optimum.theta[:-k]) for single, optimum in refined],
+        np.array([np.exp(optimum.theta[-k:]) for _, optimum in refined]).T.ravel(),
+        sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
+    )

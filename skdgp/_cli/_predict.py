@@ -18,8 +18,9 @@ from skdgp._compute.progress import listening
 from skdgp.dynamics._equations.aerodynamics import turbulence_of
 from skdgp.identification import load_model, predict_flight
 from skdgp.identification import validate as judge
+from skdgp.identification._evaluation import check_identified, usable_flights_of_model
 from skdgp.identification._flights import named_flights
-from skdgp.identification._identify import check_identified, read_aircraft, usable_flights_of_model
+from skdgp.identification._identify import read_aircraft
 
 NOTABLE_GUSTS = 0.5
 """Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C."""

@@ -12,6 +12,7 @@ import pandas as pd
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
+from skdgp._compute.progress import notify
 from skdgp._compute.typing import Array, Indices, Matrix
 from skdgp._flight.channels import (
     BODY_VELOCITY,
@@ -25,13 +26,17 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
 )
 from skdgp._flight.clock import flight_segments
+from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._flight.smoothing import noise_level
+from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
+from skdgp.identification._flights import Flights, regressor_columns, usable_flights
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
 from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
 from skdgp.preprocessing._table import unwrapped
 from skdgp.report import FlightResult
 
+STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 STD_ROWS = 3000
 """Rows of a flight at which standard deviations are computed; they cost N^2 each, means only N."""
 STATES = (*HORIZONTAL, *EARTH_VELOCITY, *EULER, *RATES)
@@ -209,3 +214,35 @@ def _noise_of_differences(values, time) -> Array:
     squares = np.concatenate(differences) ** 2
     known = np.isfinite(squares)
     return np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0)
+
+
+def evaluate_flights(flights, pipeline, aircraft, settings, fit) -> list[Evaluation]:
+    loads, linear = {name: settings[name] for name in ("thrust", "external_forces")}, fit.get("least_squares")
+    evaluations = []
+    for name, table in flights.items():
+        notify(f"evaluating {name}", 0, np.nan)
+        evaluations.append(evaluate_flight(pipeline, aircraft, name, table, settings["horizons"], loads, linear))
+    return evaluations
+
+
+def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
+    """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
+
+    Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training flights had.
+    """
+    check_identified(pipeline)
+    regressors = pipeline["regressorselector"].regressors
+    columns = regressor_columns([pd.DataFrame(columns=pipeline[0].feature_names_in_)], regressors)
+    flights = usable_flights(flights, regressors, columns)
+    warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
+    return flights
+
+
+def check_identified(pipeline: Pipeline) -> None:
+    """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
+    steps = getattr(pipeline, "named_steps", {})
+    if not set(steps) >= STEPS or not isinstance(regressor_and_scale(pipeline)[0], DependentGPRegressor):
+        raise ValueError(
+            f"Got a model of {list(steps) or type(pipeline).__name__}, but expected what make_identification_pipeline "
+            "makes, with a DependentGPRegressor: learn it with identify."
+        )

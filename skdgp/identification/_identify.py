@@ -1,16 +1,12 @@
-"""The workflow from flights to an evaluated model, and its result."""
+"""The workflow from flights to an evaluated model."""
 
 from __future__ import annotations
 
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from datetime import datetime
-from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +16,19 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
-from skdgp._compute.files import json_text, plain, text_writer, write_together
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Matrix, Seed
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.design import FlownPlan, Plan, coefficient_noise, posterior_information
 from skdgp.design._flown import compare_with_plan, read_plan
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, as_aerodynamics
-from skdgp.identification import _flights, _model_file
-from skdgp.identification._evaluation import Evaluation, evaluate_flight, fit_least_squares, group_means, scores
+from skdgp.identification import _flights
+from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
+from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
 from skdgp.identification._flights import Flights
+from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     check_aircraft,
     clock_of,
@@ -40,39 +36,10 @@ from skdgp.identification._pipeline import (
     flight_noise,
     flown_turbulence,
     make_identification_pipeline,
-    regressor_and_scale,
 )
 from skdgp.model_selection import thin_targets
-from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.plotting._style import display_unit
-from skdgp.preprocessing import FlightPathReconstruction
-from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_report, write_report
 
-FORMAT = 1  # of the metrics
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
-STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
-WIDTHS = {
-    "spherical": "one width for all regressors",
-    "diag": "one width for each regressor",
-    "full": "a full matrix of widths",
-    "tied": "one width for each regressor, common to all outputs",
-}
-STRUCTURES = {
-    "joint": "the trend and processes",
-    "additive": "the trend, main effects and processes",
-    "trend": "the trend alone",
-}
-THRUSTS = {
-    "columns": "from the thrust columns of the flights",
-    "propeller": "from the propeller's bench table",
-    "none": "none subtracted: that of an engine is part of the coefficients",
-}
-KERNELS = {
-    "joint": "convolved Gaussian, {widths}",
-    "additive": "functions of one regressor each, and convolved Gaussian, {widths}",
-    "trend": "none: the trend alone",
-}
-MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
 
 
 def identify(
@@ -220,15 +187,15 @@ def identify(
             "samples": int(targets.notna().any(axis=1).sum()),
             "samples_available": int(Y.notna().any(axis=1).sum()),
             "values": int(targets.notna().sum().sum()),
-            "thrust": _thrust_sources(thrust, train.values()),
+            "thrust": thrust_sources(thrust, train.values()),
             **fit_facts(pipeline),
             "least_squares": fit_least_squares(pipeline, X, targets),
             "seconds": round(seconds, 3),
             "interrupted": any(message.startswith("The fit was interrupted") for message in messages),
             "flights": {name: len(part) for name, part in train.items()},
         }
-        settings = {"samples": fit["samples"], **loads, **_settings(pipeline, reconstruction, horizons)}
-        evaluations = _evaluated(test, pipeline, aircraft, settings, fit)
+        settings = {"samples": fit["samples"], **loads, **settings_of(pipeline, reconstruction, horizons)}
+        evaluations = evaluate_flights(test, pipeline, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
@@ -293,7 +260,7 @@ def validate(
         aircraft = read_aircraft(model.aircraft if aircraft is None else aircraft)
         flown = None if plan is None else _flown_plan(plan, model.pipeline, aircraft, flights)
         fit = fit_facts(model.pipeline) | model.get("fit", {})
-        evaluations = _evaluated(flights, model.pipeline, aircraft, settings, fit)
+        evaluations = evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: a model on other flights",
         aircraft=aircraft,
@@ -318,29 +285,6 @@ def _flown_plan(plan: Any, pipeline: Pipeline, aircraft: Aircraft, flights: Flig
     return compare_with_plan(record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information)
 
 
-def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
-    """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
-
-    Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training flights had.
-    """
-    check_identified(pipeline)
-    regressors = pipeline["regressorselector"].regressors
-    columns = _flights.regressor_columns([pd.DataFrame(columns=pipeline[0].feature_names_in_)], regressors)
-    flights = _flights.usable_flights(flights, regressors, columns)
-    warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
-    return flights
-
-
-def check_identified(pipeline: Pipeline) -> None:
-    """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
-    steps = getattr(pipeline, "named_steps", {})
-    if not set(steps) >= STEPS or not isinstance(regressor_and_scale(pipeline)[0], DependentGPRegressor):
-        raise ValueError(
-            f"Got a model of {list(steps) or type(pipeline).__name__}, but expected what make_identification_pipeline "
-            "makes, with a DependentGPRegressor: learn it with identify."
-        )
-
-
 def read_aircraft(aircraft: Aircraft | str | os.PathLike) -> Aircraft:
     """Return the aircraft, read from a file where a path is given."""
     if not isinstance(aircraft, str | os.PathLike):
@@ -352,238 +296,6 @@ def read_aircraft(aircraft: Aircraft | str | os.PathLike) -> Aircraft:
     if path.suffix.lower() not in readers:
         raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
     return readers[path.suffix.lower()](path)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Identification:
-    """Result of `identify`: a model of an aircraft, its evaluation on test flights, and the record of the fit.
-
-    Attributes
-    ----------
-    pipeline : Pipeline
-        Fitted: a raw flight table in, six coefficients out.
-    aircraft : Aircraft
-    settings, fit : dict
-        What was asked for or chosen; samples, likelihood, noise and time of the fit.
-    train : dict of str to DataFrame
-        Usable rows of the training flights; empty for a model that existed before.
-    evaluations : list of Evaluation
-        Predictions and replay of each test flight.
-    messages : list of str
-        Warnings that arose.
-    held_out : str or None
-        What was held out because no test flight was named.
-    plan : FlownPlan or None
-        What a plan expected beside what was found.
-    title, command, created : str
-        Heading of the report, the command line, date and time.
-    """
-
-    pipeline: Pipeline
-    aircraft: Aircraft
-    settings: dict
-    fit: dict
-    train: dict[str, pd.DataFrame]
-    evaluations: list[Evaluation]
-    messages: list[str]
-    held_out: str | None = None
-    plan: FlownPlan | None = None
-    title: str = ""
-    command: str | None = None
-    created: str = field(default_factory=lambda: datetime.now().astimezone().isoformat(timespec="seconds"))
-
-    @cached_property
-    def metrics(self) -> dict:
-        """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
-        return plain(
-            {
-                "format": FORMAT,
-                "created": self.created,
-                "command": self.command,
-                "versions": _model_file.software_versions(),
-                "aircraft": self.aircraft.to_dict(),
-                "options": self.settings,
-                "held_out": self.held_out,
-                "fit": self.fit,
-                "train": {name: _extent(table) for name, table in self.train.items()},
-                "test": {
-                    one.name: {
-                        **_extent(one.table),
-                        "samples_with_std": len(one.rows),
-                        **_score_metrics([one]),
-                        "states": {against: table.to_dict("records") for against, table in one.states.items()},
-                    }
-                    for one in self.evaluations
-                },
-                "test_together": _score_metrics(self.evaluations),
-                **({} if self.plan is None else {"plan": self.plan.to_dict()}),
-                "messages": self.messages,
-            }
-        )
-
-    def summary(self) -> str:
-        """Return what the command line prints: scores of all test flights together, and a line or table of each."""
-        fit, tested = self.fit, self.evaluations
-        first = f"{self.aircraft.name}: "
-        if "seconds" in fit:
-            first += f"{'interrupted' if fit['interrupted'] else 'fitted'} in {fit['seconds']:.1f} s on "
-            first += f"{fit['samples']} of {fit['samples_available']} samples, "
-        lines = [f"{first}log likelihood {fit['log_marginal_likelihood']:.1f}"]
-        if not fit.get("converged", True):
-            lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
-        lines.append("")
-        if len(tested) == 1:
-            lines += [f"flight {tested[0].name}", *_score_table(tested), "", *_state_lines(tested[0])]
-        else:
-            lines += [f"{len(tested)} test flights together", *_score_table(tested), ""]
-            for one in tested:
-                lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
-        paths = _reconstruction(self.pipeline)
-        facts = [f"flight paths {paths}"] if paths else []
-        facts += [] if self.plan is None else _plan_lines(self.plan)
-        return "\n".join([*lines, "", *facts, *_comparison(tested)]).rstrip()
-
-    def evaluate(self, flight: Any) -> Evaluation:
-        """Predict and replay another flight, a table or a path."""
-        with warnings.catch_warnings():
-            flights = usable_flights_of_model(self.pipeline, _flights.named_flights(flight))
-            if len(flights) != 1:
-                raise ValueError(f"Got {len(flights)} flights, but expected one: evaluate each by itself.")
-            return _evaluated(flights, self.pipeline, self.aircraft, self.settings, self.fit)[0]
-
-    def report(self, path: str | os.PathLike) -> Path:
-        """Write the report, one HTML file, and return its path."""
-        return write_report(path, self._report_content())
-
-    def save(self, path: str | os.PathLike) -> Path:
-        """Write model.joblib, metrics.json and report.html into a folder, all or none, and return the path.
-
-        A path that ends in .joblib is that of the model alone.
-        """
-        path = Path(path)
-        if path.suffix == ".joblib":
-            return _model_file.save_model(path, self.pipeline, self.aircraft, **self._model_facts())
-        path.mkdir(parents=True, exist_ok=True)
-        write_together(path, self.writers())
-        return path
-
-    def writers(self) -> dict[str, Callable[[Path], object]]:
-        """Return by file name what writes report, metrics and, of a model that was learned here, the model."""
-        _announce("report")
-        if find_spec("matplotlib") is None:
-            _warn('No pictures in the report: they need pip install "skdgp[plot]".')
-        found = {
-            "report.html": text_writer(render_report(self._report_content())),
-            "metrics.json": text_writer(json_text(self.metrics)),
-        }
-        if self.train:
-            model = _model_file.model_bunch(self.pipeline, self.aircraft, **self._model_facts())
-            found["model.joblib"] = lambda path: _model_file.dump_model(path, model)
-        return found
-
-    def _model_facts(self) -> dict:
-        return {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
-
-    def _report_content(self) -> ReportContent:
-        regressor, fit = regressor_and_scale(self.pipeline)[0], self.fit
-        aircraft, coupled = self.aircraft, fit["structure"] != "trend"
-        return ReportContent(
-            title=self.title,
-            train=[FlightRecord(name=name, table=table) for name, table in self.train.items()],
-            test=self.evaluations,
-            model=ModelSummary(
-                n_samples=fit.get("samples"),
-                n_available=fit.get("samples_available"),
-                regressors=fit["regressors"],
-                n_latent=regressor.n_latent_,
-                n_private=len(COEFFICIENTS) if regressor.private_latents and coupled else 0,
-                kernel=KERNELS[fit["structure"]].format(widths=WIDTHS[regressor.covariance_type]),
-                trend=regressor.trend or "none",
-                inference=regressor.inference_ + " (chosen by auto)" * (regressor.inference == "auto"),
-                log_marginal_likelihood=fit["log_marginal_likelihood"],
-                n_iter=fit["iterations"],
-                max_iter=regressor.max_iter,
-                converged=fit.get("converged", True),
-                fit_seconds=fit.get("seconds"),
-                noise_std=regressor.noise_variance_**0.5,
-                correlation=regressor.output_correlation() if coupled else None,
-                versions=_model_file.software_versions(),
-                extra=self._remarks(),
-            ),
-            aircraft={
-                "Aircraft": aircraft.name,
-                "Mass": f"{aircraft.mass:g} kg",
-                "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, {aircraft.chord:.4g} m",
-            },
-            envelope=self._envelope(),
-            effects=self._effects(),
-            plan=self.plan,
-            messages=self.messages,
-            command=self.command,
-        )
-
-    def _envelope(self) -> EnvelopeDisplay | None:
-        """Return where the data are and what the model knows around them; None of a single regressor."""
-        names, scaler = self.pipeline["regressorselector"].regressors_, self.pipeline["standardscaler"]
-        if len(names) < 2 or not self.train:
-            return None
-        tested = [scaler.inverse_transform(one.regressors) for one in self.evaluations]
-        path = pd.DataFrame(np.concatenate(tested), columns=names) if tested else None
-        return EnvelopeDisplay.compute(self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12)
-
-    def _effects(self) -> EffectsDisplay | None:
-        """Return the effect of each regressor; None of a compact model without its training flights."""
-        compact = regressor_and_scale(self.pipeline)[0].inference_ == "compact"
-        if compact and not self.train:
-            return None
-        return EffectsDisplay.compute(self.pipeline[-2:], self._training_regressors() if compact else None)
-
-    def _training_regressors(self) -> pd.DataFrame:
-        return pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
-
-    def _remarks(self) -> dict[str, str]:
-        fit, tables = self.fit, [*self.train.values(), *(one.table for one in self.evaluations)]
-        sources = _thrust_sources(self.settings["thrust"], tables)
-        remarks = {"Thrust": " or ".join(THRUSTS[name] for name in sources)}
-        paths = _reconstruction(self.pipeline)
-        if paths:
-            remarks["Flight paths"] = paths
-        lags = {name: row["applied"] for name, row in fit.get("lags", {}).items() if row["applied"]}
-        if "lags" in fit:
-            remarks["Lags"] = ", ".join(f"{name} {lag:.3g} s" for name, lag in lags.items()) or "none to correct"
-        errors = {name: float(np.nanmean(values)) for name, values in fit.get("structure_errors", {}).items()}
-        if errors:
-            words = " and ".join(f"{error:.3g} of {STRUCTURES[name]}" for name, error in errors.items())
-            remarks["Structure"] = (
-                f"{STRUCTURES[fit['structure']]}. Mean squared error of quarters of the training flights, predicted "
-                f"from the rest, over the variance: {words}"
-            )
-        noisy = {name: value for name, value in fit["input_noise_std"].items() if value > 0}
-        if noisy:
-            remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())
-        if self.settings["external_forces"]:
-            remarks["Other loads"] = ", ".join(self.settings["external_forces"])
-        comparison = _comparison(self.evaluations)
-        if comparison:
-            remarks["Least squares"] = "; ".join(comparison)
-        if len(self.evaluations) > 1:
-            means = group_means(scores(self.evaluations)["measured"])
-            remarks["All test flights"] = "; ".join(
-                f"{group} NRMSE {row.normalized_rmse:.3f}, {100 * row.median_relative_error:.1f} % median relative "
-                f"error, {100 * row.interval_coverage:.1f} % in the 95 % band"
-                for group, row in means.iterrows()
-            )
-        if "std_scale" in fit:
-            factors = ", ".join(f"{name} {factor:.2f}" for name, factor in fit["std_scale"].items())
-            remarks["Calibration"] = f"standard deviations scaled to flights held out in turn: {factors} times"
-        step = max(-(-len(one.time) // len(one.rows)) for one in self.evaluations)
-        if step > 1:
-            remarks["Bands"] = f"computed at one row in {step}, interpolated between"
-        if any(one.truth is not None for one in self.evaluations):
-            remarks["Truth"] = "contains gusts that no sensor felt: coverage and NLPD against it are in metrics.json"
-        if fit.get("interrupted"):
-            remarks["Fit"] = "interrupted; this is the best model until then"
-        return remarks
 
 
 @contextmanager
@@ -645,168 +357,3 @@ def _mixer(table) -> str | None:
     """Return "passthrough" for an aircraft without elevons that lacks elevator or aileron."""
     has_elevons = {"elevon_left", "elevon_right"} & set(table.columns)
     return None if has_elevons or {"elevator", "aileron"} <= set(table.columns) else "passthrough"
-
-
-def _evaluated(flights, pipeline, aircraft, settings, fit) -> list[Evaluation]:
-    loads, linear = {name: settings[name] for name in ("thrust", "external_forces")}, fit.get("least_squares")
-    evaluations = []
-    for name, table in flights.items():
-        _announce(f"evaluating {name}")
-        evaluations.append(evaluate_flight(pipeline, aircraft, name, table, settings["horizons"], loads, linear))
-    return evaluations
-
-
-def fit_facts(pipeline: Pipeline) -> dict:
-    """Return what a fitted pipeline knows of its fit."""
-    regressor, _ = regressor_and_scale(pipeline)
-    names = [str(name) for name in pipeline["regressorselector"].regressors_]
-    input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
-    facts = {
-        "inference": regressor.inference_,
-        "structure": regressor.structure_,
-        "regressors": names,
-        "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
-        "iterations": int(regressor.n_iter_),
-        "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter),
-        "converged": bool(getattr(regressor, "converged_", True)),  # models of version 0.1 do not say
-        "evaluations": int(regressor.n_evaluations_),
-        "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
-        "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
-        "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),
-        "reconstruction": _reconstruction(pipeline),
-    }
-    if regressor.structure_errors_:
-        facts["structure_errors"] = {
-            name: [float(value) for value in errors] for name, errors in regressor.structure_errors_.items()
-        }
-    if isinstance(pipeline[-1], CalibratedRegressor):
-        facts["std_scale"] = _by_coefficient(pipeline[-1].std_scale_)
-        facts["guaranteed_level"] = _by_coefficient(pipeline[-1].max_level_)
-    if "lagcorrector" in pipeline.named_steps:
-        facts["lags"] = pipeline["lagcorrector"].lags_.to_dict("index")
-    return facts
-
-
-def _settings(pipeline, reconstruction, horizons) -> dict:
-    """Return what a pipeline was made with, by the names of the command line's options."""
-    regressor, _ = regressor_and_scale(pipeline)
-    settings = {
-        "inference": regressor.inference,
-        "structure": regressor.structure,
-        "regressors": pipeline["regressorselector"].regressors,
-        "reconstruction": "none" if reconstruction in (None, "passthrough") else reconstruction,
-        "input_noise": "none" if regressor.input_noise is None else regressor.input_noise,
-        "trend": "none" if regressor.trend is None else regressor.trend,
-        "seed": regressor.random_state,
-        "restarts": regressor.n_restarts_optimizer,
-        "horizons": list(horizons),
-        "inducing": regressor.n_inducing,
-        "latents": regressor.n_latent_,
-        "max_iter": regressor.max_iter,
-    }
-    if isinstance(pipeline[-1], CalibratedRegressor):
-        settings["calibrate"] = True
-    if "lagcorrector" in pipeline.named_steps:
-        settings["lags"] = pipeline["lagcorrector"].lags
-    return settings | {name: True for name in ("symmetric", "gusty") if getattr(pipeline, name)}
-
-
-def _reconstruction(pipeline) -> str | None:
-    """Return whether flight paths are reconstructed, and why; None where it was not asked for."""
-    step = pipeline["flightpathreconstruction"]
-    if not isinstance(step, FlightPathReconstruction):
-        return None
-    return f"{'reconstructed from all sensors' if step.used_ else 'not reconstructed, only smoothed'}: {step.reason_}"
-
-
-def _thrust_sources(thrust, tables) -> list[str]:
-    """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
-    if thrust != "auto":
-        return [thrust or "none"]
-    columns = {"thrust_x", "thrust_y", "thrust_z"}
-    return sorted({"columns" if columns & set(table.columns) else "propeller" for table in tables})
-
-
-def _by_coefficient(values) -> dict[str, float]:
-    return dict(zip(COEFFICIENTS, map(float, values), strict=True))
-
-
-def _extent(table) -> dict[str, float]:
-    """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
-    time = table["time"].to_numpy(float)
-    rate = 1 / np.median(np.diff(time)) if len(time) > 1 else np.nan
-    return {"samples": len(table), "duration": float(np.ptp(time)), "sample_rate": float(rate)}
-
-
-def _score_metrics(evaluations) -> dict:
-    tables = scores(evaluations)
-    return {
-        "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
-        "means": {against: group_means(table).to_dict("index") for against, table in tables.items()},
-    }
-
-
-def _comparison(evaluations) -> list[str]:
-    """Return what least squares on the same rows reaches, and where it is better."""
-    lines = []
-    for against, table in scores(evaluations).items():
-        if "least_squares_normalized_rmse" in table:
-            linear, model = table["least_squares_normalized_rmse"], table["normalized_rmse"]
-            line = f"least squares on the same rows: NRMSE {linear.mean():.3f} against {against}"
-            line += f", the model {model.mean():.3f}"
-            better = [name for name in table.index if linear[name] < model[name]]
-            lines.append(f"{line}; least squares is better in {', '.join(better)}" if better else line)
-    return lines
-
-
-def _plan_lines(plan: FlownPlan) -> list[str]:
-    """Return how much of a plan was flown, and what it taught."""
-    n_missed, left = sum(plan.missed.values()), (plan.manoeuvres["left"] != "").sum()
-    words = ", ".join(f"{name} {value:.0%}" for name, value in plan.remaining.items())
-    return [
-        f"plan: {len(plan.manoeuvres)} manoeuvres flown, {n_missed} not; {left} left a limit",
-        f"errors of {len(plan.errors)} derivatives, of those before: {words}",
-    ]
-
-
-def _score_table(evaluations) -> list[str]:
-    tables = scores(evaluations)
-    above = [f"{'against measured':>{3 * WIDTH}}", f"{'against truth':>{2 * WIDTH}}"][: len(tables)]
-    lines = [" " * MARGIN + "".join(above)]
-    for words in (("median", "NRMSE", "in 95 %"), ("rel. error", "", "band")):
-        cells = [f"{word:>{WIDTH}}" for word in (*words, *words[:2] * (len(tables) - 1))]
-        lines.append(" " * MARGIN + "".join(cells).rstrip())
-    lines += [_row(name, [table.loc[name] for table in tables.values()]) for name in COEFFICIENTS]
-    return [*lines, "", *(_mean_row(evaluations, group) for group in ("longitudinal", "lateral", "all"))]
-
-
-def _mean_row(evaluations, group) -> str:
-    return _row(group, [group_means(table).loc[group] for table in scores(evaluations).values()])
-
-
-def _row(name, rows) -> str:
-    """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
-    measured, *truth = rows
-    cells = [_percent(measured.median_relative_error), f"{measured.normalized_rmse:.3f}"]
-    cells.append(_percent(measured.interval_coverage))
-    for row in truth:
-        cells += [_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}"]
-    return f"  {name:<{MARGIN - 2}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells)
-
-
-def _percent(fraction) -> str:
-    return f"{100 * fraction:.1f} %" if np.isfinite(fraction) else "-"
-
-
-def _state_lines(evaluation: Evaluation) -> list[str]:
-    if not evaluation.states:
-        return []
-    lines = []
-    for horizon, part in evaluation.states["measured"].groupby("horizon"):
-        median = part.set_index("state")["median"]
-        cells = []
-        for state in (name for name in ("v_east", "p", "r") if name in median):
-            factor, unit = display_unit(state)
-            cells.append(f"{state} {factor * median[state]:.3g} {unit}")
-        lines.append(f"  replayed over {horizon:g} s, median error: {', '.join(cells)}")
-    return lines

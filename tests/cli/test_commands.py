@@ -14,7 +14,7 @@ import pytest
 from skdgp._cli import _output, _predict, main
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, Turbulence, stability_derivatives, trim
-from skdgp.identification import _identify, load_model, predict_flight, save_model
+from skdgp.identification import _identification, load_model, predict_flight, save_model
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ class TestAllOrNone:
 
 class TestValidate:
     def test_says_what_identify_said(self, run, identified, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identify, "render_report", lambda content: content.title)
+        monkeypatch.setattr(_identification, "render_report", lambda content: content.title)
         said = run("validate", "test.csv", "--horizons", "1")
         assert files(tmp_path / "out") == {"report.html", "metrics.json", "config.toml"}
         for key in ("test", "test_together", "fit"):
@@ -173,7 +173,7 @@ class TestValidate:
         assert "a model on other flights" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     def test_needs_no_folder_and_no_facts(self, path, model, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(_identify, "render_report", lambda content: pytest.fail("rendered"))
+        monkeypatch.setattr(_identification, "render_report", lambda content: pytest.fail("rendered"))
         save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
         assert main(["validate", str(tmp_path / "bare.joblib"), "test.csv", "--horizons", "1"]) == 0
         said = capsys.readouterr()

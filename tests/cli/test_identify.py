@@ -29,7 +29,7 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.design import coefficient_noise
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import _evaluation, _identify, load_model, predict_flight
+from skdgp.identification import _evaluation, _identification, _identify, load_model, predict_flight
 from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
@@ -133,7 +133,7 @@ class TestIdentify:
         np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9)
 
     def test_the_function_gives_what_the_command_gives(self, folder, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         train = ["lateral.csv", "latlon.csv"]
         assert identify("--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
         printed = capsys.readouterr().out.splitlines()
@@ -159,7 +159,7 @@ class TestIdentify:
         assert page.count("<svg") > 10
 
     def test_holds_out_the_last_flight(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "; ".join(content.messages))
+        monkeypatch.setattr(_identification, "render_report", lambda content: "; ".join(content.messages))
         assert identify(output=tmp_path, train=["lateral.csv", "latlon.csv"]) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert metrics["held_out"] == "the last flight, latlon"
@@ -169,7 +169,7 @@ class TestIdentify:
         assert "No test flight was named" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
     def test_holds_out_the_end_of_a_single_flight(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         assert identify("--json", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert json.loads(capsys.readouterr().out) == metrics
@@ -178,7 +178,7 @@ class TestIdentify:
         assert "truth" not in next(iter(metrics["test"].values()))["coefficients"]
 
     def test_all_samples_of_sparse_inference(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         options = ["--samples", "all", "--inference", "sparse", "--inducing", "8", "--max-iter", "2", "--trend", "none"]
         assert identify(*options, "--test", "test.csv", output=tmp_path) == 0
         fit = json.loads((tmp_path / "metrics.json").read_text())["fit"]
@@ -186,7 +186,7 @@ class TestIdentify:
         assert fit["samples"] == fit["samples_available"] == 700
 
     def test_rows_without_regressors_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         table = pd.read_csv(folder / "latlon.csv")
         table.loc[100:109, "alpha"] = np.nan
         table.to_csv(tmp_path / "holes.csv", index=False)
@@ -195,7 +195,7 @@ class TestIdentify:
         assert json.loads((tmp_path / "out" / "metrics.json").read_text())["fit"]["flights"] == {"latlon": 690}
 
     def test_a_log_without_attitude_is_scored_but_not_replayed(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
         assert identify("--test", str(tmp_path / "bare.csv"), output=tmp_path / "out") == 0
         said = capsys.readouterr().err
@@ -207,8 +207,8 @@ class TestIdentify:
 
     def test_what_makes_a_model_poor_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
         """Rows between gaps, a surface that never moves, a test on what was learned, no pictures."""
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
-        monkeypatch.setattr(_identify, "find_spec", lambda name: None)
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "find_spec", lambda name: None)
         table = pd.read_csv(folder / "latlon.csv").drop(index=[*range(100, 150), *range(151, 200)]).assign(rudder=0.01)
         table.to_csv(tmp_path / "gaps.csv", index=False)
         assert identify("--test", "latlon.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]) == 0
@@ -219,13 +219,13 @@ class TestIdentify:
         assert 'No pictures in the report: they need pip install "skdgp[plot]"' in said
 
     def test_a_flight_too_short_for_its_model_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         pd.read_csv(folder / "latlon.csv").iloc[:160].to_csv(tmp_path / "short.csv", index=False)
         assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "short.csv")]) == 0
         assert "The training flights last 3.98 s, in which" in capsys.readouterr().err
 
     def test_several_test_flights_are_scored_together_too(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         assert identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
@@ -418,7 +418,7 @@ class TestCalibrate:
 
     @pytest.fixture
     def calibrated(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: content.model.extra["Calibration"])
+        monkeypatch.setattr(_identification, "render_report", lambda content: content.model.extra["Calibration"])
         train = ["lateral.csv", "latlon.csv"]
         assert identify("--calibrate", "--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
         assert "2 flights guarantee no more than 0.667" in capsys.readouterr().err
@@ -482,7 +482,7 @@ class TestLags:
         assert abs(lags["air"]["lag"] - 0.08) < 0.01
 
     def test_are_corrected_on_request(self, late, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identify, "render_report", lambda content: content.model.extra["Lags"])
+        monkeypatch.setattr(_identification, "render_report", lambda content: content.model.extra["Lags"])
         assert identify("--lags", "--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert metrics["options"]["lags"] == "auto"
@@ -499,7 +499,7 @@ class TestLags:
 @pytest.mark.usefixtures("short_fits")
 class TestInterrupt:
     def test_keeps_the_best_so_far(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identify, "render_report", lambda content: "; ".join(content.messages))
+        monkeypatch.setattr(_identification, "render_report", lambda content: "; ".join(content.messages))
         monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
         assert identify("--test", "test.csv", "--max-iter", "50", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
@@ -516,7 +516,7 @@ class TestInterrupt:
         def render(content):
             signal.raise_signal(signal.SIGINT)
 
-        monkeypatch.setattr(_identify, "render_report", render)
+        monkeypatch.setattr(_identification, "render_report", render)
         monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert not (tmp_path / "new").exists()
@@ -604,11 +604,11 @@ class TestKilled:
         with pytest.raises(self.Killed):
             self.identify(monkeypatch, output, die_at=100)
         with monkeypatch.context() as patch:
-            patch.setattr(_identify, "render_report", self.die)
+            patch.setattr(_identification, "render_report", self.die)
             with pytest.raises(self.Killed):
                 self.identify(monkeypatch, output)
         assert {path.name for path in output.iterdir()} == {"checkpoint"}
-        monkeypatch.setattr(_identify, "render_report", lambda content: "")
+        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         assert self.identify(monkeypatch, output) == 0
         assert {path.name for path in output.iterdir()} == OUTPUTS
         assert json.loads((output / "metrics.json").read_text())["fit"]["evaluations"] > 100
@@ -617,7 +617,7 @@ class TestKilled:
         def render(content):
             signal.raise_signal(signal.SIGINT)
 
-        monkeypatch.setattr(_identify, "render_report", render)
+        monkeypatch.setattr(_identification, "render_report", render)
         monkeypatch.setattr(Console, "progress", lambda *_: None)
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert "no output was written; run again, the fit goes on where it was" in capsys.readouterr().err
@@ -748,7 +748,7 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
 @pytest.mark.usefixtures("short_flights")
 @pytest.mark.parametrize("short_flights", [2000], indirect=True)
 def test_demo_is_honest(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(_identify, "render_report", lambda content: "")  # other tests draw
+    monkeypatch.setattr(_identification, "render_report", lambda content: "")  # other tests draw
     assert main(["demo", "--samples", "100", "-o", str(tmp_path)]) == 0
     assert capsys.readouterr().err == ""
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
@@ -787,7 +787,7 @@ def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     if not PAGE.is_file():
         pytest.skip("the documentation is not beside the tests")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_identify, "render_report", lambda content: "")
+    monkeypatch.setattr(_identification, "render_report", lambda content: "")
     names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}
     for ours, theirs in names.items():
         (tmp_path / f"{theirs}.csv").write_bytes((folder / f"{ours}.csv").read_bytes())

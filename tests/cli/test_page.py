@@ -10,7 +10,7 @@ import pytest
 
 from skdgp._cli import main
 from skdgp._cli._main import COMMANDS
-from skdgp.identification import _identify
+from skdgp.identification import _identification
 
 PAGE = Path(__file__).parents[2] / "docs" / "command_line.md"
 QUICK = {
@@ -36,7 +36,7 @@ def blocks(page, language):
 @pytest.mark.usefixtures("short_fits")
 def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_identify, "render_report", lambda content: "")
+    monkeypatch.setattr(_identification, "render_report", lambda content: "")
     for ours, theirs in {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}.items():
         table = pd.read_csv(folder / f"{ours}.csv")
         table.assign(time=table["time"] + 30.0).to_csv(f"{theirs}.csv", index=False)

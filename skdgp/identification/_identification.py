@@ -1,0 +1,376 @@
+"""The result of `identify`: its numbers, its summary in words, its report and its files."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cached_property
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from skdgp._compute.files import json_text, plain, text_writer, write_together
+from skdgp._compute.progress import notify
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.design import FlownPlan
+from skdgp.dynamics import Aircraft
+from skdgp.identification import _model_file
+from skdgp.identification._evaluation import (
+    Evaluation,
+    evaluate_flights,
+    group_means,
+    scores,
+    usable_flights_of_model,
+)
+from skdgp.identification._facts import reconstruction_of, thrust_sources
+from skdgp.identification._flights import named_flights
+from skdgp.identification._pipeline import (
+    regressor_and_scale,
+)
+from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
+from skdgp.plotting._style import display_unit
+from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_report, write_report
+
+FORMAT = 1  # of the metrics
+WIDTHS = {
+    "spherical": "one width for all regressors",
+    "diag": "one width for each regressor",
+    "full": "a full matrix of widths",
+    "tied": "one width for each regressor, common to all outputs",
+}
+STRUCTURES = {
+    "joint": "the trend and processes",
+    "additive": "the trend, main effects and processes",
+    "trend": "the trend alone",
+}
+THRUSTS = {
+    "columns": "from the thrust columns of the flights",
+    "propeller": "from the propeller's bench table",
+    "none": "none subtracted: that of an engine is part of the coefficients",
+}
+KERNELS = {
+    "joint": "convolved Gaussian, {widths}",
+    "additive": "functions of one regressor each, and convolved Gaussian, {widths}",
+    "trend": "none: the trend alone",
+}
+MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """Result of `identify`: a model of an aircraft, its evaluation on test flights, and the record of the fit.
+
+    Attributes
+    ----------
+    pipeline : Pipeline
+        Fitted: a raw flight table in, six coefficients out.
+    aircraft : Aircraft
+    settings, fit : dict
+        What was asked for or chosen; samples, likelihood, noise and time of the fit.
+    train : dict of str to DataFrame
+        Usable rows of the training flights; empty for a model that existed before.
+    evaluations : list of Evaluation
+        Predictions and replay of each test flight.
+    messages : list of str
+        Warnings that arose.
+    held_out : str or None
+        What was held out because no test flight was named.
+    plan : FlownPlan or None
+        What a plan expected beside what was found.
+    title, command, created : str
+        Heading of the report, the command line, date and time.
+    """
+
+    pipeline: Pipeline
+    aircraft: Aircraft
+    settings: dict
+    fit: dict
+    train: dict[str, pd.DataFrame]
+    evaluations: list[Evaluation]
+    messages: list[str]
+    held_out: str | None = None
+    plan: FlownPlan | None = None
+    title: str = ""
+    command: str | None = None
+    created: str = field(default_factory=lambda: datetime.now().astimezone().isoformat(timespec="seconds"))
+
+    @cached_property
+    def metrics(self) -> dict:
+        """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
+        return plain(
+            {
+                "format": FORMAT,
+                "created": self.created,
+                "command": self.command,
+                "versions": _model_file.software_versions(),
+                "aircraft": self.aircraft.to_dict(),
+                "options": self.settings,
+                "held_out": self.held_out,
+                "fit": self.fit,
+                "train": {name: _extent(table) for name, table in self.train.items()},
+                "test": {
+                    one.name: {
+                        **_extent(one.table),
+                        "samples_with_std": len(one.rows),
+                        **_score_metrics([one]),
+                        "states": {against: table.to_dict("records") for against, table in one.states.items()},
+                    }
+                    for one in self.evaluations
+                },
+                "test_together": _score_metrics(self.evaluations),
+                **({} if self.plan is None else {"plan": self.plan.to_dict()}),
+                "messages": self.messages,
+            }
+        )
+
+    def summary(self) -> str:
+        """Return what the command line prints: scores of all test flights together, and a line or table of each."""
+        fit, tested = self.fit, self.evaluations
+        first = f"{self.aircraft.name}: "
+        if "seconds" in fit:
+            first += f"{'interrupted' if fit['interrupted'] else 'fitted'} in {fit['seconds']:.1f} s on "
+            first += f"{fit['samples']} of {fit['samples_available']} samples, "
+        lines = [f"{first}log likelihood {fit['log_marginal_likelihood']:.1f}"]
+        if not fit.get("converged", True):
+            lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
+        lines.append("")
+        if len(tested) == 1:
+            lines += [f"flight {tested[0].name}", *_score_table(tested), "", *_state_lines(tested[0])]
+        else:
+            lines += [f"{len(tested)} test flights together", *_score_table(tested), ""]
+            for one in tested:
+                lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
+        paths = reconstruction_of(self.pipeline)
+        facts = [f"flight paths {paths}"] if paths else []
+        facts += [] if self.plan is None else _plan_lines(self.plan)
+        return "\n".join([*lines, "", *facts, *_comparison(tested)]).rstrip()
+
+    def evaluate(self, flight: Any) -> Evaluation:
+        """Predict and replay another flight, a table or a path."""
+        with warnings.catch_warnings():
+            flights = usable_flights_of_model(self.pipeline, named_flights(flight))
+            if len(flights) != 1:
+                raise ValueError(f"Got {len(flights)} flights, but expected one: evaluate each by itself.")
+            return evaluate_flights(flights, self.pipeline, self.aircraft, self.settings, self.fit)[0]
+
+    def report(self, path: str | os.PathLike) -> Path:
+        """Write the report, one HTML file, and return its path."""
+        return write_report(path, self._report_content())
+
+    def save(self, path: str | os.PathLike) -> Path:
+        """Write model.joblib, metrics.json and report.html into a folder, all or none, and return the path.
+
+        A path that ends in .joblib is that of the model alone.
+        """
+        path = Path(path)
+        if path.suffix == ".joblib":
+            return _model_file.save_model(path, self.pipeline, self.aircraft, **self._model_facts())
+        path.mkdir(parents=True, exist_ok=True)
+        write_together(path, self.writers())
+        return path
+
+    def writers(self) -> dict[str, Callable[[Path], object]]:
+        """Return by file name what writes report, metrics and, of a model that was learned here, the model."""
+        notify("report", 0, np.nan)
+        if find_spec("matplotlib") is None:
+            warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2)
+        found = {
+            "report.html": text_writer(render_report(self._report_content())),
+            "metrics.json": text_writer(json_text(self.metrics)),
+        }
+        if self.train:
+            model = _model_file.model_bunch(self.pipeline, self.aircraft, **self._model_facts())
+            found["model.joblib"] = lambda path: _model_file.dump_model(path, model)
+        return found
+
+    def _model_facts(self) -> dict:
+        return {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
+
+    def _report_content(self) -> ReportContent:
+        regressor, fit = regressor_and_scale(self.pipeline)[0], self.fit
+        aircraft, coupled = self.aircraft, fit["structure"] != "trend"
+        return ReportContent(
+            title=self.title,
+            train=[FlightRecord(name=name, table=table) for name, table in self.train.items()],
+            test=self.evaluations,
+            model=ModelSummary(
+                n_samples=fit.get("samples"),
+                n_available=fit.get("samples_available"),
+                regressors=fit["regressors"],
+                n_latent=regressor.n_latent_,
+                n_private=len(COEFFICIENTS) if regressor.private_latents and coupled else 0,
+                kernel=KERNELS[fit["structure"]].format(widths=WIDTHS[regressor.covariance_type]),
+                trend=regressor.trend or "none",
+                inference=regressor.inference_ + " (chosen by auto)" * (regressor.inference == "auto"),
+                log_marginal_likelihood=fit["log_marginal_likelihood"],
+                n_iter=fit["iterations"],
+                max_iter=regressor.max_iter,
+                converged=fit.get("converged", True),
+                fit_seconds=fit.get("seconds"),
+                noise_std=regressor.noise_variance_**0.5,
+                correlation=regressor.output_correlation() if coupled else None,
+                versions=_model_file.software_versions(),
+                extra=self._remarks(),
+            ),
+            aircraft={
+                "Aircraft": aircraft.name,
+                "Mass": f"{aircraft.mass:g} kg",
+                "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, {aircraft.chord:.4g} m",
+            },
+            envelope=self._envelope(),
+            effects=self._effects(),
+            plan=self.plan,
+            messages=self.messages,
+            command=self.command,
+        )
+
+    def _envelope(self) -> EnvelopeDisplay | None:
+        """Return where the data are and what the model knows around them; None of a single regressor."""
+        names, scaler = self.pipeline["regressorselector"].regressors_, self.pipeline["standardscaler"]
+        if len(names) < 2 or not self.train:
+            return None
+        tested = [scaler.inverse_transform(one.regressors) for one in self.evaluations]
+        path = pd.DataFrame(np.concatenate(tested), columns=names) if tested else None
+        return EnvelopeDisplay.compute(self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12)
+
+    def _effects(self) -> EffectsDisplay | None:
+        """Return the effect of each regressor; None of a compact model without its training flights."""
+        compact = regressor_and_scale(self.pipeline)[0].inference_ == "compact"
+        if compact and not self.train:
+            return None
+        return EffectsDisplay.compute(self.pipeline[-2:], self._training_regressors() if compact else None)
+
+    def _training_regressors(self) -> pd.DataFrame:
+        return pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
+
+    def _remarks(self) -> dict[str, str]:
+        fit, tables = self.fit, [*self.train.values(), *(one.table for one in self.evaluations)]
+        sources = thrust_sources(self.settings["thrust"], tables)
+        remarks = {"Thrust": " or ".join(THRUSTS[name] for name in sources)}
+        paths = reconstruction_of(self.pipeline)
+        if paths:
+            remarks["Flight paths"] = paths
+        lags = {name: row["applied"] for name, row in fit.get("lags", {}).items() if row["applied"]}
+        if "lags" in fit:
+            remarks["Lags"] = ", ".join(f"{name} {lag:.3g} s" for name, lag in lags.items()) or "none to correct"
+        errors = {name: float(np.nanmean(values)) for name, values in fit.get("structure_errors", {}).items()}
+        if errors:
+            words = " and ".join(f"{error:.3g} of {STRUCTURES[name]}" for name, error in errors.items())
+            remarks["Structure"] = (
+                f"{STRUCTURES[fit['structure']]}. Mean squared error of quarters of the training flights, predicted "
+                f"from the rest, over the variance: {words}"
+            )
+        noisy = {name: value for name, value in fit["input_noise_std"].items() if value > 0}
+        if noisy:
+            remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())
+        if self.settings["external_forces"]:
+            remarks["Other loads"] = ", ".join(self.settings["external_forces"])
+        comparison = _comparison(self.evaluations)
+        if comparison:
+            remarks["Least squares"] = "; ".join(comparison)
+        if len(self.evaluations) > 1:
+            means = group_means(scores(self.evaluations)["measured"])
+            remarks["All test flights"] = "; ".join(
+                f"{group} NRMSE {row.normalized_rmse:.3f}, {100 * row.median_relative_error:.1f} % median relative "
+                f"error, {100 * row.interval_coverage:.1f} % in the 95 % band"
+                for group, row in means.iterrows()
+            )
+        if "std_scale" in fit:
+            factors = ", ".join(f"{name} {factor:.2f}" for name, factor in fit["std_scale"].items())
+            remarks["Calibration"] = f"standard deviations scaled to flights held out in turn: {factors} times"
+        step = max(-(-len(one.time) // len(one.rows)) for one in self.evaluations)
+        if step > 1:
+            remarks["Bands"] = f"computed at one row in {step}, interpolated between"
+        if any(one.truth is not None for one in self.evaluations):
+            remarks["Truth"] = "contains gusts that no sensor felt: coverage and NLPD against it are in metrics.json"
+        if fit.get("interrupted"):
+            remarks["Fit"] = "interrupted; this is the best model until then"
+        return remarks
+
+
+def _extent(table) -> dict[str, float]:
+    """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
+    time = table["time"].to_numpy(float)
+    rate = 1 / np.median(np.diff(time)) if len(time) > 1 else np.nan
+    return {"samples": len(table), "duration": float(np.ptp(time)), "sample_rate": float(rate)}
+
+
+def _score_metrics(evaluations) -> dict:
+    tables = scores(evaluations)
+    return {
+        "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
+        "means": {against: group_means(table).to_dict("index") for against, table in tables.items()},
+    }
+
+
+def _comparison(evaluations) -> list[str]:
+    """Return what least squares on the same rows reaches, and where it is better."""
+    lines = []
+    for against, table in scores(evaluations).items():
+        if "least_squares_normalized_rmse" in table:
+            linear, model = table["least_squares_normalized_rmse"], table["normalized_rmse"]
+            line = f"least squares on the same rows: NRMSE {linear.mean():.3f} against {against}"
+            line += f", the model {model.mean():.3f}"
+            better = [name for name in table.index if linear[name] < model[name]]
+            lines.append(f"{line}; least squares is better in {', '.join(better)}" if better else line)
+    return lines
+
+
+def _plan_lines(plan: FlownPlan) -> list[str]:
+    """Return how much of a plan was flown, and what it taught."""
+    n_missed, left = sum(plan.missed.values()), (plan.manoeuvres["left"] != "").sum()
+    words = ", ".join(f"{name} {value:.0%}" for name, value in plan.remaining.items())
+    return [
+        f"plan: {len(plan.manoeuvres)} manoeuvres flown, {n_missed} not; {left} left a limit",
+        f"errors of {len(plan.errors)} derivatives, of those before: {words}",
+    ]
+
+
+def _score_table(evaluations) -> list[str]:
+    tables = scores(evaluations)
+    above = [f"{'against measured':>{3 * WIDTH}}", f"{'against truth':>{2 * WIDTH}}"][: len(tables)]
+    lines = [" " * MARGIN + "".join(above)]
+    for words in (("median", "NRMSE", "in 95 %"), ("rel. error", "", "band")):
+        cells = [f"{word:>{WIDTH}}" for word in (*words, *words[:2] * (len(tables) - 1))]
+        lines.append(" " * MARGIN + "".join(cells).rstrip())
+    lines += [_row(name, [table.loc[name] for table in tables.values()]) for name in COEFFICIENTS]
+    return [*lines, "", *(_mean_row(evaluations, group) for group in ("longitudinal", "lateral", "all"))]
+
+
+def _mean_row(evaluations, group) -> str:
+    return _row(group, [group_means(table).loc[group] for table in scores(evaluations).values()])
+
+
+def _row(name, rows) -> str:
+    """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
+    measured, *truth = rows
+    cells = [_percent(measured.median_relative_error), f"{measured.normalized_rmse:.3f}"]
+    cells.append(_percent(measured.interval_coverage))
+    for row in truth:
+        cells += [_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}"]
+    return f"  {name:<{MARGIN - 2}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells)
+
+
+def _percent(fraction) -> str:
+    return f"{100 * fraction:.1f} %" if np.isfinite(fraction) else "-"
+
+
+def _state_lines(evaluation: Evaluation) -> list[str]:
+    if not evaluation.states:
+        return []
+    lines = []
+    for horizon, part in evaluation.states["measured"].groupby("horizon"):
+        median = part.set_index("state")["median"]
+        cells = []
+        for state in (name for name in ("v_east", "p", "r") if name in median):
+            factor, unit = display_unit(state)
+            cells.append(f"{state} {factor * median[state]:.3g} {unit}")
+        lines.append(f"  replayed over {horizon:g} s, median error: {', '.join(cells)}")
+    return lines

@@ -1,4 +1,7 @@
-"""Fitting: starting values, hyperparameters and the posterior."""
+"""Fits: the search for hyperparameters, in stages, and the posterior at the best ones.
+
+``_learn_hyperparameters`` is the search of both kinds of inference. It learns from the rows that ``_rows`` chooses.
+"""
 
 from __future__ import annotations
 
@@ -141,13 +144,13 @@ def fit_exact(
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    hyperparameters = found
-    if hyperparameters is None:
-        options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
-        rows, held = held_out_rows(Y, options[2]) if early_stopping else (slice(None), None)
-        hyperparameters = _learn(kernel.prepared(X), X, Y, clock, rows, *options, held, noise_last=True)
-    data = hyperparameters.data(X, Y, clock)
-    return hyperparameters.fit(ExactPosterior(hyperparameters.kernel, hyperparameters.noise, data))
+    learned = found
+    if learned is None:
+        random_state = check_random_state(random_state)
+        rows, held = held_out_rows(Y, random_state) if early_stopping else (slice(None), None)
+        options = optimizer, max_iter, random_state, input_noise, spread, held
+        learned = _learn_hyperparameters(kernel.prepared(X), X, Y, clock, rows, *options, noise_last=True)
+    return learned.fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y, clock)))
 
 
 def fit_sparse(
@@ -197,7 +200,8 @@ def fit_sparse(
     learned = found
     if learned is None:
         rows, held = held_out_rows(Y, random_state) if early_stopping else (some_rows(Y, random_state), None)
-        learned = _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held)
+        options = optimizer, max_iter, random_state, input_noise, spread, held
+        learned = _learn_hyperparameters(kernel, X, Y, clock, rows, *options)
     kernel, features = learned.kernel, learned.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
@@ -325,7 +329,7 @@ def _initial_noise(residual, scale, clock):
     return np.concatenate([0.5 * noise, 0.5 * noise, memory]), np.concatenate([bounds, bounds, span])
 
 
-def _learn(
+def _learn_hyperparameters(
     kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held=None, noise_last=False
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.

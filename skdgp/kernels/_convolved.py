@@ -25,7 +25,7 @@ ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regre
 ADDITIVE_AMPLITUDE = 0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 NOISE_AMPLITUDE = 0.1  # below this fraction of its starting amplitude an output was explained as noise
-COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
+COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")  # also those of DependentGPRegressor
 
 
 class ConvolvedGaussian(MultiOutputKernel):

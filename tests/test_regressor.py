@@ -18,7 +18,7 @@ from sklearn.utils.estimator_checks import check_estimator
 import skdgp
 from skdgp import DependentGPRegressor, listening
 from skdgp.inference import Data, ExactPosterior
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels import ConvolvedGaussian
 
 # Fits cut short to be quick say so.
 pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
@@ -162,16 +162,6 @@ class TestShapesAndNames:
         assert DependentGPRegressor(max_iter=2).fit(X, pd.DataFrame(Y)).output_names_ == ["y0", "y1"]
         assert not hasattr(DependentGPRegressor(max_iter=2).fit(X, Y), "feature_names_in_")
 
-    def test_tables_and_arrays_give_the_same_model(self, data, new):
-        X, Y = data
-        arrays = DependentGPRegressor(max_iter=5, random_state=0).fit(X, Y).predict(new)
-        tables = (
-            DependentGPRegressor(max_iter=5, random_state=0)
-            .fit(pd.DataFrame(X), pd.DataFrame(Y))
-            .predict(pd.DataFrame(new))
-        )
-        np.testing.assert_array_equal(arrays, tables)
-
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
         X, Y = data
         more_X, more_Y = np.r_[X, X[:9] + 5.0], np.r_[Y, np.full((9, 2), np.nan)]
@@ -247,19 +237,6 @@ class TestPrediction:
         _, near = model.predict([[0.0, 200.0]], return_std=True)
         _, far = model.predict([[6.0, 400.0]], return_std=True)
         assert (far > 3 * near).all()
-
-    def test_linear_trend_goes_on_where_the_mean_gives_up(self):
-        rng = np.random.default_rng(0)
-        X = rng.uniform(0, 1, (40, 1))
-        Y = np.column_stack([3 * X[:, 0] + 1, -2 * X[:, 0]]) + rng.normal(0, 0.02, (40, 2))
-        far = [[3.0]]
-        linear, constant = (
-            DependentGPRegressor(n_latent=1, trend=trend, random_state=0, max_iter=25).fit(X, Y)
-            for trend in ("linear", "constant")
-        )
-        mean, std = linear.predict(far, return_std=True)
-        assert (np.abs(mean - [10.0, -6.0]) < 3 * std + 0.5).all()
-        assert np.abs(mean - [10.0, -6.0]).max() < np.abs(constant.predict(far) - [10.0, -6.0]).max()
 
 
 class TestGradient:
@@ -416,11 +393,6 @@ class TestCoupling:
 
     def test_trend_does_not_count(self, data):
         model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=5).fit(*data)
-        np.testing.assert_array_equal(model.output_correlation().correlation, np.eye(2))
-
-    def test_users_own_trend_does_not_count(self, data):
-        kernel = LinearTrend() + ConvolvedGaussian(0)
-        model = DependentGPRegressor(kernel, trend="constant", random_state=0, max_iter=5).fit(*data)
         np.testing.assert_array_equal(model.output_correlation().correlation, np.eye(2))
 
 

@@ -211,13 +211,16 @@ def fit_sparse(
             return _final_fit(learned, posterior, X, Y, clock, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
         posterior = _converge_noise(posterior, 1.0, least)
-        value, inflation = posterior.log_marginal_likelihood, _variance_inflation(posterior, X, Y)
+        value, residual = posterior.log_marginal_likelihood, Y - posterior.predict(X)
+        inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
         # Errors of neighbours are correlated: a sample carries less information, so its noise variance is inflated.
         posterior = _converge_noise(posterior, inflation, least)
         noise = posterior.noise
         hyperparameters = learned._replace(noise=noise / inflation)
         if clock is not None:
-            hyperparameters = _learn_drift(hyperparameters, posterior, X, Y, clock)
+            white, variance, memory = residual_drift(posterior, X, Y, clock, fit_drift)
+            scale = hyperparameters.noise / (white + variance)  # the residuals neglect the uncertainty of the function
+            hyperparameters = hyperparameters._replace(noise=white * scale, drift=(variance * scale, memory))
     if hyperparameters.interrupted or early_stopping:
         return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value)
     features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
@@ -248,13 +251,6 @@ def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, m
         effective_noise = noise * inflation if drift is None else noise
         posterior = SparsePosterior(posterior.kernel, posterior.features, effective_noise, shares)
     return hyperparameters._replace(noise=noise, drift=drift).fit(posterior, value, more)
-
-
-def _learn_drift(hyperparameters, posterior, X, Y, clock):
-    """Return the hyperparameters with white noise and drift estimated from the residuals of all samples."""
-    white, variance, memory = residual_drift(posterior, X, Y, clock, fit_drift)
-    scale = hyperparameters.noise / (white + variance)  # the residuals neglect the uncertainty of the function
-    return hyperparameters._replace(noise=white * scale, drift=(variance * scale, memory))
 
 
 def residual_drift(
@@ -306,12 +302,6 @@ def _converge_noise(posterior, inflation, least):
         if change < 0.01:
             break
     return posterior
-
-
-def _variance_inflation(posterior, X, Y):
-    """Return the autocorrelation time of the residuals of each output, in samples, (P,)."""
-    residual = Y - posterior.predict(X)
-    return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
 
 
 def _initial_noise(residual, scale, clock):

@@ -225,7 +225,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         if self.covariance_type == "spherical":
             start |= {name: common_scale(start[name], X) for name in ("length_scale", "length_scale_bounds")}
         elif axis is not None:
-            start["length_scale"] = _geometric_mean(start["length_scale"], axis)
+            mean = np.log(start["length_scale"]).mean(axis=axis, keepdims=True)
+            start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
         if others.any() and not singles and not coarse:
             start["amplitude"] *= ADDITIVE_AMPLITUDE
             start["length_scale"][..., ~others] *= np.sqrt(np.mean(~others))
@@ -565,12 +566,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
-
-
-def _geometric_mean(value, axis):
-    """Return the geometric mean along an axis, broadcast to the shape of the values."""
-    mean = np.log(value).mean(axis=axis, keepdims=True)
-    return np.exp(np.broadcast_to(mean, value.shape))
 
 
 def _middle(X):

@@ -211,7 +211,8 @@ def fit_sparse(
             return _final_fit(learned, posterior, X, Y, clock, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
         posterior = _converge_noise(posterior, 1.0, least)
-        value, residual = posterior.log_marginal_likelihood, Y - posterior.predict(X)
+        value = posterior.log_marginal_likelihood
+        residual = Y - posterior.predict(X)
         inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
         # Errors of neighbours are correlated: a sample carries less information, so its noise variance is inflated.
         posterior = _converge_noise(posterior, inflation, least)

@@ -92,12 +92,6 @@ class TestScikitLearn:
         np.testing.assert_array_equal(once.predict(X), twice.predict(X))
         assert twice.output_names_ == ["CZ", "Cm"]
 
-    def test_clone_is_unfitted(self, flights):
-        X, Y, _ = flights
-        copy = clone(quick().fit(X, Y))
-        assert not hasattr(copy, "kernel_")
-        assert copy.get_params() == quick().get_params()
-
 
 class TestFreshProcess:
     """A model that was saved predicts the same bits where it is loaded."""

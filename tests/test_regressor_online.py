@@ -76,27 +76,6 @@ class TestPartialFit:
         assert (model._center is center, model._scale is scale) == (True, True)
 
     @KINDS
-    def test_goes_on_after_a_pickle(self, data, model, kind):
-        X, Y = data
-        at_once = pickle.loads(pickle.dumps(model)).partial_fit(X[40:], Y[40:])
-        for a in range(40, 60, 5):
-            model = pickle.loads(pickle.dumps(model.partial_fit(X[a : a + 5], Y[a : a + 5])))
-        for got, expected in zip(
-            model.predict(NEW, return_std=True), at_once.predict(NEW, return_std=True), strict=True
-        ):
-            np.testing.assert_allclose(got, expected, rtol=1e-8)
-
-    @KINDS
-    def test_narrows_what_is_known(self, data, model, kind):
-        X, Y = data
-        _, before = model.predict(X[50:51], return_std=True)
-        _, after = model.partial_fit(X[50:51], Y[50:51] * 0 + model.predict(X[50:51])).predict(
-            X[50:51], return_std=True
-        )
-        assert (after <= before).all()
-        assert after[0, 0] < before[0, 0]
-
-    @KINDS
     def test_rows_without_a_target_change_nothing(self, data, model, kind):
         before = model.predict(NEW)
         model.partial_fit(data[0][40:45], np.full((5, 2), np.nan))
@@ -235,10 +214,6 @@ class TestCompact:
         np.testing.assert_allclose(small.predict(NEW), model.predict(NEW), rtol=1e-3)
         assert small.partial_fit(X[:1] + 1.0, y[:1]).predict(NEW).shape == (7,)
 
-    def test_seed_decides(self, models):
-        first, again = (models["exact"].compact(20, random_state=4).predict(NEW) for _ in range(2))
-        np.testing.assert_array_equal(first, again)
-
     @pytest.mark.parametrize("n_inducing", [0, -3, 2.5, True, "many", None, np.nan])
     def test_numbers_without_sense(self, models, n_inducing):
         with pytest.raises(ValueError, match=r"Got n_inducing=.*from 1 on"):
@@ -258,20 +233,10 @@ class TestCompact:
         with pytest.raises(NotFittedError):
             DependentGPRegressor().compact()
 
-    def test_of_a_compact_model(self, models):
-        with pytest.raises(ValueError, match="no samples to be compacted again"):
-            models["compact"].compact(5)
-
     def test_memory_is_looked_at_first(self, models, monkeypatch):
         monkeypatch.setattr(linalg, "_physical_memory", lambda: 1000)
         with pytest.raises(ValueError, match=r"A compact model of 26 values needs.*fewer n_inducing"):
             models["exact"].compact(20)
-
-
-@pytest.fixture(scope="module")
-def named(data):
-    X = pd.DataFrame(data[0], columns=["alpha", "q"])
-    return DependentGPRegressor(max_iter=2, random_state=0).fit(X, data[1])
 
 
 class TestPlainRows:
@@ -301,17 +266,6 @@ class TestPlainRows:
     def test_what_is_no_sample_is_refused(self, models, X, says):
         with pytest.raises(ValueError, match=says):
             models["compact"].predict(X)
-
-    def test_names_are_looked_at(self, named):
-        named.predict(pd.DataFrame(NEW, columns=["alpha", "q"]))
-        with pytest.raises(ValueError, match="feature names"):
-            named.predict(pd.DataFrame(NEW, columns=["q", "alpha"]))
-        with pytest.warns(UserWarning, match="does not have valid feature names"):
-            named.predict(NEW)
-
-    def test_not_fitted(self):
-        with pytest.raises(NotFittedError):
-            DependentGPRegressor().predict(NEW)
 
     def test_callers_array_is_left_alone(self, models):
         X = NEW.copy()

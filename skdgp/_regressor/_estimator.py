@@ -33,6 +33,7 @@ from skdgp.inference import (
     slope_errors,
 )
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
+from skdgp.kernels._convolved import COVARIANCE_TYPES
 
 EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
@@ -190,7 +191,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "kernel": [MultiOutputKernel, None],
         "n_latent": [Interval(Integral, 0, None, closed="left"), StrOptions({"auto"}), None],
         "private_latents": ["boolean"],
-        "covariance_type": [StrOptions({"spherical", "diag", "full", "tied"})],
+        "covariance_type": [StrOptions(set(COVARIANCE_TYPES))],
         "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
         "structure": [StrOptions({"joint", "additive", "trend", "auto"})],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
@@ -841,17 +842,17 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
-    def _loading(self, X, times):
-        """Return J R, (n, P, r), for noisy regressors; r is zero for exact regressors."""
-        times = np.asarray(times, dtype=float)
-        if times.shape not in ((), (len(X),)) or not (times >= 0).all():
+    def _loading(self, X, factor):
+        """Return J R times the root of ``factor``, (n, P, r), for noisy regressors; r is zero for exact regressors."""
+        factor = np.asarray(factor, dtype=float)
+        if factor.shape not in ((), (len(X),)) or not (factor >= 0).all():
             raise ValueError(
-                f"Got include_input_noise of shape {times.shape}, but expected a bool, or factors of the variance "
+                f"Got include_input_noise of shape {factor.shape}, but expected a bool, or factors of the variance "
                 f"from 0 on: one number, or one for each of the {len(X)} rows."
             )
-        if self._root is None or not times.any():
+        if self._root is None or not factor.any():
             return np.zeros((len(X), len(self._scale), 0))
-        return np.sqrt(times.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) @ self._root)
+        return np.sqrt(factor.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) @ self._root)
 
     def _check_regressors(self, X):
         if self._is_valid(X):

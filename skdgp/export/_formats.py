@@ -7,6 +7,7 @@ import inspect
 import json
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,10 +60,12 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     return FORMATS[to](Path(folder), model, **options)
 
 
-def _portable(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
-    """Write model.npz."""
-    portable = _sized(model, max_kb)
-    return {"files": [save_portable(folder / "model.npz", portable)], "loss": loss_of(portable)}
+def _one_file(
+    name: str, write: Callable[[Path, PortableModel], Path], folder: Path, model: Any, *, max_kb: float | None = None
+) -> dict[str, Any]:
+    """Write the portable model, in at most ``max_kb`` of a portable file, in one file of another format."""
+    portable = reduced_to_kb(_as_portable(model), _file_bytes, max_kb)
+    return {"files": [write(folder / name, portable)], "loss": loss_of(portable)}
 
 
 def _c(folder: Path, model: Any, *, precision: str = "double", max_kb: float | None = None) -> dict[str, Any]:
@@ -72,18 +75,6 @@ def _c(folder: Path, model: Any, *, precision: str = "double", max_kb: float | N
         "files": [folder / name for name in ("aero.h", "aero.c", "test_aero.c", "Makefile")],
         "loss": loss_of(written),
     }
-
-
-def _casadi(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
-    """Write aero.casadi."""
-    portable = _sized(model, max_kb)
-    return {"files": [write_casadi(folder / "aero.casadi", portable)], "loss": loss_of(portable)}
-
-
-def _onnx(folder: Path, model: Any, *, max_kb: float | None = None) -> dict[str, Any]:
-    """Write aero.onnx."""
-    portable = _sized(model, max_kb)
-    return {"files": [write_onnx(folder / "aero.onnx", portable)], "loss": loss_of(portable)}
 
 
 def _fmu(
@@ -97,7 +88,7 @@ def _fmu(
 
 def _tables(folder: Path, model: Any) -> dict[str, Any]:
     """Write build_up.json, and build_up.png if matplotlib is installed."""
-    build, files = _build_up(model, "build-up"), [folder / "build_up.json"]
+    build, files = build_up(*_whole(model, "build-up")), [folder / "build_up.json"]
     write_build_up(files[0], build)
     if importlib.util.find_spec("matplotlib"):
         from matplotlib.figure import Figure
@@ -117,28 +108,16 @@ def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0
     return {"files": write_jsbsim(folder, pipeline, aircraft, form=form, n_draws=draws)}
 
 
-def _ardupilot(folder: Path, model: Any) -> dict[str, Any]:
-    """Write plane.json."""
-    path = folder / "plane.json"
-    loss = write_ardupilot(path, _build_up(model, "ardupilot", return_std=False))
-    return {"files": [path], "loss": loss.to_dict("index")}
-
-
-def _gazebo(folder: Path, model: Any) -> dict[str, Any]:
-    """Write model.sdf."""
-    path = folder / "model.sdf"
-    loss = write_gazebo(path, _build_up(model, "gazebo", return_std=False))
-    return {"files": [path], "loss": loss.to_dict("index")}
+def _derivatives(to: str, name: str, write: Callable[[Path, BuildUp], Any], folder: Path, model: Any) -> dict[str, Any]:
+    """Write constant derivatives in one file."""
+    loss = write(folder / name, build_up(*_whole(model, to), return_std=False))
+    return {"files": [folder / name], "loss": loss.to_dict("index")}
 
 
 def _dave_ml(folder: Path, model: Any, *, form: str = "functions") -> dict[str, Any]:
     """Write aero.dml."""
     path = folder / "aero.dml"
     return {"files": [path], "loss": write_dave_ml(path, *_whole(model, "dave-ml"), form=form).to_dict("index")}
-
-
-def _build_up(model: Any, to: str, **options: Any) -> BuildUp:
-    return build_up(*_whole(model, to), **options)
 
 
 def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:
@@ -149,11 +128,6 @@ def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:
         f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: the format "
         "needs the pipeline and its samples, which a portable model does not hold."
     )
-
-
-def _sized(model: Any, max_kb: float | None) -> PortableModel:
-    """Return the portable model, whose file takes at most ``max_kb``."""
-    return reduced_to_kb(_as_portable(model), _file_bytes, max_kb)
 
 
 def _as_portable(model: Any) -> PortableModel:
@@ -167,15 +141,15 @@ def _file_bytes(model: PortableModel) -> int:
 
 
 FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
-    "portable": _portable,
+    "portable": partial(_one_file, "model.npz", save_portable),
     "c": _c,
-    "casadi": _casadi,
-    "onnx": _onnx,
+    "casadi": partial(_one_file, "aero.casadi", write_casadi),
+    "onnx": partial(_one_file, "aero.onnx", write_onnx),
     "fmu": _fmu,
     "build-up": _tables,
     "jsbsim": _jsbsim,
-    "ardupilot": _ardupilot,
-    "gazebo": _gazebo,
+    "ardupilot": partial(_derivatives, "ardupilot", "plane.json", write_ardupilot),
+    "gazebo": partial(_derivatives, "gazebo", "model.sdf", write_gazebo),
     "dave-ml": _dave_ml,
 }
 """The function of each format: it writes a model into a folder, takes the options of the format, and returns facts."""

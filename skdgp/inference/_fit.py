@@ -1,4 +1,7 @@
-"""Fitting: starting values, hyperparameters and the posterior."""
+"""Fits: the search for hyperparameters, in stages, and the posterior at the best ones.
+
+``_learn_hyperparameters`` is the search of both kinds of inference. It learns from the rows that ``_rows`` chooses.
+"""
 
 from __future__ import annotations
 
@@ -141,13 +144,13 @@ def fit_exact(
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    hyperparameters = found
-    if hyperparameters is None:
-        options = optimizer, max_iter, check_random_state(random_state), input_noise, spread
-        rows, held = held_out_rows(Y, options[2]) if early_stopping else (slice(None), None)
-        hyperparameters = _learn(kernel.prepared(X), X, Y, clock, rows, *options, held, noise_last=True)
-    data = hyperparameters.data(X, Y, clock)
-    return hyperparameters.fit(ExactPosterior(hyperparameters.kernel, hyperparameters.noise, data))
+    learned = found
+    if learned is None:
+        random_state = check_random_state(random_state)
+        rows, held = held_out_rows(Y, random_state) if early_stopping else (slice(None), None)
+        options = optimizer, max_iter, random_state, input_noise, spread, held
+        learned = _learn_hyperparameters(kernel.prepared(X), X, Y, clock, rows, *options, noise_last=True)
+    return learned.fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y, clock)))
 
 
 def fit_sparse(
@@ -197,7 +200,8 @@ def fit_sparse(
     learned = found
     if learned is None:
         rows, held = held_out_rows(Y, random_state) if early_stopping else (some_rows(Y, random_state), None)
-        learned = _learn(kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held)
+        options = optimizer, max_iter, random_state, input_noise, spread, held
+        learned = _learn_hyperparameters(kernel, X, Y, clock, rows, *options)
     kernel, features = learned.kernel, learned.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
@@ -207,13 +211,17 @@ def fit_sparse(
             return _final_fit(learned, posterior, X, Y, clock, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
         posterior = _converge_noise(posterior, 1.0, least)
-        value, inflation = posterior.log_marginal_likelihood, _variance_inflation(posterior, X, Y)
+        value = posterior.log_marginal_likelihood
+        residual = Y - posterior.predict(X)
+        inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
         # Errors of neighbours are correlated: a sample carries less information, so its noise variance is inflated.
         posterior = _converge_noise(posterior, inflation, least)
         noise = posterior.noise
         hyperparameters = learned._replace(noise=noise / inflation)
         if clock is not None:
-            hyperparameters = _learn_drift(hyperparameters, posterior, X, Y, clock)
+            white, variance, memory = residual_drift(posterior, X, Y, clock, fit_drift)
+            scale = hyperparameters.noise / (white + variance)  # the residuals neglect the uncertainty of the function
+            hyperparameters = hyperparameters._replace(noise=white * scale, drift=(variance * scale, memory))
     if hyperparameters.interrupted or early_stopping:
         return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value)
     features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
@@ -244,13 +252,6 @@ def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, m
         effective_noise = noise * inflation if drift is None else noise
         posterior = SparsePosterior(posterior.kernel, posterior.features, effective_noise, shares)
     return hyperparameters._replace(noise=noise, drift=drift).fit(posterior, value, more)
-
-
-def _learn_drift(hyperparameters, posterior, X, Y, clock):
-    """Return the hyperparameters with white noise and drift estimated from the residuals of all samples."""
-    white, variance, memory = residual_drift(posterior, X, Y, clock, fit_drift)
-    scale = hyperparameters.noise / (white + variance)  # the residuals neglect the uncertainty of the function
-    return hyperparameters._replace(noise=white * scale, drift=(variance * scale, memory))
 
 
 def residual_drift(
@@ -304,12 +305,6 @@ def _converge_noise(posterior, inflation, least):
     return posterior
 
 
-def _variance_inflation(posterior, X, Y):
-    """Return the autocorrelation time of the residuals of each output, in samples, (P,)."""
-    residual = Y - posterior.predict(X)
-    return np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
-
-
 def _initial_noise(residual, scale, clock):
     """Return the starting noise and its bounds: variances (P,), with a drift also its variances and memories."""
     bounds = np.multiply.outer(scale**2, NOISE_BOUNDS)
@@ -325,7 +320,7 @@ def _initial_noise(residual, scale, clock):
     return np.concatenate([0.5 * noise, 0.5 * noise, memory]), np.concatenate([bounds, bounds, span])
 
 
-def _learn(
+def _learn_hyperparameters(
     kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held=None, noise_last=False
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.

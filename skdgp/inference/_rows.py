@@ -1,4 +1,4 @@
-"""Rows of a log that a search learns from, and blocks of rows that are held out."""
+"""Rows of a log from which a search learns hyperparameters, and blocks of rows that are held out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from skdgp._compute.typing import Indices, Matrix, Seed
 
-SUBSET = 1800  # values from which sparse inference learns hyperparameters
+SEARCH_VALUES = 1800  # values from which a search learns where it is sparse, stops early or compares kernels
 BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
 GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
 HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
@@ -26,10 +26,10 @@ def stratified(rows: Any, n, random_state: Any):
 
 
 def some_rows(Y: Matrix, random_state: Seed):
-    """Return rows with about SUBSET observed values, an equal number for each output where it has them."""
+    """Return rows with about SEARCH_VALUES observed values, an equal number for each output where it has them."""
     observed = np.isfinite(Y)
-    quota = SUBSET // Y.shape[1]
-    rows = stratified(np.arange(len(Y)), max(2, SUBSET * len(Y) // observed.sum()), random_state)
+    quota = SEARCH_VALUES // Y.shape[1]
+    rows = stratified(np.arange(len(Y)), max(2, SEARCH_VALUES * len(Y) // observed.sum()), random_state)
     for output in observed.T:
         n_missing = min(quota, output.sum()) - output[rows].sum()
         rest = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)

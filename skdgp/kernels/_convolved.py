@@ -25,7 +25,7 @@ ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regre
 ADDITIVE_AMPLITUDE = 0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 NOISE_AMPLITUDE = 0.1  # below this fraction of its starting amplitude an output was explained as noise
-COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")
+COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")  # also those of DependentGPRegressor
 
 
 class ConvolvedGaussian(MultiOutputKernel):
@@ -225,7 +225,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         if self.covariance_type == "spherical":
             start |= {name: common_scale(start[name], X) for name in ("length_scale", "length_scale_bounds")}
         elif axis is not None:
-            start["length_scale"] = _geometric_mean(start["length_scale"], axis)
+            mean = np.log(start["length_scale"]).mean(axis=axis, keepdims=True)
+            start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
         if others.any() and not singles and not coarse:
             start["amplitude"] *= ADDITIVE_AMPLITUDE
             start["length_scale"][..., ~others] *= np.sqrt(np.mean(~others))
@@ -565,12 +566,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
-
-
-def _geometric_mean(value, axis):
-    """Return the geometric mean along an axis, broadcast to the shape of the values."""
-    mean = np.log(value).mean(axis=axis, keepdims=True)
-    return np.exp(np.broadcast_to(mean, value.shape))
 
 
 def _middle(X):

@@ -346,15 +346,9 @@ class BasisTrend(Trend):
     transformer : scikit-learn transformer
         phi: ``PolynomialFeatures(2)``, ``SplineTransformer()`` or a pipeline. ``initialize`` fits a clone of it to X,
         an array without column names. A constant column has no effect, since the intercept is a separate term.
-    intercept_scale : array (P,) or None
-        Prior standard deviation of the intercept, in the unit of the output. None: from the data.
-    slope_scale : array (P, K) or None
-        Prior standard deviation of the weights, unit of the output per unit of the column. None: from the data, with
-        the same total variance as a linear trend.
-    center : array (K,) or None
-        Subtracted from the columns. None: the mean of the columns over the data.
-    intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
-        Bounds; None: from the data.
+    intercept_scale, slope_scale, center, intercept_scale_bounds, slope_scale_bounds
+        As of :class:`LinearTrend`, of the K columns in place of the regressors; the total variance from the data is
+        that of a linear trend.
 
     Raises
     ------

@@ -230,7 +230,7 @@ class TestRegressor:
 
     @pytest.fixture(autouse=True)
     def _few_values_to_learn_from(self, monkeypatch):
-        monkeypatch.setattr(_rows, "SUBSET", 500)
+        monkeypatch.setattr(_rows, "SEARCH_VALUES", 500)
 
     def truth(self, time, x):
         """The standard deviation of the slope by generalised least squares with the true covariance."""

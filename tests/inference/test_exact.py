@@ -1,6 +1,5 @@
 """Equations 17 to 20 against references typed from them."""
 
-import pickle
 import tracemalloc
 
 import numpy as np
@@ -294,14 +293,3 @@ def test_few_points_have_the_means_that_many_have(one_problem):
     many = np.random.default_rng(3).normal(size=(200, NEW.shape[1]))
     one_by_one = np.concatenate([posterior.predict(row[None]) for row in many])
     np.testing.assert_allclose(one_by_one, posterior.predict(many), rtol=1e-9, atol=1e-11)
-
-
-def test_pickle_predicts_the_same_bits_and_holds_no_matrix(one_problem):
-    posterior = posterior_of(one_problem)
-    expected = posterior.predict(NEW, True)
-    text = pickle.dumps(posterior)
-    again = pickle.loads(text).predict(NEW, True)
-    for a, b in zip(expected, again, strict=True):
-        np.testing.assert_array_equal(a, b)
-    before = posterior_of(one_problem)
-    assert len(pickle.dumps(before)) == len(text)

@@ -95,7 +95,7 @@ class TestSparse:
         theta = np.concatenate([noisy.kernel.theta, np.log(noisy.noise), features.theta])
         assert_gradient(sparse(noisy).bound_gradient(), bound, theta, rtol=1e-5, atol=1e-4)
 
-    def test_no_reach_is_no_shared_noise(self, noisy):
+    def test_a_zero_factor_is_no_shared_noise(self, noisy):
         apart = SparsePosterior(
             noisy.kernel, noisy.kernel.features(Z), noisy.noise, shares_of(Data.from_table(noisy.X, noisy.Y))
         )

@@ -44,7 +44,7 @@ def test_the_criterion_is_the_likelihood_less_half_log_n_for_each_hyperparameter
 
 def test_of_many_values_some_are_used(monkeypatch):
     _, Y = drawn(0.0)
-    monkeypatch.setattr(_rows, "SUBSET", 60)
+    monkeypatch.setattr(_rows, "SEARCH_VALUES", 60)
     rows = _rows.some_rows(Y, np.random.RandomState(0))
     assert 20 <= len(rows) < 30
     found = choose_kernel([ConvolvedGaussian(0)], X, Y, **OPTIONS)

@@ -1,7 +1,5 @@
 """The collapsed bound against its definition, and against what it bounds."""
 
-import pickle
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -145,11 +143,3 @@ class TestRows:
             got = again.log_marginal_likelihood, again.bound_gradient(), *again.predict(NEW, True)
         for a, b in zip(got, expected, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)
-
-
-def test_pickle_predicts_the_same_bits(one_problem):
-    posterior = sparse(one_problem)
-    again = pickle.loads(pickle.dumps(posterior))
-    for a, b in zip(posterior.predict(NEW, True), again.predict(NEW, True), strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert again.log_marginal_likelihood == posterior.log_marginal_likelihood

@@ -166,43 +166,12 @@ def test_trend_is_a_bayesian_linear_model(rng):
     assert (K[:4, 4:] == 0).all()
 
 
-class TestFewRegressors:
-    """A process of some columns is constant along the others; a sum of them is an additive model."""
-
-    def kernel(self, rng, **options):
-        return ConvolvedGaussian(1, **options).initialize(rng.normal(size=(60, 3)), rng.normal(size=(60, 2)), 0)
-
-    @pytest.mark.parametrize("covariance_type", ["diag", "tied"])
-    def test_other_regressors_have_no_effect(self, rng, covariance_type):
-        kernel = self.kernel(rng, covariance_type=covariance_type, regressors=[0, 2])
-        X, Z = rng.normal(size=(5, 3)), rng.normal(size=(4, 3))
-        moved, near = X + np.array([0.0, 50.0, 0.0]), X + np.array([0.5, 0.0, 0.0])
-        np.testing.assert_allclose(kernel.block(0, 1, moved, Z), kernel.block(0, 1, X, Z), rtol=1e-6)
-        assert not np.allclose(kernel.block(0, 0, near, Z), kernel.block(0, 0, X, Z), rtol=1e-2)
-        everything = self.kernel(rng, covariance_type=covariance_type)
-        assert kernel.n_dims < everything.n_dims  # one width less for each filter, none to learn there
-
-    def test_a_sum_has_no_interactions(self, rng):
-        """Cov of f(a, b) - f(a', b) - f(a, b') + f(a', b'), zero for every function g(a) + h(b)."""
-        square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-        signs = np.array([1.0, -1.0, -1.0, 1.0])
-        X, Y = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
-        one, other, both = (
-            ConvolvedGaussian(0, regressors=columns).initialize(X, Y, 0) for columns in ([0], [1], [0, 1])
-        )
-        additive = one + other
-        assert signs @ additive.block(0, 0, square, square) @ signs == pytest.approx(0.0, abs=1e-8)
-        assert signs @ both.block(0, 0, square, square) @ signs > 1e-3
-
-    @pytest.mark.parametrize(
-        ("options", "message"),
-        [
-            ({"regressors": [3]}, r"regressors=\[3\], but expected columns of X from 0 to 2"),
-            ({"regressors": []}, "expected columns"),
-            ({"regressors": ["alpha"]}, "expected columns"),
-            ({"regressors": [0], "covariance_type": "full"}, "expected 'diag' or 'tied'"),
-        ],
-    )
-    def test_columns_that_are_not_there_are_refused(self, rng, options, message):
-        with pytest.raises(ValueError, match=message):
-            self.kernel(rng, **options)
+def test_a_sum_of_processes_of_single_regressors_has_no_interactions(rng):
+    """Cov of f(a, b) - f(a', b) - f(a, b') + f(a', b'), zero for every function g(a) + h(b)."""
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    signs = np.array([1.0, -1.0, -1.0, 1.0])
+    X, Y = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
+    one, other, both = (ConvolvedGaussian(0, regressors=columns).initialize(X, Y, 0) for columns in ([0], [1], [0, 1]))
+    additive = one + other
+    assert signs @ additive.block(0, 0, square, square) @ signs == pytest.approx(0.0, abs=1e-8)
+    assert signs @ both.block(0, 0, square, square) @ signs > 1e-3

@@ -3,10 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
@@ -110,27 +107,6 @@ def test_misspelt_columns():
 def test_unsorted_flight():
     with pytest.raises(ValueError, match="expected time to increase strictly within a flight"):
         FlightSmoother().fit(flights().sample(frac=1, random_state=0))
-
-
-def test_whole_way_to_regressors_in_a_grid_search():
-    table = flights(names=("one", "two", "three"))
-    table = table.assign(elevon_left=table.elevator, elevon_right=0.5 * table.elevator).drop(columns="elevator")
-    model = make_pipeline(
-        FlightSmoother(),
-        ElevonSplitter(),
-        RateNondimensionalizer(span=2.0, chord=1.0),
-        RegressorSelector("classical"),
-        StandardScaler(),
-        LinearRegression(),
-    )
-    target = pd.DataFrame({"CZ": -4 * table.alpha, "Cm": -0.5 * table.alpha - 3 * table.q})
-    search = GridSearchCV(model, {"flightsmoother__cutoff": ["auto", 3.0]}, cv=GroupKFold(3))
-    search.fit(table, target, groups=table.flight)
-    assert search.best_score_ > 0.8
-    names = search.best_estimator_[:-1].get_feature_names_out()
-    assert list(names) == [
-        *["alpha", "beta", "p_hat", "q_hat", "r_hat", "alpha_dot_hat", "beta_dot_hat", "elevator", "aileron"]
-    ]
 
 
 @pytest.mark.shared

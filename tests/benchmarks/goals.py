@@ -40,7 +40,8 @@ def run(subject: Any, truth: Truth, seed: int) -> dict[str, dict[str, float]]:
     )  # fmt: skip
     plans = {name: make(goal=goal) for name, goal in GOALS.items()}
     weights = {name: plans[name].weights[name] for name in GOALS if name in plans[name].weights}
-    logs = subject.fly([sortie(_manoeuvres(one)) for one in plans.values()], EXPLORED, AIR, [seed, 1])
+    sorties = [sortie(_manoeuvres(one), one.manoeuvres["pause"].iloc[0]) for one in plans.values()]
+    logs = subject.fly(sorties, EXPLORED, AIR, [seed, 1])
     _, X0, Y0 = rows_of(first, subject)
     found = {}
     for k, ((name, one), log) in enumerate(zip(plans.items(), logs, strict=True)):

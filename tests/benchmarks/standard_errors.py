@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from _closed_loop_flights import AXES, PAUSE, SUBJECTS, Subject, exploratory, sortie
+from _closed_loop_flights import AXES, SUBJECTS, Subject, exploratory, sortie
 from _common import finish, parser_of
 from closed_loop import REGRESSORS, WIDE, _manoeuvres, learned, rows_of, seen
 from sklearn.preprocessing import PolynomialFeatures
@@ -65,11 +65,12 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
         except ValueError as error:
             print(error, flush=True)
     about = np.array([found.to_dict()["at"][name] for name in REGRESSORS])
-    inputs = sortie(_manoeuvres(found))
+    pause = found.manoeuvres["pause"].iloc[0]
+    inputs = sortie(_manoeuvres(found), pause)
     rows = []
     for k, log in enumerate(subject.fly([inputs] * n_flights, SECONDS, air, [0, 1])):
         rows.append(rows_of(seen(log, [0, 1, k]), subject))
-    flown_at = np.mean([X[time < PAUSE].mean(axis=0) for time, X, _ in rows], axis=0)  # the model's trim differs
+    flown_at = np.mean([X[time < pause].mean(axis=0) for time, X, _ in rows], axis=0)  # the model's trim differs
     still = partial(expected_information, found.flight, subject.aircraft, REGRESSORS)
     predicted = {
         "residuals of the model": still(coefficient_noise(model)),

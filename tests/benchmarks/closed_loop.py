@@ -24,8 +24,8 @@ fitted by least squares to the first flight and the first seconds of the second,
     function      NRMSE on that flight, mean over the coefficients
     ratio         seconds of the plan until its error is that of a classical input after all its time, over the seconds
                   of that input until then; median over the seeds, inf if the plan does not get there
-    floor         errors after all the time, as measured; with the true regressors, by the rates of the air; and with
-                  the true coefficients too: what remains is that the polynomial is not the aircraft
+    floor         errors after all the time, as measured; with the rates that the aerodynamics feel, the true alpha and
+                  beta, all true regressors; and with the true coefficients too, where the polynomial alone is wrong
 
 The envelope is what was flown, and half of its range more at either end; no floor. Seeds whose first flight moved so
 little that gusts alone leave it have no second flight; they are left out.
@@ -67,6 +67,7 @@ from skdgp.dynamics import Aerodynamics, SimulationWarning, aerodynamic_coeffici
 KEPT = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
 REGRESSORS = [name + HAT if name in RATE_LENGTHS else name for name in KEPT]
 COLUMNS = [NAMES.index(name) for name in KEPT]
+AIR_DATA, RATES = ([KEPT.index(name) for name in names] for names in (("alpha", "beta"), "pqr"))
 EXPLORED, CUTS, AIR = 60.0, 5.0, "light"
 KINDS = ("doublets", "3-2-1-1", "multisine", "Schroeder")
 BY_TRUTH = " by the truth"
@@ -140,7 +141,7 @@ def learned(table: pd.DataFrame, subject: Subject) -> Any:
         subject.aircraft,
         regressors=REGRESSORS,
         reconstruction="passthrough",
-        regressor=DependentGPRegressor(structure="trend", max_iter=10),
+        regressor=DependentGPRegressor(structure="trend", max_iter=10, random_state=0),
     )
     return model.fit(table, aerodynamic_coefficients(table, subject.aircraft))
 
@@ -232,7 +233,7 @@ def loop(subject: Subject, truth: Truth, seed: int, seconds: float, n_paths: int
 def felt(log: Log) -> tuple[np.ndarray, np.ndarray]:
     """Return the true regressors of a flight, with the rates that the aerodynamics feel, and coefficients."""
     X = log.exact[:, COLUMNS].copy()
-    X[:, [KEPT.index(name) for name in "pqr"]] -= log.gust
+    X[:, RATES] -= log.gust
     return X, log.truth
 
 
@@ -325,24 +326,27 @@ def risk_rows(name: str, every: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def floor_rows(name: str, every: list[dict[str, Any]], truth: Truth) -> list[dict[str, Any]]:
-    """Return the median errors after all the time: as measured, with true regressors, and with true coefficients."""
+    """Return the median errors after all the time, with the true values of more and more that was measured."""
     rows = []
-    for kind in (*PLANS, *KINDS):
+    true = {"true rates of the air": RATES, "true alpha, beta": AIR_DATA, "all true": slice(None)}
+    for kind in ("plan", "plan" + BY_TRUTH):
         errors = []
         for found in every:
-            if kind in found.get("exact", ()):
-                X, Y = (np.concatenate([found["rows"][one][k] for one in ("explored", kind)]) for k in (1, 2))
-                air, coefficients = (
-                    np.concatenate([found["exact"][one][k] for one in ("explored", kind)]) for k in (0, 1)
-                )
-                errors.append([truth.errors(*one) for one in ((X, Y), (air, Y), (air, coefficients))])
-        if errors:
-            row: dict[str, Any] = {"aircraft": name, "flight": kind, "seeds": len(errors)}
-            for column, what in enumerate(("derivatives", "function")):
-                values = np.median(errors, axis=0)[:, column].tolist()
-                hows = "measured", "true regressors", "true coefficients"
-                row |= {f"{what}, {how}": value for how, value in zip(hows, values, strict=True)}
-            rows.append(row)
+            if kind not in found.get("exact", ()):
+                continue
+            X, Y = (np.concatenate([found["rows"][one][k] for one in ("explored", kind)]) for k in (1, 2))
+            exact, coefficients = (
+                np.concatenate([found["exact"][one][k] for one in ("explored", kind)]) for k in (0, 1)
+            )
+            tried = {"measured": (X, Y)}
+            for what, columns in true.items():
+                tried[what] = X.copy(), Y
+                tried[what][0][:, columns] = exact[:, columns]
+            tried["and coefficients"] = exact, coefficients
+            errors.append([truth.errors(*one) for one in tried.values()])
+        for column, what in enumerate(("derivatives", "function") if errors else ()):
+            values = np.median(errors, axis=0)[:, column].tolist()
+            rows.append({"aircraft": name, "flight": kind, "error of": what, **dict(zip(tried, values, strict=True))})
     return rows
 
 

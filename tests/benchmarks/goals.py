@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from _closed_loop_flights import AXES, SUBJECTS, exploratory, sortie
+from _closed_loop_flights import AXES, PAUSE, SUBJECTS, exploratory, sortie
 from _common import finish, parser_of
 from closed_loop import AIR, EXPLORED, WIDE, Truth, _manoeuvres, learned, rows_of, seen
 from study import kept
@@ -35,13 +35,12 @@ def run(subject: Any, truth: Truth, seed: int) -> dict[str, dict[str, float]]:
     model = learned(first, subject)
     make = partial(
         plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=EXPLORED, axes=list(AXES), rate=40.0,
-        limits=subject.limits, altitude=subject.altitude, envelope=WIDE,
+        limits=subject.limits, altitude=subject.altitude, envelope=WIDE, pause=PAUSE,
         noise=flight_noise(model, first, subject.aircraft),
     )  # fmt: skip
     plans = {name: make(goal=goal) for name, goal in GOALS.items()}
     weights = {name: plans[name].weights[name] for name in GOALS if name in plans[name].weights}
-    sorties = [sortie(_manoeuvres(one), one.manoeuvres["pause"].iloc[0]) for one in plans.values()]
-    logs = subject.fly(sorties, EXPLORED, AIR, [seed, 1])
+    logs = subject.fly([sortie(_manoeuvres(one)) for one in plans.values()], EXPLORED, AIR, [seed, 1])
     _, X0, Y0 = rows_of(first, subject)
     found = {}
     for k, ((name, one), log) in enumerate(zip(plans.items(), logs, strict=True)):

@@ -247,8 +247,6 @@ class Planner:
             )
             for point, wait in zip(self.trims, self.pauses, strict=True)
         ]  # fmt: skip
-        for rehearsal in self.rehearsals:
-            rehearsal.hold  # noqa: B018 - raises if gusts alone leave the envelope
         names = self.aerodynamics.regressors
         at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
         self.before = self._known(known, at)

@@ -63,15 +63,14 @@ def plan(run: Run) -> None:
             envelope=_envelope(options),
             altitude=options.altitude,
             gusts=None if options.gusts == "none" else options.gusts.replace("-", " "),
-            pause=options.pause,
+            pause="auto" if options.pause is None else options.pause,
             rate=options.rate,
             n_paths=options.paths,
             thrust=thrust,
             detents=None if options.pilot is None else DETENTS | _by_axis(options.pilot),
             random_state=options.seed,
         )
-    seconds = sum(train.duration + options.pause for train in planned.trains)
-    numbers = {"model": options.model, "seconds": seconds, **planned.to_dict()}
+    numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     files = run.write(_writers(options, planned, numbers))
     run.print(_text(planned, options, files), numbers)
 
@@ -170,7 +169,7 @@ PLAN = Command(
                 nargs="+",
             ),
             opt.option("--altitude M", "[m] (default: the highest that was flown)", opt.number()),
-            opt.option("--pause S", "after each manoeuvre (default: 3)", opt.positive("seconds"), default=3.0),
+            opt.option("--pause S", "after each manoeuvre (default: by the airspeed)", opt.positive("seconds")),
             opt.option("--rate HZ", "of the autopilot (default: 50)", opt.positive("Hz"), default=50.0),
             opt.option(
                 "--pilot AXIS=X",

@@ -5,7 +5,8 @@ from skdgp.design._envelope import Envelope
 from skdgp.design._flown import FlownPlan
 from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
 from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
-from skdgp.design._plan import Plan, plan
+from skdgp.design._plan import Plan
+from skdgp.design._planner import plan
 from skdgp.design._signals import (
     Chirp,
     Limits,

@@ -17,7 +17,8 @@ from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_segments
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._information import Information, expected_information
-from skdgp.design._plan import STEP, Plan, errors_of
+from skdgp.design._plan import Plan, errors_of
+from skdgp.design._rehearsal import RESPONSE, STEP
 from skdgp.dynamics import Aircraft
 
 LIKE = 0.85
@@ -29,7 +30,7 @@ ENDS = 0.4
 Match = tuple[int, float, int, float, float]
 """Segment, start [s], row of the plan, likeness, size."""
 NAMES = ("coefficients", "regressors")
-KEYS = {"aircraft", "at", "pause", "manoeuvres", "limits", "errors", "known"}
+KEYS = {"aircraft", "at", "manoeuvres", "limits", "errors", "known"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,10 +215,10 @@ def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
 def _window(
     plan: Mapping[str, Any], flights: pd.DataFrame, number: int, start: float, k: int, like: float, size: float
 ) -> tuple[dict[str, Any], pd.DataFrame]:
-    """Return the facts of a manoeuvre that was flown, and its rows and those of the pause after it."""
+    """Return the facts of a manoeuvre that was flown, and its rows and those of the response after it."""
     one = plan["manoeuvres"][k]
     part = dict(_segments(flights))[number]
-    part = part[part["time"].between(start, start + one["duration"] + plan["pause"])]
+    part = part[part["time"].between(start, start + one["duration"] + min(one["pause"], RESPONSE))]
     values = quantities(part)
     facts: dict[str, Any] = {
         "flight": part["flight"].iloc[0], "start": start, "name": one["name"], "likeness": like, "size": size

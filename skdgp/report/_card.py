@@ -154,12 +154,11 @@ def _headline(plan: Plan) -> str:
     errors, rows = plan.errors, plan.manoeuvres
     known = np.isfinite(errors).all(axis=None)
     ratio = np.exp(np.log(errors["after"] / errors["before"]).mean()) if known else np.nan
-    seconds = sum(train.duration + _pause(plan, k) for k, train in enumerate(plan.trains))
     whole = [GOALS[name][0] for name in plan.goal if name in GOALS]
     others = [name for name in plan.goal if name not in GOALS]
     what = " and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])])
     tiles = [
-        (f"{number(seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
+        (f"{number(plan.seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
         (f"{len(rows)}", "manoeuvres, one after another"),
         (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre to leave the limits"),
         (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {text(what)} is left (geometric mean)"),
@@ -171,21 +170,22 @@ def _headline(plan: Plan) -> str:
 
 def _entry(plan: Plan) -> str:
     axes = list(dict.fromkeys(name for one in plan.trims for name in one.controls))
-    head = ["", *map(_heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes))]
+    head = ["", *map(_heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes)), "pause<br>[s]"]
+    pauses = plan.manoeuvres.groupby("train")["pause"].first()
     rows = [
         [
             _train(plan, k),
             *(_shown(name, getattr(one, name)) for name in ("airspeed", "altitude", "phi", "alpha", "theta")),
             *(_shown(name, one.controls.get(name, np.nan)) for name in axes),
+            number(pauses[k], ".1f"),
         ]
         for k, one in enumerate(plan.trims)
     ]
-    pause = f"{number(_pause(plan, 0), 'g')}{THIN}s"
     steps = (
-        f"<li>Trim at the values of the table, hands off, for {pause}.</li>"
+        "<li>Trim at the values of the table, hands off, for the pause.</li>"
         "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock.</li>"
         "<li>Leave the other controls at their trim while the inputs run: corrections spoil the measurement.</li>"
-        f"<li>Return to the trim, and hold it for {pause} before the next manoeuvre. Wait longer if airspeed and pitch "
+        "<li>Return to the trim, and hold it until the pause is over. Wait longer if airspeed and pitch "
         "are not back; the order may be interrupted between manoeuvres, not within one.</li>"
     )
     caption = "Trim, as the model expects it; deflections of the controls are positions, not deviations."
@@ -382,11 +382,6 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
         if shown
         else "It teaches nothing of the goal by itself."
     )
-
-
-def _pause(plan: Plan, train: int) -> float:
-    """Return the time at trim before and after each manoeuvre [s]."""
-    return float(plan.manoeuvres.loc[plan.manoeuvres["train"] == train, "start"].iloc[0])
 
 
 def _train(plan: Plan, k: int) -> str:

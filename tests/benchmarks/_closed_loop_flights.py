@@ -21,6 +21,7 @@ from skdgp.dynamics import Aircraft
 
 AXES = ("elevator", "aileron", "rudder")
 PAUSE = 3.0
+"""Between the manoeuvres of a first flight [s]."""
 WIND = {"calm": 0.0, "light": 7.7, "moderate": 15.0}
 """6 m above the ground [m/s]: MIL-F-8785C."""
 SETTLING, FRAMES = 10.0, 3  # s before a log of JSBSim; its steps per row
@@ -56,14 +57,14 @@ class Subject(NamedTuple):
     """Sorties, seconds, air and seed to logs."""
 
 
-def sortie(manoeuvres: Sequence[dict], limits: Any = None) -> Sortie:
+def sortie(manoeuvres: Sequence[dict], pause: float = PAUSE) -> Sortie:
     """Return manoeuvres one after another."""
-    busy, start = [], PAUSE
+    busy, start = [], pause
     for one in manoeuvres:
         end = start + max(signal.duration for signal in one.values())
         busy.append((start, end))
-        start = end + PAUSE
-    return Sortie(wavetrain(manoeuvres, pause=PAUSE, limits=limits), busy)
+        start = end + pause
+    return Sortie(wavetrain(manoeuvres, pause=pause), busy)
 
 
 def exploratory(subject: Subject, share: float = 0.5, stretch: float = 1.0) -> Sortie:

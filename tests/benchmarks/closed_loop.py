@@ -5,21 +5,29 @@
 An aircraft with known truth flies 60 s of inputs of half the limits in light turbulence. From this flight a linear
 trend is learned, and it flies 60 s more, after the same first flight and in gusts of its own:
 
-    plan          what `plan` chooses
+    plan, function plan
+                  what `plan` chooses for the derivatives, and for the function
+    ... by the truth
+                  the same, but simulated with the true aircraft, and as large as its mean allows in still air
     doublets, 3-2-1-1
                   of the modes' widths, one axis after another
     Schroeder, multisine
                   multisines of 10 s on all axes at once, with Schroeder's phases and with optimised ones
 
-All have the same limits of the axes, and each manoeuvre is as large as the check of `plan` allows in the same envelope.
-Controls are held during a manoeuvre, and an autopilot returns to the trim in the pause after it. A quadratic trend is
+All have the same limits of the axes and the same pauses, and each manoeuvre is as large as the check of `plan` allows
+in the same envelope. Controls are held during a manoeuvre, and an autopilot returns to the trim in the pause after it.
+A quadratic trend is
 fitted by least squares to the first flight and the first seconds of the second, as sensors saw them. Its errors:
 
     derivatives   at the trim, each times the range of its regressor over that of its coefficient, geometric mean of the
                   sizes, against the same trend fitted to the exact data of a flight in calm air
     function      NRMSE on that flight, mean over the coefficients
     ratio         seconds of the plan until its error is that of a classical input after all its time, over the seconds
-                  of that input until then; median over the seeds, inf if the plan does not get there
+                  of that input until then; median over the seeds, inf if the plan does not get there. The best input
+                  is that of the least error after all its time, seed by seed; the ratio of the errors after all the
+                  time stands beside it
+    floor         errors after all the time, as measured; with the rates that the aerodynamics feel, the true alpha and
+                  beta, all true regressors; and with the true coefficients too, where the polynomial alone is wrong
 
 The envelope is what was flown, and half of its range more at either end; no floor. Seeds whose first flight moved so
 little that gusts alone leave it have no second flight; they are left out.
@@ -37,7 +45,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from _closed_loop_flights import AXES, PAUSE, SUBJECTS, Sortie, Subject, exploratory, sortie
+from _closed_loop_flights import AXES, SUBJECTS, Sortie, Subject, exploratory, sortie
 from _common import finish, parser_of
 from _study_flights import NAMES, Log
 from sklearn.preprocessing import PolynomialFeatures
@@ -48,7 +56,6 @@ from skdgp._flight.channels import HAT, RATE_LENGTHS
 from skdgp.datasets._example_flights import MEASURED, measure
 from skdgp.design import (
     Envelope,
-    _plan,
     coefficient_noise,
     doublet,
     input_bands,
@@ -56,13 +63,18 @@ from skdgp.design import (
     orthogonal_multisines,
     three_two_one_one,
 )
-from skdgp.dynamics import SimulationWarning, aerodynamic_coefficients, as_aerodynamics, linearize
+from skdgp.design._planner import Planner
+from skdgp.dynamics import Aerodynamics, SimulationWarning, aerodynamic_coefficients, as_aerodynamics, linearize
 
 KEPT = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
 REGRESSORS = [name + HAT if name in RATE_LENGTHS else name for name in KEPT]
 COLUMNS = [NAMES.index(name) for name in KEPT]
+AIR_DATA, RATES = ([KEPT.index(name) for name in names] for names in (("alpha", "beta"), "pqr"))
 EXPLORED, CUTS, AIR = 60.0, 5.0, "light"
 KINDS = ("doublets", "3-2-1-1", "multisine", "Schroeder")
+BY_TRUTH = " by the truth"
+GOALS = {"plan": None, "function plan": ("function",)}
+PLANS = [name + how for name in GOALS for how in ("", BY_TRUTH)]
 WIDE = Envelope(bank=1.0, load_factor=(-np.inf, np.inf), airspeed=(0.0, np.inf), altitude=-np.inf, growth=0.5)
 ENVELOPE = Envelope(altitude=-np.inf, growth=1.0)
 """What was flown, and half of its range more at either end: gusts alone leave less after 60 s of level flight."""
@@ -93,10 +105,20 @@ class Truth(NamedTuple):
 
     def _trend(self, X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return scaled derivatives in the middle of the flight, and the function along it."""
-        middle, size, square = self.X.mean(axis=0), self.X.std(axis=0), PolynomialFeatures(2)
-        weights = np.linalg.lstsq(square.fit_transform((X - middle) / size), Y, rcond=None)[0]
-        slopes = weights[1 : 1 + len(size)].T / self.Y.std(axis=0)[:, None]
-        return slopes, square.transform((self.X - middle) / size) @ weights
+        weights = np.linalg.lstsq(self._terms(X), Y, rcond=None)[0]
+        slopes = weights[1 : 1 + X.shape[1]].T / self.Y.std(axis=0)[:, None]
+        return slopes, self._terms(self.X) @ weights
+
+    def _terms(self, X: np.ndarray) -> np.ndarray:
+        return PolynomialFeatures(2).fit_transform((X - self.X.mean(axis=0)) / self.X.std(axis=0))
+
+    def aerodynamics(self, learned: Aerodynamics) -> Aerodynamics:
+        """Return the true aircraft, as a planner that knows what was flown."""
+        weights = np.linalg.lstsq(self._terms(self.X), self.Y, rcond=None)[0]
+        return Aerodynamics(
+            lambda X: (self._terms(np.reshape(X, (-1, len(REGRESSORS)))) @ weights).reshape(*np.shape(X)[:-1], 6),
+            REGRESSORS, limits=learned.limits, flown=learned.flown,
+        )  # fmt: skip
 
 
 def seen(log: Log, seed: Any) -> pd.DataFrame:
@@ -121,27 +143,26 @@ def learned(table: pd.DataFrame, subject: Subject) -> Any:
         subject.aircraft,
         regressors=REGRESSORS,
         reconstruction="passthrough",
-        regressor=DependentGPRegressor(structure="trend", max_iter=10),
+        regressor=DependentGPRegressor(structure="trend", max_iter=10, random_state=0),
     )
     return model.fit(table, aerodynamic_coefficients(table, subject.aircraft))
 
 
-def planned(model: Any, subject: Subject, seconds: float, seed: int, n_paths: int) -> tuple[Any, Any]:
-    """Return the plan and its planner, which knows what is safe."""
-    planner = _plan._Planner(
-        as_aerodynamics(model), model, subject.aircraft, ENVELOPE, PAUSE, 40.0, n_paths, "as flown", "auto", seed
-    )
-    found = planner.plan(
-        np.array([subject.airspeed]), seconds, AXES, None, subject.limits, subject.altitude, (0.0,), None,
-        coefficient_noise(model), None,
+def planned(
+    model: Any, subject: Subject, seconds: float, seed: int, n_paths: int, noise: Any, known: Any = None
+) -> tuple[dict[str, Any], Any]:
+    """Return the plan for each goal, and their planner, which knows what is safe."""
+    planner = Planner(
+        model, subject.aircraft, airspeeds=subject.airspeed, seconds=seconds, axes=AXES, limits=subject.limits,
+        envelope=ENVELOPE, altitude=subject.altitude, known=known, noise=noise, rate=40.0, n_paths=n_paths, seed=seed,
     )  # fmt: skip
-    return found, planner
+    return {name: planner.search(goal) for name, goal in GOALS.items()}, planner
 
 
 def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
     """Return the classical inputs, each kind as large as the limits and the envelope allow, until the time is used."""
     bands = input_bands(linearize(planner.model, planner.aircraft, planner.trims[0], inputs=list(AXES)))
-    limits = planner.limits
+    limits, pause = planner.limits, planner.pauses[0]
     kinds: dict[str, list[dict]] = {}
     for name, make in (("doublets", doublet), ("3-2-1-1", three_two_one_one)):
         widths = {axis: bands.loc[axis, f"{make.__name__}_width"] for axis in AXES}
@@ -157,9 +178,9 @@ def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
     found = {}
     for name, manoeuvres in kinds.items():
         safe = [one for one in (_safe(planner, each) for each in manoeuvres) if one]
-        found[name], used = [], PAUSE
+        found[name], used = [], pause
         for one in itertools.cycle(safe) if safe else ():
-            used += max(signal.duration for signal in one.values()) + PAUSE
+            used += max(signal.duration for signal in one.values()) + pause
             if used > seconds:
                 break
             found[name].append(one)
@@ -167,8 +188,8 @@ def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
 
 
 def _safe(planner: Any, inputs: dict) -> dict | None:
-    made = planner._made(0, {"": inputs})
-    safe = planner._safe(made[0])[0] if made else None
+    made = planner.made(0, {"": inputs})
+    safe = planner.safe(made[0])[0] if made else None
     return None if safe is None else safe.inputs
 
 
@@ -183,27 +204,39 @@ def left(log: Log, one: Sortie, model: Any, subject: Subject) -> list[bool]:
     return [bool(out[(time >= start) & (time < end)].any()) for start, end in one.busy]
 
 
-def loop(subject: Subject, seed: int, seconds: float, n_paths: int) -> dict[str, Any]:
+def loop(subject: Subject, truth: Truth, seed: int, seconds: float, n_paths: int) -> dict[str, Any]:
     """Return what one seed flew: rows of every flight, and what was predicted."""
     watch = time.process_time()
-    first = seen(subject.fly([exploratory(subject)], EXPLORED, AIR, [seed, 0])[0], [seed, 0])
+    explored = subject.fly([exploratory(subject)], EXPLORED, AIR, [seed, 0])[0]
+    first = seen(explored, [seed, 0])
     model = learned(first, subject)
     took = {"learn": time.process_time() - watch}
     watch = time.process_time()
-    found, planner = planned(model, subject, seconds, seed, n_paths)
+    found, planner = planned(model, subject, seconds, seed, n_paths, coefficient_noise(model))
     took["plan"] = time.process_time() - watch
-    kinds = {"plan": _manoeuvres(found)} | classical(planner, seconds)
-    sorties = {name: sortie(one) for name, one in kinds.items() if one}
+    known = truth.aerodynamics(as_aerodynamics(model)), subject, seconds, seed, n_paths, planner.noise, planner.before
+    found |= {name + BY_TRUTH: one for name, one in planned(*known)[0].items()}
+    kinds = {name: _manoeuvres(one) for name, one in found.items()} | classical(planner, seconds)
+    sorties = {name: sortie(one, planner.pauses[0]) for name, one in kinds.items() if one}
     logs = dict(zip(sorties, subject.fly([*sorties.values()], seconds, AIR, [seed, 1]), strict=True))
     rows = {"explored": rows_of(first, subject)}
     rows |= {name: rows_of(seen(log, [seed, 1, k]), subject) for k, (name, log) in enumerate(logs.items())}
+    exact = {name: felt(log) for name, log in [("explored", explored), *logs.items()]}
     took["all"] = time.process_time() - watch + took["learn"]
     return {
-        "rows": rows, "took": took, "manoeuvres": found.manoeuvres, "errors": found.errors,
+        "rows": rows, "exact": exact, "took": took, "pause": planner.pauses[0],
+        "manoeuvres": {name: one.manoeuvres for name, one in found.items()},
         "left": {name: left(log, sorties[name], model, subject) for name, log in logs.items()},
         "scales": {name: [max(signal.peak / subject.limits[axis] for axis, signal in one.items()) for one in each]
                    for name, each in kinds.items()},
     }  # fmt: skip
+
+
+def felt(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Return the true regressors of a flight, with the rates that the aerodynamics feel, and coefficients."""
+    X = log.exact[:, COLUMNS].copy()
+    X[:, RATES] -= log.gust
+    return X, log.truth
 
 
 def _manoeuvres(found: Any) -> list[dict]:
@@ -244,8 +277,10 @@ def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, 
     """Return the median seconds of the plan to the last error of each classical input, over those of that input."""
     rows = []
     every = [found for found in every if {*KINDS} & {*found}]
-    for column, what in ((1, "derivatives"), (2, "function")):
-        row: dict[str, Any] = {"aircraft": name, "error of": what}
+    for plan in PLANS if every and PLANS[-1] in every[0] else PLANS[:1]:
+        what = "function" if plan.startswith("function") else "derivatives"
+        column = 2 if what == "function" else 1
+        row: dict[str, Any] = {"aircraft": name, "flight": plan, "error of": what}
         best = [min({*KINDS} & {*found}, key=lambda kind: found[kind][-1, column]) for found in every]
         for label, chosen in [*((kind, [kind] * len(every)) for kind in KINDS), ("the best of them", best)]:
             ratios = []
@@ -253,17 +288,18 @@ def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, 
                 if kind not in found:
                     continue  # not safe
                 error = found[kind][-1, column]
-                seconds = [max(CUTS, reached(found[flown], column, error)) for flown in ("plan", kind)]
+                seconds = [max(CUTS, reached(found[flown], column, error)) for flown in (plan, kind)]
                 ratios.append(seconds[0] / seconds[1])
-            row[f"over {label}"] = float(np.quantile(ratios, 0.5, method="nearest")) if ratios else None
-        rows.append(row | {"seeds": len(every)})
+            row[f"over {label}"] = float(np.median(ratios)) if ratios else None
+        errors = [found[plan][-1, column] / found[kind][-1, column] for found, kind in zip(every, best, strict=True)]
+        rows.append(row | {"error over that of the best": float(np.median(errors)), "seeds": len(every)})
     return rows
 
 
 def error_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
     """Return the median errors of each kind of flight after half and all of its time."""
     rows = []
-    for kind in ("plan", *KINDS):
+    for kind in (*PLANS, *KINDS):
         own = np.array([found[kind] for found in every if kind in found])
         if not len(own):
             continue  # not safe with any seed
@@ -279,9 +315,10 @@ def error_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, 
 
 def risk_rows(name: str, every: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the predicted and the found rate of manoeuvres that leave the envelope, of the plan and of all flights."""
-    predicted = np.concatenate([found["manoeuvres"]["risk"] for found in every])
-    left = np.concatenate([found["left"]["plan"] for found in every])
-    others = np.concatenate([one for found in every for kind, one in found["left"].items() if kind != "plan"] or [[]])
+    kinds = [kind for kind in GOALS if kind in every[0]["left"]]
+    predicted = np.concatenate([found["manoeuvres"][kind]["risk"] for found in every for kind in kinds])
+    left = np.concatenate([found["left"][kind] for found in every for kind in kinds])
+    others = np.concatenate([one for found in every for kind, one in found["left"].items() if kind in KINDS] or [[]])
     return [{
         "aircraft": name, "allowed %": 100.0 * ENVELOPE.risk, "predicted %": float(100.0 * predicted.mean()),
         "found %": float(100.0 * left.mean()), "manoeuvres": len(left),
@@ -289,6 +326,31 @@ def risk_rows(name: str, every: list[dict[str, Any]]) -> list[dict[str, Any]]:
         "their manoeuvres": len(others), "seeds": len(every),
         "median planning, CPU s": float(np.median([found["took"]["plan"] for found in every])),
     }]  # fmt: skip
+
+
+def floor_rows(name: str, every: list[dict[str, Any]], truth: Truth) -> list[dict[str, Any]]:
+    """Return the median errors after all the time, with the true values of more and more that was measured."""
+    rows = []
+    true = {"true rates of the air": RATES, "true alpha, beta": AIR_DATA, "all true": slice(None)}
+    for kind in ("plan", "plan" + BY_TRUTH):
+        errors = []
+        for found in every:
+            if kind not in found.get("exact", ()):
+                continue
+            X, Y = (np.concatenate([found["rows"][one][k] for one in ("explored", kind)]) for k in (1, 2))
+            exact, coefficients = (
+                np.concatenate([found["exact"][one][k] for one in ("explored", kind)]) for k in (0, 1)
+            )
+            tried = {"measured": (X, Y)}
+            for what, columns in true.items():
+                tried[what] = X.copy(), Y
+                tried[what][0][:, columns] = exact[:, columns]
+            tried["and coefficients"] = exact, coefficients
+            errors.append([truth.errors(*one) for one in tried.values()])
+        for column, what in enumerate(("derivatives", "function") if errors else ()):
+            values = np.median(errors, axis=0)[:, column].tolist()
+            rows.append({"aircraft": name, "flight": kind, "error of": what, **dict(zip(tried, values, strict=True))})
+    return rows
 
 
 def main(words: Any = None) -> None:
@@ -300,9 +362,10 @@ def main(words: Any = None) -> None:
     options = parser.parse_args(words)
     folder = options.out / "closed_loop" if options.out else None
     subjects = {} if options.smoke else {name: SUBJECTS[name]() for name in options.aircraft}
+    truths = {name: Truth.of(subject) for name, subject in subjects.items()}
     flown: dict[str, list] = {name: [] for name in subjects}
     for seed, name in itertools.product(range(options.seeds), subjects):
-        make = partial(loop, subjects[name], seed, options.seconds, options.paths)
+        make = partial(loop, subjects[name], truths[name], seed, options.seconds, options.paths)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
@@ -311,14 +374,14 @@ def main(words: Any = None) -> None:
             print(name, seed, error, flush=True)
             continue
         print(name, seed, flown[name][-1]["took"], flush=True)
-    truths = {name: Truth.of(subject) for name, subject in subjects.items()}
     if options.smoke:
         truths["toy"], flown["toy"] = toy()
-    tables: dict[str, list] = {"ratios": [], "errors": [], "risks": []}
+    tables: dict[str, list] = {"ratios": [], "errors": [], "floor": [], "risks": []}
     for name, every in flown.items():
         learning = [curves(found, truths[name]) for found in every]
         tables["ratios"] += ratio_rows(name, learning)
         tables["errors"] += error_rows(name, learning)
+        tables["floor"] += floor_rows(name, every, truths[name])
         tables["risks"] += risk_rows(name, every)
     finish(options, "closed_loop", **tables)
 
@@ -330,7 +393,7 @@ def toy() -> tuple[Truth, list[dict[str, Any]]]:
     Y = X @ rng.standard_normal((8, 6))
     noisy = Y + 0.1 * rng.standard_normal(Y.shape)
     rows = {kind: (clock, *one) for kind, *one in zip(("explored", "plan", "multisine"), X[1:], noisy[1:], strict=True)}
-    risks = {"manoeuvres": pd.DataFrame({"risk": [0.02]}), "left": {"plan": [False]}, "took": {"plan": 1.0}}
+    risks = {"manoeuvres": {"plan": pd.DataFrame({"risk": [0.02]})}, "left": {"plan": [False]}, "took": {"plan": 1.0}}
     return Truth.known(X[0], Y[0]), [risks | {"rows": rows}]
 
 

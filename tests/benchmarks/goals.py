@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from _closed_loop_flights import AXES, SUBJECTS, exploratory, sortie
+from _closed_loop_flights import AXES, PAUSE, SUBJECTS, exploratory, sortie
 from _common import finish, parser_of
 from closed_loop import AIR, EXPLORED, WIDE, Truth, _manoeuvres, learned, rows_of, seen
 from study import kept
@@ -35,7 +35,7 @@ def run(subject: Any, truth: Truth, seed: int) -> dict[str, dict[str, float]]:
     model = learned(first, subject)
     make = partial(
         plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=EXPLORED, axes=list(AXES), rate=40.0,
-        limits=subject.limits, altitude=subject.altitude, envelope=WIDE,
+        limits=subject.limits, altitude=subject.altitude, envelope=WIDE, pause=PAUSE,
         noise=flight_noise(model, first, subject.aircraft),
     )  # fmt: skip
     plans = {name: make(goal=goal) for name, goal in GOALS.items()}

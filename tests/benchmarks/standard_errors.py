@@ -16,6 +16,9 @@ squares; predicted is their standard error, found their standard deviation. Colu
     regressors as flown
                   by the regressors of the flights
 
+A second table has what no noise is: of the residuals of the first flight in calm air, at the frequencies of its motion,
+the share of the power that stays the same when the same flight is recorded with other noise of the sensors.
+
 An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.
 """
 
@@ -32,6 +35,7 @@ import pandas as pd
 from _closed_loop_flights import AXES, PAUSE, SUBJECTS, Subject, exploratory, sortie
 from _common import finish, parser_of
 from closed_loop import REGRESSORS, WIDE, _manoeuvres, learned, rows_of, seen
+from scipy.linalg import orth
 from sklearn.preprocessing import PolynomialFeatures
 from study import kept
 
@@ -40,7 +44,7 @@ from skdgp.design import Information, coefficient_noise, expected_information, p
 from skdgp.dynamics import SimulationWarning
 from skdgp.identification import flight_noise
 
-SECONDS, EVERY, DRAWS = 60.0, 2, 20
+SECONDS, EVERY, DRAWS, RECORDED = 60.0, 2, 20, 8
 PLAN = "and entries (plan)"
 AIR = ("calm", "moderate")
 GROWTH = (0.5, 1.0, 2.0)
@@ -57,6 +61,7 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     make = partial(
         plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=SECONDS, axes=list(AXES),
         limits=subject.limits, altitude=subject.altitude, rate=40.0, known=nothing, curvature=True,
+        pause=PAUSE,
     )  # fmt: skip
     for growth in GROWTH:
         try:
@@ -102,6 +107,28 @@ def scatter(rows: list[Any], about: np.ndarray) -> np.ndarray:
     return np.std(slopes, axis=0, ddof=1)
 
 
+def repeated(name: str, subject: Subject) -> dict[str, Any]:
+    """Return the share of the power of residuals that does not change with the noise of the sensors."""
+    (log,) = subject.fly([exploratory(subject)], SECONDS, "calm", [0, 0])
+    found, moved = [], 0.0
+    for k in range(RECORDED):
+        _, X, Y = rows_of(seen(log, [k, 5]), subject)
+        terms = [
+            orth(PolynomialFeatures(degree).fit_transform((X - X.mean(axis=0)) / X.std(axis=0))) for degree in (1, 2)
+        ]
+        found.append(Y - terms[1] @ (terms[1].T @ Y))
+        moved = moved + power(terms[0]).sum(axis=1) / RECORDED
+    whole = np.mean([moved @ power(one) for one in found], axis=0)
+    mean = moved @ power(np.mean(found, axis=0))
+    share = (mean - whole / RECORDED) / (1 - 1 / RECORDED) / whole
+    return {"aircraft": name} | {one: f"{100 * x:.0f} %" for one, x in zip(COEFFICIENTS, share, strict=True)}
+
+
+def power(values: np.ndarray) -> np.ndarray:
+    """Return the squared Fourier transform of each column."""
+    return np.abs(np.fft.rfft(values, axis=0)) ** 2
+
+
 def toy() -> dict[str, Any]:
     """Return errors without a flight: does the script make its tables?"""
     rng = np.random.default_rng(0)
@@ -143,6 +170,7 @@ def main(words: Any = None) -> None:
         "standard_errors",
         summary=[summary(*key, found) for key, found in cases.items()],
         by_coefficient=[by_coefficient(*key, found) for key, found in cases.items()],
+        repeated=[] if options.smoke else [repeated(name, SUBJECTS[name]()) for name in options.aircraft],
     )
 
 

@@ -374,7 +374,7 @@ class TestDerivatives:
 
 
 class TestPlan:
-    WORDS = ("--airspeed", "35", "--seconds", "8", "--axes", "rudder", "--altitude", "300", "--gusts", "none")
+    WORDS = ("--airspeed", "35", "--seconds", "10", "--axes", "rudder", "--altitude", "300", "--gusts", "none")
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
         more = (
@@ -395,7 +395,7 @@ class TestPlan:
         assert files(tmp_path / "out") == names
         table = pd.read_csv(tmp_path / "out" / "plan.csv")
         assert table["rudder"].abs().max() <= 0.1
-        assert table["time"].iloc[-1] + 3.0 <= said["seconds"] + 0.02 <= 8.02
+        assert table["time"].iloc[-1] + 3.0 <= said["seconds"] + 0.02 <= 10.02
         assert json.loads((tmp_path / "out" / "plan.json").read_text()) == said
         assert said["errors"]["Cn_rudder"]["after"] < said["errors"]["Cn_rudder"]["before"]
         assert said["errors"]["function"]["after"] < said["errors"]["function"]["before"]

@@ -17,7 +17,7 @@ QUICK = {
     "identify": ["--samples", "40", "--max-iter", "2", "--latents", "1"],
     "simulate": ["--duration", ".2", "--paths", "2"],
     "derivatives": ["--paths", "4"],
-    "plan": ["--seconds", "8", "--axes", "rudder", "--limits", "rudder=0.1", "--growth", "2", "--paths", "20"],
+    "plan": ["--seconds", "10", "--axes", "rudder", "--limits", "rudder=0.1", "--growth", "2", "--paths", "20"],
 }
 
 

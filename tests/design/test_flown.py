@@ -27,9 +27,9 @@ def plan(uav):
         duration = max(signal.duration for signal in inputs.values())
         sampled = {axis: signal(np.arange(0, duration + STEP, STEP)).tolist() for axis, signal in inputs.items()}
         expected = {quantity: {"low": -0.2, "high": 0.3} for quantity in QUANTITIES}
-        rows.append({"name": name, "duration": duration, "inputs": sampled, "expected": expected})
+        rows.append({"name": name, "duration": duration, "pause": 2.0, "inputs": sampled, "expected": expected})
     return {
-        "aircraft": uav.to_dict(), "at": dict.fromkeys(REGRESSORS, 0.0), "pause": 2.0, "manoeuvres": rows,
+        "aircraft": uav.to_dict(), "at": dict.fromkeys(REGRESSORS, 0.0), "manoeuvres": rows,
         "limits": {"alpha": {"low": None, "high": 0.25}}
         | {name: {"low": -0.5, "high": 0.5} for name in ("growth of elevator", "growth of bank")},
         "errors": {"Cm_elevator": {"before": 0.05, "after": 0.02}},

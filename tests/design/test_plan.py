@@ -11,14 +11,18 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.design import (
     Envelope,
     Information,
+    Limits,
     _goals,
-    _plan,
+    _library,
     doublet,
     expected_information,
     plan,
     posterior_information,
 )
-from skdgp.dynamics import Aerodynamics, Turbulence, simulate, trim
+from skdgp.design._plan import errors_of
+from skdgp.design._planner import pause_of
+from skdgp.design._rehearsal import Hold, Rehearsal
+from skdgp.dynamics import Aerodynamics, Turbulence, linearize, simulate, trim
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 # Coefficients CX ... Cn by 1 and the regressors; lift and drag are linear here.
@@ -101,10 +105,31 @@ def test_expected_errors_are_those_of_the_whole_flight(planned, model, uav):
 
 def test_the_time_is_kept_and_nothing_alone_teaches_more(planned):
     found, _ = planned
-    assert found.trains[0].duration + 3.0 <= 15.0
+    assert found.trains[0].duration + 3.0 == pytest.approx(found.seconds)
+    assert found.seconds <= 15.0
     assert found.trains[0].table(50.0)["elevator"].abs().max() <= 0.06
     checked = found.alone[found.alone["risk"].notna()]
     assert 1 - np.prod(1 - found.manoeuvres["gain"]) >= checked["gain"].max() - 1e-6
+
+
+@pytest.mark.parametrize("airspeed", [30.0, 60.0])
+def test_the_pause_is_a_quarter_of_the_phugoid(uav, airspeed):
+    """Of an aircraft that keeps its angle of attack, as Lanchester's does."""
+    table = TABLE.copy()
+    table[4, 1] *= 20
+    stable = Aerodynamics(lambda X: features(X) @ table.T, NAMES)
+    phugoid = linearize(stable, uav, trim(stable, uav, airspeed)).modes().loc["phugoid", "period"]
+    assert pause_of(airspeed) == pytest.approx(phugoid / 4, rel=0.15)
+    assert pause_of(10.0) == 3.0
+
+
+def test_the_response_counts_for_three_seconds_of_a_longer_pause(model, uav, monkeypatch):
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    found = plan(model, uav, seconds=22.0, bands=BANDS, pause=8.0, goal=["Cm_q"], **AXES)
+    row = found.manoeuvres.iloc[0]
+    assert (row["start"], row["pause"]) == (8.0, 8.0)
+    assert found.flight["time"].max() == pytest.approx(found.manoeuvres["duration"].max() + 3.0, abs=0.04)
+    assert found.seconds <= 22.0
 
 
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
@@ -144,13 +169,11 @@ def test_the_posterior_is_the_information_of_a_linear_model(model):
 
 
 def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
-    planner = _plan._Planner(model, model, uav, Envelope(), 1.0, 50.0, 20, None, "auto", 0)
-    planner.trims, several = (
-        [trim(model, uav, 20.0)],
-        [{"elevator": doublet(0.3, 0.02)}, {"elevator": doublet(0.5, 0.01)}],
-    )
-    for beside, one in zip(planner._flown_by(0, several), several, strict=True):
-        (alone,) = planner._flown_by(0, [one])
+    limits = {"elevator": Limits(0.06)}
+    rehearsal = Rehearsal(model, uav, trim(model, uav, 20.0), limits, Envelope(), 50.0, 1.0, 20, None, "auto", 0)
+    several = [{"elevator": doublet(0.3, 0.02)}, {"elevator": doublet(0.5, 0.01)}]
+    for beside, one in zip(rehearsal.flown(several), several, strict=True):
+        (alone,) = rehearsal.flown([one])
         np.testing.assert_allclose(beside[alone.columns.drop("flight")].select_dtypes(float),
                                    alone.select_dtypes(float), atol=1e-9)  # fmt: skip
 
@@ -158,7 +181,7 @@ def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
 def test_a_scale_fits_into_the_room_of_the_envelope():
     low, high = np.full((3, 2), 0.2), np.array([[0.1, np.inf]] * 3)
     for margin in (0.0, 0.25):
-        hold = _plan._Hold(pd.DataFrame(), np.zeros((3, 2)), low, high, np.full(2, margin))
+        hold = Hold(np.zeros((3, 2)), low, high, np.full(2, margin))
         assert (1 + margin) * hold.room(np.array([[0.0, 0.0], [0.05, 9.0]])) == pytest.approx(2.0)
         assert (1 + margin) * hold.room(np.array([[-0.8, 0.0], [0.05, 0.0]])) == pytest.approx(0.25)
 
@@ -203,16 +226,16 @@ def test_ctrl_c_keeps_what_was_checked(model, uav):
 
 def test_the_goal_decides_what_is_learned_best(model, uav, monkeypatch):
     """A plan for the function lowers its expected error more than a plan for a derivative, and the reverse."""
-    monkeypatch.setattr(_plan, "WIDTHS", (1.0,))  # few candidates, for time
-    monkeypatch.setattr(_plan, "MULTISINES", ())
+    monkeypatch.setattr(_library, "WIDTHS", (1.0,))  # few candidates, for time
+    monkeypatch.setattr(_library, "MULTISINES", ())
     axes = {"elevator": 0.06, "aileron": 0.06}
     options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
     options |= {"seconds": 14.0, "noise": NOISE.set_axis(["Cl", "Cm"])}
     plans = {goal: plan(model, uav, **options, goal=[goal]) for goal in ("function", "Cm_q")}
     weights = plans["function"].weights["function"]
-    errors = pd.DataFrame(
-        {asked: _plan.errors_of(one.after, {"function": weights}) for asked, one in plans.items()}
-    ).loc[["function", "Cm_q"]]
+    errors = pd.DataFrame({asked: errors_of(one.after, {"function": weights}) for asked, one in plans.items()}).loc[
+        ["function", "Cm_q"]
+    ]
     assert errors.loc["function", "function"] < 0.99 * errors.loc["function", "Cm_q"]
     assert errors.loc["Cm_q", "Cm_q"] < 0.99 * errors.loc["Cm_q", "function"]
     assert plans["function"].errors.loc["function", "after"] == pytest.approx(errors.loc["function", "function"])
@@ -272,7 +295,7 @@ def test_what_cannot_be_planned_is_said(model, uav, changed, words):
     ],
 )
 def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch, axis, channel, flown, given):
-    monkeypatch.setattr(_plan, "MULTISINES", ())  # for time
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
     narrow = copy(model)
     narrow.flown = FLOWN | {channel: flown}
     options = AXES | {"axes": [axis], "limits": {axis: 0.12}, "bands": BANDS.set_axis([axis])}
@@ -327,8 +350,8 @@ def test_limits_are_what_was_flown(model, uav):
 
 def test_pitch_rate_is_told_from_alpha_dot_in_a_turn(uav, monkeypatch):
     """In level flight the two differ by the slow turn of the flight path alone; here the bank angle changes."""
-    monkeypatch.setattr(_plan, "WIDTHS", (2.5,))  # few candidates, for time
-    monkeypatch.setattr(_plan, "MULTISINES", ())
+    monkeypatch.setattr(_library, "WIDTHS", (2.5,))  # few candidates, for time
+    monkeypatch.setattr(_library, "MULTISINES", ())
     table = np.column_stack([TABLE, [0, 0, 0, 0, -3, 0]])
     model = Aerodynamics(lambda X: features(X) @ table.T, [*NAMES, "alpha_dot_hat"])
     axes = {"elevator": 0.12, "aileron": 0.12}

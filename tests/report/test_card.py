@@ -33,7 +33,8 @@ def plan():
     train = wavetrain([pulse, sines, pulse], pause=PAUSE)
     rows = pd.DataFrame({
         "train": 0, "airspeed": 20.0, "start": [2.0, 5.0, 12.0], "name": ["pulse", "sines", "pulse"],
-        "duration": [1.0, 5.0, 1.0], "scale": [1.0, 0.5, 1.0], "risk": [0.03, 0.016, 0.03], "gain": [0.5, 0.2, 0.1],
+        "duration": [1.0, 5.0, 1.0], "pause": PAUSE, "scale": [1.0, 0.5, 1.0], "risk": [0.03, 0.016, 0.03],
+        "gain": [0.5, 0.2, 0.1],
     })  # fmt: skip
     time = np.arange(0.0, 3.0, 0.04)
     one = pd.DataFrame({name: 0.01 * np.sin(time) for name in ("alpha", "beta", "phi", "q", "elevator", "rudder")})

@@ -1,0 +1,538 @@
+"""The next flight: manoeuvres that teach most about a goal, and stay in an envelope."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, cast
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from sklearn.utils import check_random_state
+
+from skdgp._compute.progress import notify
+from skdgp._compute.threads import one_blas_thread
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.checks import check_names
+from skdgp.design._bands import input_bands
+from skdgp.design._envelope import OPTIONS, Envelope, flown_quantities, with_band
+from skdgp.design._goals import WHOLE, check_goal, goal_weights
+from skdgp.design._information import (
+    Information,
+    coefficient_noise,
+    expected_information,
+    noise_table,
+    posterior_information,
+    regressors_of,
+)
+from skdgp.design._library import Inputs, duration_of, library, moves, scaled
+from skdgp.design._plan import Plan
+from skdgp.design._rehearsal import LEAST, RESPONSE, Rehearsal
+from skdgp.design._signals import Limits
+from skdgp.design._wavetrain import wavetrain
+from skdgp.dynamics import (
+    Aircraft,
+    SimulationWarning,
+    Trim,
+    Turbulence,
+    as_aerodynamics,
+    linearize,
+    trim,
+)
+from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
+
+ENTRIES = 12
+"""Number of aircraft and entries drawn, over which the information of a manoeuvre is averaged."""
+SHRINK = 0.85
+"""Factor by which a manoeuvre is made smaller until it is safe."""
+VAGUE = 1e-8
+"""Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
+
+
+def plan(
+    model: Any,
+    aircraft: Aircraft,
+    *,
+    airspeeds: ArrayLike,
+    seconds: float,
+    axes: Sequence[str],
+    goal: Sequence[str] | None = None,
+    limits: Mapping[str, Limits | float] | None = None,
+    envelope: Envelope | None = None,
+    altitude: float | None = None,
+    banks: Sequence[float] = (0.0,),
+    gusts: Turbulence | Literal["as flown"] | None = "as flown",
+    known: Information | None = None,
+    noise: pd.DataFrame | Mapping[str, float] | None = None,
+    bands: pd.DataFrame | None = None,
+    curvature: bool = False,
+    pause: float | Literal["auto"] = "auto",
+    rate: float = 50.0,
+    n_paths: int = 60,
+    thrust: Any = "auto",
+    detents: Mapping[str, float] | None = None,
+    random_state: Seed = 0,
+) -> Plan:
+    r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
+
+    The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
+    Each is simulated from a trim with the mean of the model. Its information (`expected_information`) adds to what is
+    known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the errors of
+    the goal; then each is exchanged while that helps.
+
+    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own, from an entry beside
+    the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held controls 2 % of their limits). The
+    response of the mean counts the ``margin`` of the envelope more: slopes learned in gusts err by more than the
+    posterior says. If K of N leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of
+    succession). A manoeuvre is as large as limits and allowed risk let it be, or left out, and the choice is made
+    again. Controls are open loop during a manoeuvre; the pilot or the autopilot returns to the trim in the pause after
+    it.
+
+    Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
+
+    Parameters
+    ----------
+    model : Pipeline, estimator or Aerodynamics
+        As for :func:`skdgp.dynamics.as_aerodynamics`. Without a posterior only its mean is checked.
+    aircraft : Aircraft
+    airspeeds : float or array-like
+        Of the trims [m/s].
+    seconds : float
+        Of all flights together, pauses included.
+    axes : sequence of str
+        Controls to move, such as ``["elevator", "aileron", "rudder"]``.
+    goal : sequence of str, optional
+        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional; "function": the
+        error of the six coefficients over the flown range of the regressors, each in units of its spread there;
+        "free-flight": the deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all
+        derivatives.
+    limits : mapping of str to Limits or float, optional
+        Of the axes; by default the deviation from trim that the model was learned from.
+    envelope : Envelope, optional
+        By default that which was flown, and a fifth more; no lower than was flown.
+    altitude : float, optional
+        [m]; by default the highest that was flown, or 100 m if the model does not know it. More gives more room.
+    banks : sequence of float, default=(0.0,)
+        Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
+    gusts : Turbulence, "as flown" or None
+        Of the check. "as flown": that of the training flights, or calm air, with a warning, if the model does not know
+        it.
+    known : Information, optional
+        Of earlier flights; by default that of the model's posterior at the trims.
+    noise : DataFrame or mapping, optional
+        As for `expected_information`; by default `coefficient_noise` of the model.
+    bands : DataFrame, optional
+        As `input_bands` returns, for a model without recognisable modes.
+    curvature : bool, default=False
+        Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
+        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air. False:
+        coefficients are linear.
+    pause : float or "auto"
+        At the trim before and after each manoeuvre [s], of which 3 s after it count as response. "auto": a quarter of
+        the phugoid's period, in which the airspeed returns, and at least 3 s. The period is Lanchester's, of the
+        airspeed alone: :math:`\sqrt{2} \pi V / g`.
+    rate : float, default=50.0
+        Of the autopilot [Hz].
+    n_paths : int, default=60
+        Aircraft drawn for each check.
+    thrust
+        As for :func:`skdgp.dynamics.simulate`.
+    detents : mapping of str to float, optional
+        Of all axes [rad, or 1 of the throttle]: a pilot flies. The library then holds only steps, whose times are half
+        seconds and whose levels are multiples of these.
+    random_state : int, RandomState instance or None, default=0
+        Of the draws.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ValueError
+        If there is no trim, the trim has not an axis, the model has not a regressor of the goal or did not see it move,
+        no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
+
+    Warns
+    -----
+    UserWarning
+        If the model does not know the turbulence of its flights, and none is given; or if it does not know the range
+        of a quantity that the envelope does not limit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.design import plan
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft
+    >>> def linear(X):
+    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
+    ...     lift = 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
+    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
+    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
+    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    >>> found = plan(Aerodynamics(linear, names), aircraft, airspeeds=20.0, seconds=16.0, axes=["elevator"],
+    ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, noise={"Cm": 0.004})
+    >>> found.manoeuvres["name"].tolist()
+    ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
+    """
+    with one_blas_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
+        seed = int(check_random_state(random_state).randint(2**31 - 1))
+        planner = Planner(
+            model, aircraft, airspeeds=airspeeds, seconds=seconds, axes=axes, limits=limits, envelope=envelope,
+            altitude=altitude, banks=banks, gusts=gusts, known=known, noise=noise, bands=bands, curvature=curvature,
+            pause=pause, rate=rate, n_paths=n_paths, thrust=thrust, detents=detents, seed=seed, goal=goal,
+        )  # fmt: skip
+        return planner.search(goal)
+
+
+def pause_of(airspeed: float) -> float:
+    """Return the time that an aircraft needs to be back at its trim: see `plan` [s]."""
+    return max(RESPONSE, np.pi * airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
+
+
+@dataclass(frozen=True, eq=False)
+class Manoeuvre:
+    """A manoeuvre of the library, from one of the trims."""
+
+    name: str
+    at: int
+    full: Inputs
+    """As large as the limits allow."""
+    inputs: Inputs
+    pause: float
+    information: Information
+    flight: pd.DataFrame
+    scale: float = 1.0
+    risk: float | None = None
+    """None: not checked."""
+
+    @property
+    def seconds(self) -> float:
+        """Of the manoeuvre and the pause after it [s]."""
+        return duration_of(self.full) + self.pause
+
+
+class Planner:
+    """Trims, manoeuvres and risks of the flights that may be planned; its options are those of `plan`."""
+
+    def __init__(
+        self, model, aircraft, *, airspeeds, seconds, axes, limits=None, envelope=None, altitude=None, banks=(0.0,),
+        gusts="as flown", known=None, noise=None, bands=None, curvature=False, pause="auto", rate=50.0, n_paths=60,
+        thrust="auto", detents=None, seed=0, goal=None,
+    ) -> None:  # fmt: skip
+        self.model, self.aircraft, self.thrust, self.seed = model, aircraft, thrust, seed
+        self.aerodynamics = as_aerodynamics(model)
+        self.envelope, self.detents, self.seconds = envelope or Envelope(), detents or {}, float(seconds)
+        gusts = self._checked_gusts(gusts)
+        self._check_ranges()
+        self._check_paths(n_paths)
+        self.noise = noise_table(coefficient_noise(model) if noise is None else noise)
+        self.coefficients = list(map(str, self.noise.index))
+        check_goal(goal, self.aerodynamics, self.coefficients)
+        notify("planning: trims", 0, 0.0)
+        self.trims = self._trims(np.atleast_1d(np.asarray(airspeeds, dtype=float)), altitude, banks)
+        for point in self.trims:
+            check_names(axes, point.controls, "controls of the trim")
+        self.limits = self._checked_limits(list(axes), limits)
+        self.pauses = [pause_of(point.airspeed) if pause == "auto" else float(pause) for point in self.trims]
+        self.rehearsals = [
+            Rehearsal(
+                model, aircraft, point, self.limits, self.envelope, rate, min(RESPONSE, wait), n_paths, gusts, thrust,
+                seed,
+            )
+            for point, wait in zip(self.trims, self.pauses, strict=True)
+        ]  # fmt: skip
+        names = self.aerodynamics.regressors
+        at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
+        self.before = self._known(known, at)
+        self.about = at if curvature else None
+        self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
+        if not self.library:
+            raise ValueError(
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {min(self.pauses):.3g} s is that short and "
+                "can be flown: give more seconds, a shorter pause, smaller limits or smaller detents."
+            )
+        peak = np.max([np.einsum("pdd->pd", one.information.fisher) for one in self.library.values()], axis=0)
+        self.vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
+        self.vague += (self._nothing(self.vague) + self.before).fisher  # the sum has the shape with curvature
+
+    def search(self, goal: Sequence[str] | None) -> Plan:
+        """Return the plan for a goal; checked manoeuvres stay in the library, for another goal."""
+        self.goal_names = check_goal(goal, self.aerodynamics, self.coefficients)
+        weights = goal_weights(
+            self.goal_names, self.aerodynamics, self.aircraft, self.trims, self.coefficients, self.thrust
+        )
+        self.goal = np.stack([value.ravel() for value in weights.values()])
+        self.weights = {name: value for name, value in weights.items() if name in WHOLE}
+        return self._plan_of(self._searched())
+
+    def _checked_gusts(self, gusts: Turbulence | Literal["as flown"] | None) -> Turbulence | Literal["as flown"] | None:
+        if gusts != "as flown" or self.aerodynamics.turbulence is not None:
+            return gusts
+        if self.aerodynamics.is_uncertain:
+            warnings.warn(
+                "The model does not know the turbulence of its flights, so risks are those of calm air. Give "
+                "gusts=Turbulence.low_altitude(height, wind_at_6m).",
+                UserWarning,
+                stacklevel=4,
+            )
+        return None
+
+    def _check_ranges(self) -> None:
+        if (free := self.envelope.unlimited(self.aerodynamics)) and self.aerodynamics.is_uncertain:
+            options = ", ".join(OPTIONS[name] for name in free)
+            warnings.warn(
+                f"The model does not know the flown range of {', '.join(free)}, so nothing limits them: a manoeuvre "
+                f"may turn the aircraft over or dive. Limit them by the envelope ({options}), or fit the model again.",
+                UserWarning,
+                stacklevel=4,
+            )
+
+    def _check_paths(self, n_paths: int) -> None:
+        if self.aerodynamics.is_uncertain and 1 / (n_paths + 2) > self.envelope.risk:
+            raise ValueError(
+                f"Got n_paths={n_paths}, too few to show a risk of {self.envelope.risk:g}, but expected at least "
+                f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
+            )
+
+    def _trims(self, airspeeds: Array, altitude: float | None, banks: Sequence[float]) -> list[Trim]:
+        if altitude is None:
+            altitude = flown_quantities(self.aerodynamics).get("altitude", (0.0, 100.0))[1]
+        level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
+        return [
+            cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
+            for speed in airspeeds
+            for bank in banks
+        ]
+
+    def _nothing(self, fisher: Array) -> Information:
+        """Return no information, in the shape of some."""
+        return Information(np.zeros(fisher.shape), tuple(self.coefficients), tuple(self.aerodynamics.regressors))
+
+    def _checked_limits(self, axes: list[str], limits: Mapping[str, Limits | float] | None) -> dict[str, Limits]:
+        """Return the limits of the axes; by default what the model was learned from."""
+        check_names(limits or (), axes, "axes")
+        given = {axis: one if isinstance(one, Limits) else Limits(one) for axis, one in (limits or {}).items()}
+        if self.detents:  # a pilot's ramps are his own
+            check_names(axes, self.detents, "axes with detents")
+            given = {axis: Limits(one.amplitude) for axis, one in given.items()}
+        return {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in axes}
+
+    def _flown(self, axis: str) -> float:
+        """Return the largest deviation from the trims that was flown to both sides."""
+        flown = self.aerodynamics.limits
+        if flown is None or axis not in self.aerodynamics.regressors:
+            raise ValueError(
+                f"Got no limit of the {axis}, and the model does not say what was flown: give limits={{{axis!r}: ...}}."
+            )
+        low, high = flown[:, self.aerodynamics.regressors.index(axis)]
+        values = [point.controls[axis] for point in self.trims]
+        room = min(min(value - low, high - value) for value in values)
+        if not room > 0:
+            raise ValueError(
+                f"Got trims with the {axis} at {values[0]:.3g}, outside what the model was learned from ({low:.3g} to "
+                f"{high:.3g}): choose another airspeed, or give limits={{{axis!r}: ...}}."
+            )
+        return float(room)
+
+    def _known(self, known: Information | None, at: Array) -> Information:
+        """Return the information before the flight."""
+        n = 1 + len(self.aerodynamics.regressors)
+        nothing = self._nothing(np.zeros((len(self.coefficients), n, n)))
+        if known is not None:
+            return nothing + known  # which checks names
+        if not self.aerodynamics.is_uncertain:
+            return nothing
+        return posterior_information(self.model, at, self.coefficients)
+
+    def _information(self, flight: pd.DataFrame) -> Information:
+        """Return what a simulated flight will tell."""
+        return expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise, about=self.about)
+
+    def _entered_information(self, one: Manoeuvre) -> Information:
+        """Return what a manoeuvre teaches on average over aircraft and entries that are drawn, in still air."""
+        n = ENTRIES if self.aerodynamics.is_uncertain else 1
+        flown = self.rehearsals[one.at].drawn(one.inputs, n)
+        found = self._information(flown[flown["ended"] == ""])
+        return replace(found, fisher=found.fisher / n)
+
+    def _bands(self, at: int, bands: pd.DataFrame | None) -> pd.DataFrame:
+        """Return widths and frequencies of the inputs of a trim."""
+        axes = list(self.limits)
+        if bands is None:
+            bands = input_bands(linearize(self.model, self.aircraft, self.trims[at], inputs=axes, thrust=self.thrust))
+        return bands.loc[axes]
+
+    def _label(self, at: int) -> str:
+        """Return what tells a trim from the others."""
+        point, label = self.trims[at], ""
+        if len({one.airspeed for one in self.trims}) > 1:
+            label += f"{point.airspeed:g} m/s: "
+        if len({round(one.phi, 3) for one in self.trims}) > 1:
+            label += f"bank {np.rad2deg(point.phi):.0f} deg: "
+        return label
+
+    def _library(self, at: int, bands: pd.DataFrame | None) -> list[Manoeuvre]:
+        """Return the manoeuvres that fit into the time and can be flown by the mean."""
+        notify(f"planning: {self._label(at)}library", 0, 0.0)
+        return self.made(at, dict(library(self._bands(at, bands), self.limits, self.detents, self.seed)))
+
+    def made(self, at: int, named: Mapping[str, Inputs]) -> list[Manoeuvre]:
+        """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
+        pause = self.pauses[at]
+        named = {name: one for name, one in named.items() if duration_of(one) + 2 * pause <= self.seconds}
+        scales: dict[str, float] = {}
+        for factor in (1.0, 0.5, LEAST):
+            rest = {name: self._scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
+            for name, flight in self._flights(at, rest).items():
+                scales[name] = float(np.clip(factor * self.rehearsals[at].room(flight), LEAST, 1.0))
+        found = []
+        inputs = {name: self._scaled(named[name], scale) for name, scale in scales.items()}
+        for name, flight in self._flights(at, {name: one for name, one in inputs.items() if moves(one)}).items():
+            facts = inputs[name], pause, self._information(flight), flight, scales[name]
+            found.append(Manoeuvre(self._label(at) + name, at, named[name], *facts))
+        return found
+
+    def _scaled(self, inputs: Inputs, factor: float) -> Inputs:
+        return scaled(inputs, factor, self.detents)
+
+    def _flights(self, at: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
+        """Return the flights of those manoeuvres that the mean flies to their end."""
+        if not named:
+            return {}
+        flown = zip(named, self.rehearsals[at].flown([*named.values()]), strict=True)
+        return {name: flight for name, flight in flown if (flight["ended"] == "").all()}
+
+    def _gain(self, chosen: Sequence[Manoeuvre]) -> float:
+        """Return the mean of minus the logarithm of the errors of the goal."""
+        fisher = self.vague
+        for one in chosen:
+            fisher = fisher + one.information.fisher
+        scale = np.sqrt(np.einsum("pdd->pd", fisher))
+        n = 1 + len(self.aerodynamics.regressors)
+        covariance = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])[:, :n, :n]
+        covariance = covariance / scale[:, :n, None] / scale[:, None, :n]
+        return float(-0.5 * np.mean(np.log(self.goal @ covariance.ravel())))
+
+    def _fits(self, chosen: Sequence[Manoeuvre]) -> bool:
+        first = sum(self.pauses[at] for at in {one.at for one in chosen})
+        return first + sum(one.seconds for one in chosen) <= self.seconds + 1e-9
+
+    def _filled(self, chosen: list[Manoeuvre], library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
+        """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
+        while options := [one for one in library if self._fits([*chosen, one])]:
+            now = self._gain(chosen)
+            chosen = [*chosen, max(options, key=lambda one: (self._gain([*chosen, one]) - now) / one.seconds)]
+        return chosen
+
+    def _sequence(self, library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
+        """Return the best sequence that is found: greedy, or one repeated, with exchanges while they help."""
+        starts = [self._filled([], library), *(self._filled([], [one]) for one in library)]
+        best = self._filled(max(starts, key=self._gain), library)
+        while True:
+            swaps = [
+                self._filled([*best[:k], one, *best[k + 1 :]], [])
+                for k in range(len(best))
+                for one in library
+                if one is not best[k] and self._fits([*best[:k], one, *best[k + 1 :]])
+            ]
+            better = self._filled(max(swaps, key=self._gain), library) if swaps else best
+            if self._gain(better) <= self._gain(best) + 1e-6:
+                return best
+            best = better
+
+    def _searched(self) -> list[Manoeuvre]:
+        """Return the chosen manoeuvres, all of them safe."""
+        library, causes = self.library, ""
+        try:
+            while chosen := self._sequence([*library.values()]):
+                n_checked = sum(one.risk is not None for one in library.values())
+                notify(f"planning: {len(chosen)} manoeuvres, {n_checked} kinds checked", 0, 0.0)
+                unchecked = next((one for one in chosen if one.risk is None), None)
+                if unchecked is None:
+                    break
+                safe, causes = self.safe(unchecked)
+                del library[unchecked.name]
+                if safe is not None:
+                    library[safe.name] = safe
+        except KeyboardInterrupt:
+            chosen = self._sequence([one for one in library.values() if one.risk is not None])
+            if not chosen:
+                raise
+        if not chosen:
+            raise ValueError(
+                f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
+                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow more risk, plan for "
+                "weaker gusts, or fly another airspeed or altitude."
+            )
+        return chosen
+
+    def safe(self, one: Manoeuvre) -> tuple[Manoeuvre | None, str]:
+        """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
+        scale, best, causes = one.scale, 0.0, "steps smaller than a detent"
+        while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
+            inputs = self._scaled(one.full, scale)
+            if not moves(inputs):
+                break
+            risk, causes, flight, paths = self.rehearsals[one.at].checked(inputs)
+            if risk <= self.envelope.risk:
+                best, best_risk, best_paths, best_flight = scale, risk, paths, flight
+                if scale < one.scale or scale == 1.0:
+                    break
+                scale = min(1.0, scale / SHRINK)
+            elif best:
+                break
+            else:
+                scale *= SHRINK
+        if not best:
+            return None, causes
+        inputs, flight = self._scaled(one.full, best), best_flight
+        if self.detents:
+            best = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())
+        found = self._information(flight)
+        if not self.aerodynamics.is_uncertain:
+            best_risk = np.nan
+        else:
+            flight = with_band(flight, best_paths)
+        return replace(one, inputs=inputs, information=found, flight=flight, scale=best, risk=best_risk), causes
+
+    def _plan_of(self, chosen: list[Manoeuvre]) -> Plan:
+        """Return the plan of manoeuvres, those of one trim together."""
+        if self.about is not None:  # products that the mean's flight leaves at zero are small in others
+            taught = {one.name: self._entered_information(one) for one in chosen}
+            chosen = [replace(one, information=taught[one.name]) for one in chosen]
+        chosen = sorted(chosen, key=lambda one: one.at)
+        trains, rows, gained = [], [], self._gain([])
+        flights: list[pd.DataFrame] = []
+        for at in sorted({one.at for one in chosen}):
+            here = [one for one in chosen if one.at == at]
+            start = pause = self.pauses[at]
+            trains.append(wavetrain([one.inputs for one in here], pause=pause, limits=self.limits))
+            for one in here:
+                flights.append(one.flight.assign(flight=len(flights)))
+                gain = self._gain(chosen[: len(flights)]) - gained
+                gained += gain
+                rows.append({
+                    "train": len(trains) - 1, "airspeed": self.trims[at].airspeed, "start": start, "name": one.name,
+                    "duration": one.seconds - pause, "pause": pause, "scale": one.scale, "risk": one.risk,
+                    "gain": -np.expm1(-gain), "gain_per_second": gain / one.seconds,
+                })  # fmt: skip
+                start += one.seconds
+        alone = [
+            {"name": one.name, "scale": one.scale, "risk": np.nan if one.risk is None else one.risk,
+             "gain": -np.expm1(self._gain([]) - self._gain(self._filled([], [one])))}
+            for one in self.library.values()
+        ]  # fmt: skip
+        parts = tuple(one.information for one in chosen)
+        return Plan(
+            tuple(trains), tuple(self.trims[at] for at in sorted({one.at for one in chosen})), self.goal_names,
+            self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
+            pd.concat(flights, ignore_index=True), parts,
+            pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
+            self.weights,
+        )  # fmt: skip

@@ -1,0 +1,182 @@
+"""Manoeuvres in simulation: flown by the mean of a model, and by aircraft that are drawn from it in gusts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp.design._envelope import GROWTH, Envelope, option_of
+from skdgp.design._library import MULTISINES, Inputs
+from skdgp.design._signals import Limits, Steps
+from skdgp.design._wavetrain import Wavetrain
+from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate
+
+STEP = 0.04
+"""Of simulations, and between the rows that count as independent measurements [s]."""
+SPREAD = 1.5
+"""Standard deviations, by gusts and posterior, that are left to the envelope where a scale is predicted."""
+ENTRY = {"phi": 0.035, "theta": 0.035}
+"""Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
+ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
+"""The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
+LEAST = 0.2
+"""Part of the limits below which a manoeuvre is left out."""
+RESPONSE = 3.0
+"""After a manoeuvre, while the controls are still those of the trim, the response counts [s]; then the pilot acts."""
+
+
+class Hold(NamedTuple):
+    """Trimmed flight of the mean, and the room that the envelope leaves around it."""
+
+    centre: Matrix
+    """Channels of the envelope, (n, c)."""
+    low: Matrix
+    """Below it, and above."""
+    high: Matrix
+    margin: Vector
+    """Part of the response by which it may be larger, (c,)."""
+
+    def _rows(self, values: Matrix) -> Indices:
+        return np.minimum(np.arange(len(values)), len(self.centre) - 1)
+
+    def response(self, values: Matrix) -> Matrix:
+        """Return the deviation of channels (n, c) from trimmed flight."""
+        return values - self.centre[self._rows(values)]
+
+    def room(self, values: Matrix) -> float:
+        """Return the factor by which the response, with its margin, fits into the room."""
+        moved = (1 + self.margin) * self.response(values)
+        rows = self._rows(values)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factors = np.where(moved > 0, self.high[rows], self.low[rows]) / np.abs(moved)
+        return float(np.nanmin(factors))
+
+
+@dataclass(eq=False)
+class Rehearsal:
+    """Flights of manoeuvres from a trim."""
+
+    model: Any
+    aircraft: Aircraft
+    point: Trim
+    limits: Mapping[str, Limits]
+    envelope: Envelope
+    rate: float
+    response: float
+    """That is flown after each manoeuvre [s]."""
+    n_paths: int
+    """Aircraft drawn for each check."""
+    gusts: Any
+    thrust: Any
+    seed: int
+
+    @cached_property
+    def aerodynamics(self) -> Aerodynamics:
+        return as_aerodynamics(self.model)
+
+    @cached_property
+    def still(self) -> pd.DataFrame:
+        """Trimmed flight of the mean, as long as the longest multisine."""
+        return self.flown([self._still])[0]
+
+    @cached_property
+    def _still(self) -> Inputs:
+        return {next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])}
+
+    def flown(self, several: Sequence[Inputs]) -> list[pd.DataFrame]:
+        """Return the flights of manoeuvres, each with its response after it, by the mean."""
+        trains, tables = self._tables(several)
+        flown = self._simulated([self.point] * len(tables), tables, tables)
+        parts = [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
+        return [self._cut(part, train) for part, train in zip(parts, trains, strict=True)]
+
+    def drawn(self, inputs: Inputs, n_paths: int, gusts: Any = None) -> pd.DataFrame:
+        """Return flights of a manoeuvre by aircraft and entries that are drawn, or by the mean without a posterior."""
+        if not (n_paths and self.aerodynamics.is_uncertain):
+            return self.flown([inputs])[0]
+        (train,), tables = self._tables([inputs])
+        rng, time = np.random.default_rng(self.seed), tables[0]["time"].to_numpy()
+        beside: dict[str, Any] = {
+            axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((n_paths, 1))
+            for axis, limit in self.limits.items()
+        }
+        columns = {str(name): values.to_numpy() for name, values in tables[0].items() if name != "time"}
+
+        def controls(t: float, state: Any) -> dict[str, Any]:
+            return {name: np.interp(t, time, values) + beside.get(name, 0.0) for name, values in columns.items()}
+
+        start = ENTRY | {"u": ENTRY_SPEED * self.point.airspeed}
+        options = {"n_paths": n_paths, "random_state": self.seed, "initial_std": start, "gusts": gusts}
+        return self._cut(self._simulated([self.point], controls, tables, **options), train)
+
+    def _tables(self, several: Sequence[Inputs]) -> tuple[list[Wavetrain], list[pd.DataFrame]]:
+        trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
+        longest = max(train.duration for train in trains) + self.response
+        trimmed = self.point.controls
+        return trains, [train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains]
+
+    def _simulated(self, starts: list, controls: Any, tables: list[pd.DataFrame], **options: Any) -> pd.DataFrame:
+        duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)
+        return simulate(
+            self.model, self.aircraft, starts, controls, STEP, duration=duration, thrust=self.thrust, **options
+        )
+
+    def _cut(self, flight: pd.DataFrame, train: Wavetrain) -> pd.DataFrame:
+        return flight[flight["time"] <= train.duration + self.response + 1e-6].reset_index(drop=True)
+
+    @cached_property
+    def hold(self) -> Hold:
+        """Trimmed flight and the room around it; raise ValueError if gusts alone leave the envelope."""
+        paths = self.drawn(self._still, self.n_paths, self.gusts)
+        risk, causes = self.risk(paths[paths["time"] <= self.response + 1e-6])
+        if risk > self.envelope.risk:
+            raise ValueError(
+                f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and {self.point.altitude:.0f} m "
+                f"leaves in {risk:.0%} of cases within {self.response:g} s, by {causes}, but expected at most "
+                f"{self.envelope.risk:.0%}: widen this limit, choose another airspeed or altitude, or weaker gusts."
+            )
+        centre = self.channels(self.still)
+        margin = np.zeros_like(centre)
+        if self.aerodynamics.is_uncertain:
+            drawn = np.stack([self.channels(one) for _, one in paths.groupby("flight", sort=False, observed=True)])
+            margin = SPREAD * np.nanstd(drawn, axis=0)
+        limits = self.envelope.bounds(self.aerodynamics)
+        is_set = [name.removeprefix(GROWTH) in self.limits for name in limits]  # a control has no response
+        bounds = np.array([*limits.values()]).T
+        low, high = (np.maximum(room - margin, LEAST * room) for room in np.abs(bounds[:, None] - centre))
+        return Hold(centre, low, high, np.where(is_set, 0.0, self.envelope.margin))
+
+    def room(self, flight: pd.DataFrame) -> float:
+        """Return the factor by which the response of a manoeuvre fits into the envelope."""
+        return self.hold.room(self.channels(flight))
+
+    def channels(self, flight: pd.DataFrame) -> Matrix:
+        """Return what the envelope limits along one flight, (n, c)."""
+        return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
+
+    def checked(self, inputs: Inputs) -> tuple[float, str, pd.DataFrame, pd.DataFrame]:
+        """Return the risk of a manoeuvre, the limits that it leaves, its flight by the mean, and those drawn."""
+        flight = self.flown([inputs])[0]
+        paths = self.drawn(inputs, self.n_paths, self.gusts) if self.aerodynamics.is_uncertain else flight
+        more = self.hold.margin * self.hold.response(self.channels(flight))
+        return *self.risk(paths, np.tile(more, (len(paths) // len(more), 1))), flight, paths
+
+    def risk(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
+        """Return the risk that flights leave the envelope, and the limits that they leave, with their options."""
+        left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
+        by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
+        shares = by_path.mean().sort_values(ascending=False)
+        shares = shares[shares > 0]
+        options = {name: option_of(str(name), self.aerodynamics) for name in shares.index}
+        named = [f"{name} ({share:.0%}, {options[name]})" for name, share in shares.items()]
+        causes = ", ".join(named).replace(GROWTH, "flown ")
+        n_left = int(by_path.any(axis=1).sum())
+        if not self.aerodynamics.is_uncertain:
+            return float(n_left), causes
+        return (n_left + 1) / (self.n_paths + 2), causes

@@ -2,9 +2,10 @@
 
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
-the motion is small, and correlate errors with rates at the same time. Two polynomials show how large such errors are:
-of the half of the samples with the smallest motion, where slopes are flattest, and of all samples with past regressors
-as instruments, which do not correlate with the present error.
+the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: of
+the half of the samples with the smallest motion, where slopes are flattest; of all samples with past regressors as
+instruments, which do not correlate with the present error; and with third powers, since a smooth prior takes the mean
+slope of what saturates on both sides, as polynomials of second order do.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class SlopeErrors(NamedTuple):
     random: Array
     """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks)."""
     method: Array
-    """Differences of the posterior and each polynomial from their mean, (n, P, d, n_methods)."""
+    """Differences of the posterior and two polynomials from their mean, and that by third powers, (n, P, d, 4)."""
     white: Array
     """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
     n_samples: int
@@ -66,13 +67,18 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     polynomials, errors, white = zip(*parts, strict=True)
     n_blocks = max(error.shape[-1] for error in errors)
     random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
-    slopes = np.concatenate([posterior.gradient(X)[..., None], np.stack(polynomials, axis=1)], axis=-1)
-    method = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
+    *slopes, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
+    slopes = np.stack([posterior.gradient(X), *slopes], axis=-1)
+    scatter = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
+    method = np.concatenate([scatter, third[..., None] / np.sqrt(2)], axis=-1)
     return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))
 
 
 def _of_output(x, y, X):
-    """Return the slopes (n, d, 2) by polynomials, the error (n, d, n_blocks) of that of all samples, its white std."""
+    """Return slopes by polynomials (n, d, 3), the error (n, d, n_blocks) of that of all samples, its white std.
+
+    The slopes are those of the quiet half, those by instruments, and what third powers change of those of all samples.
+    """
     basis = _basis_for(QUIET * len(x), x.shape[1])
     if basis is None:
         return None
@@ -84,8 +90,16 @@ def _of_output(x, y, X):
     rest = y - Q @ every.weights  # so that slopes are those of all samples where the others do not determine them
     changes = _Polynomial(basis, z[quiet], rest[quiet]).weights, _instrumented(Q, rest)
     slopes = _slopes_of(basis, at) @ (every.weights[:, None] + np.stack(changes, axis=-1))
+    slopes = np.concatenate([slopes, _third(basis, z, rest, at)[..., None]], axis=-1)
     error, white = every.error(at)
     return slopes / scale[:, None], error / scale[:, None], white / scale
+
+
+def _third(basis, z, rest, at):
+    """Return by how much third powers of the regressors change the slopes (n, d), of what a polynomial leaves of y."""
+    Q, d = np.column_stack([basis(z), z**3]), z.shape[1]
+    weights = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True) @ (Q.T @ rest)
+    return _slopes_of(basis, at) @ weights[:-d] + 3 * at**2 * weights[-d:]
 
 
 def _basis_for(n, d):

@@ -82,6 +82,15 @@ def test_a_control_that_rests_in_the_quiet_half_keeps_its_slope(log):
     assert np.abs(errors.method[0, 0, 1]).max() < 2 * np.sqrt(np.sum(errors.random[0, 0, 1] ** 2)) < 0.1
 
 
+def test_third_powers_tell_the_slope_of_what_saturates():
+    """A tail that stalls on both sides: polynomials of second order find a mean slope, which is too small at zero."""
+    x = np.linspace(-1, 1, 600)[:, None]
+    model = DependentGPRegressor(structure="trend").fit(x, np.tanh(1.5 * x[:, 0]))
+    slope, third = model.predict_gradient([[0.0]])[0, 0], model.slope_errors(np.zeros((1, 1))).method[0, 0, 0, -1]
+    assert slope < 1.2
+    assert slope + np.sqrt(2) * third == pytest.approx(1.5, rel=0.07)
+
+
 def test_exact_and_sparse_inference_keep_the_same_samples(log, model):
     sparse = DependentGPRegressor(structure="trend", inference="sparse").fit(log[0], log[1])
     same = model.slope_errors(log[0][:1]).random

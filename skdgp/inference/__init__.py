@@ -19,7 +19,7 @@ from skdgp.inference._fit import Fit, autocorrelation_time, fit_exact, fit_spars
 from skdgp.inference._kernel_selection import Choice, choose_kernel, held_out_errors
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._optimize import Optimum, maximize
-from skdgp.inference._slopes import SlopeErrors, slope_errors
+from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, slope_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
 from skdgp.inference._terms import CentredTerm, training_inputs
@@ -33,6 +33,7 @@ __all__ = [
     "Data",
     "ExactPosterior",
     "Fit",
+    "FunctionErrors",
     "Optimum",
     "SlopeErrors",
     "SparsePosterior",
@@ -41,6 +42,7 @@ __all__ = [
     "compact",
     "fit_exact",
     "fit_sparse",
+    "function_errors",
     "held_out_errors",
     "input_noise_loading",
     "log_likelihood",

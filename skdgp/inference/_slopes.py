@@ -1,4 +1,4 @@
-"""Errors of slopes that the standard deviations of a posterior do not contain, estimated from polynomials.
+"""Errors of slopes and values that the deviations of a posterior do not contain, estimated from polynomials.
 
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
@@ -13,9 +13,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Array, Matrix
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._compact import observed_values
 from skdgp.inference._fit import autocorrelation_time
 from skdgp.inference._likelihood import Data
@@ -50,6 +51,62 @@ class SlopeErrors(NamedTuple):
         return SlopeErrors(self.random[:, outputs], self.method[:, outputs], self.white[:, outputs], self.n_samples)
 
 
+class FunctionErrors(NamedTuple):
+    """Errors of a function by noise that is correlated between samples and between outputs.
+
+    They are polynomials of second order, one for each block of the log. An error of the function is their sum, times
+    independent standard normal numbers.
+    """
+
+    weights: Array
+    """Of the terms of each polynomial, (k, n_terms, P)."""
+    centre: Vector
+    scale: Vector
+    """The polynomials are of (X - centre) / scale."""
+
+    def __call__(self, X: Array) -> Array:
+        """Return the values (k, n, P) of each polynomial at its own points X (k, n, d)."""
+        return _parabola((X - self.centre) / self.scale) @ self.weights
+
+    def gradient(self, X: Array) -> Array:
+        """Return the slopes (k, n, P, d) of each polynomial at its own points X (k, n, d)."""
+        slopes = _slopes_of(_parabola, (X - self.centre) / self.scale) @ self.weights[:, None]
+        return np.swapaxes(slopes, -1, -2) / self.scale
+
+    def draw(self, n_paths: int, random_state: Seed) -> FunctionErrors:
+        """Return draws of the error, as polynomials (n_paths, n_terms, P)."""
+        seed = check_random_state(random_state).randint(2**31 - 1, size=7)  # other numbers than those of the paths
+        normal = np.random.default_rng(seed).standard_normal((n_paths, len(self.weights)))
+        return self._replace(weights=np.tensordot(normal, self.weights, axes=1))
+
+    def in_units(self, shift: Vector, scale: Vector, outputs: Any) -> FunctionErrors:
+        """Return the errors of some outputs as a function of ``shift + scale`` times the regressors."""
+        return FunctionErrors(self.weights[..., outputs], shift + scale * self.centre, scale * self.scale)
+
+
+def function_errors(posterior: Any) -> FunctionErrors | None:
+    """Return the errors of the function of a posterior, or None if there are too few samples: see `slope_errors`."""
+    data = _measured(posterior)
+    if data is None:
+        return None
+    centre, scale = data.X[0].mean(axis=0), column_scale(data.X[0])
+    weights = np.zeros((BLOCKS, _parabola(data.X[0][:1]).shape[1], len(data.y)))
+    for k, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
+        basis = _basis_for(QUIET * len(x), x.shape[1])
+        if basis is None:
+            return None
+        errors = _Polynomial(basis, (x - centre) / scale, y).errors  # a line has the first terms of a parabola
+        weights[: len(errors), : errors.shape[1], k] = errors
+    return FunctionErrors(weights, centre, scale)
+
+
+def _measured(posterior: Any) -> Data | None:
+    """Return the measured samples of a posterior, None if it has none (compact models)."""
+    if getattr(posterior, "shares", ()) is None:
+        return None
+    return observed_values(posterior) if posterior.measured is None else Data.from_table(*posterior.measured)
+
+
 def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 
@@ -58,9 +115,9 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     whatever the correlation within a block and between outputs (Liang & Zeger 1986). Where a posterior has learned
     from other samples than those ``measured``, such as mirrored ones, polynomials are of the measured ones.
     """
-    if getattr(posterior, "shares", ()) is None:
+    data = _measured(posterior)
+    if data is None:
         return None
-    data = observed_values(posterior) if posterior.measured is None else Data.from_table(*posterior.measured)
     parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]
     if any(part is None for part in parts):
         return None
@@ -147,17 +204,15 @@ class _Polynomial:
 
 
 def _line(z):
-    return np.column_stack([np.ones(len(z)), z])
+    return np.concatenate([np.ones((*z.shape[:-1], 1)), z], axis=-1)
 
 
 def _parabola(z):
-    first, second = np.triu_indices(z.shape[1])
-    return np.column_stack([_line(z), z[:, first] * z[:, second]])
+    first, second = np.triu_indices(z.shape[-1])
+    return np.concatenate([_line(z), z[..., first] * z[..., second]], axis=-1)
 
 
 def _slopes_of(basis, at):
-    """Return d basis / d z at points (n, d), (n, d, p): differences, which are exact up to second order."""
-    d = at.shape[1]
-    steps = np.eye(d)
-    change = [basis(at + step) - basis(at - step) for step in steps]
-    return 0.5 * np.stack(change, axis=1)
+    """Return d basis / d z at points (..., d), (..., d, p): differences, which are exact up to second order."""
+    change = [basis(at + step) - basis(at - step) for step in np.eye(at.shape[-1])]
+    return 0.5 * np.stack(change, axis=-2)

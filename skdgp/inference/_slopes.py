@@ -124,8 +124,8 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     polynomials, errors, white = zip(*parts, strict=True)
     n_blocks = max(error.shape[-1] for error in errors)
     random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
-    *slopes, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
-    slopes = np.stack([posterior.gradient(X), *slopes], axis=-1)
+    *others, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
+    slopes = np.stack([posterior.gradient(X), *others], axis=-1)
     scatter = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
     method = np.concatenate([scatter, third[..., None] / np.sqrt(2)], axis=-1)
     return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))

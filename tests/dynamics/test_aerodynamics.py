@@ -251,7 +251,7 @@ def test_paths_and_covariance_have_errors_by_correlated_noise_if_asked():
     alone, all_errors = model.covariance(at), model.covariance(at, correlated=True)
     errors = model.function_errors()
     each = errors(np.broadcast_to(at, (len(errors.weights), 2, 2)))
-    assert np.diag(all_errors - alone).reshape(6, 2).T == pytest.approx((each**2).sum(axis=0))
+    assert pytest.approx((each**2).sum(axis=0)) == np.diag(all_errors - alone).reshape(6, 2).T
     drawn = model.sample(n, 0, correlated=True)(np.broadcast_to(at, (n, 2, 2)))
     assert drawn.var(axis=0) == pytest.approx(np.diag(all_errors).reshape(6, 2).T, rel=0.15)
     assert model.sample(2, 0, correlated=True).gradient(np.broadcast_to(at, (2, 2, 2))).shape == (2, 2, 6, 2)

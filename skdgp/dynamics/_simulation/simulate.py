@@ -51,7 +51,7 @@ FASTEST, SPINNING = 1000.0, 60.0
 """Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
 FLYING = ""
 CALM_SHARE = 0.25
-"""Of the variance of a drift learned in gusts, in calm air: errors of the function that its posterior lacks."""
+"""Of the variance of a drift learned in gusts, in calm air: errors of the function that its paths lack."""
 MOST_KNOTS = 250
 """Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 

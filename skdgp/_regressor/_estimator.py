@@ -21,11 +21,13 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
 from skdgp.inference import (
     Data,
+    FunctionErrors,
     SlopeErrors,
     choose_kernel,
     compact,
     fit_exact,
     fit_sparse,
+    function_errors,
     held_out_errors,
     input_noise_loading,
     output_correlation,
@@ -682,8 +684,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         ``random``: errors correlated between neighbouring samples and between outputs, of a polynomial of second order,
         :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the scatter of the slopes
         of this model and of two polynomials: of the half of the samples that move least, and of all of them with past
-        regressors as instruments. They are of second order where the half has 5 samples for each term, else of first.
-        Rows must be in the order of the log.
+        regressors as instruments; and what third powers change. Polynomials are of second order where the half has 5
+        samples for each term, else of first. Rows must be in the order of the log.
 
         Parameters
         ----------
@@ -707,6 +709,32 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """
         errors = slope_errors(self.posterior_, self._check_regressors(X))
         return None if errors is None else errors.scaled(self._scale[:, None])
+
+    def function_errors(self) -> FunctionErrors | None:
+        """Return errors of the function that the posterior does not contain, from the samples of the fit.
+
+        Errors of neighbouring samples and of different outputs are correlated. Those of a polynomial of second order
+        are estimated block by block, as ``random`` of `slope_errors`. ``simulate`` adds them to the paths.
+
+        Returns
+        -------
+        FunctionErrors or None
+            ``errors(X)`` are the values (n_blocks, n, P) at X (n_blocks, n, d); errors of the function are sums over
+            the blocks times independent standard normal numbers, and ``errors.draw(n_paths)`` are such sums. None if
+            the samples are too few, or not stored (compact models).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from skdgp import DependentGPRegressor
+        >>> x = np.random.default_rng(0).normal(size=(200, 1))
+        >>> model = DependentGPRegressor(structure="trend").fit(x, 2.0 * x + np.sin(np.arange(200.0))[:, None])
+        >>> model.function_errors().draw(30, random_state=0)(np.zeros((30, 5, 1))).shape
+        (30, 5, 1)
+        """
+        check_is_fitted(self)
+        errors = function_errors(self.posterior_)
+        return None if errors is None else errors._replace(weights=errors.weights * self._scale)
 
     def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
         """Return samples of the joint posterior of all outputs at X.

@@ -20,7 +20,7 @@ from skdgp.inference._kernel_selection import Choice, choose_kernel, held_out_er
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import autocorrelation_time
 from skdgp.inference._optimize import Optimum, maximize
-from skdgp.inference._slopes import SlopeErrors, slope_errors
+from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, slope_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
 from skdgp.inference._terms import CentredTerm, training_inputs
@@ -34,6 +34,7 @@ __all__ = [
     "Data",
     "ExactPosterior",
     "Fit",
+    "FunctionErrors",
     "Optimum",
     "SlopeErrors",
     "SparsePosterior",
@@ -42,6 +43,7 @@ __all__ = [
     "compact",
     "fit_exact",
     "fit_sparse",
+    "function_errors",
     "held_out_errors",
     "input_noise_loading",
     "log_likelihood",

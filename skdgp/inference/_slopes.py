@@ -1,10 +1,11 @@
-"""Errors of slopes that the standard deviations of a posterior do not contain, estimated from polynomials.
+"""Errors of slopes and values that the deviations of a posterior do not contain, estimated from polynomials.
 
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
-the motion is small, and correlate errors with rates at the same time. Two polynomials show how large such errors are:
-of the half of the samples with the smallest motion, where slopes are flattest, and of all samples with past regressors
-as instruments, which do not correlate with the present error.
+the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: of
+the half of the samples with the smallest motion, where slopes are flattest; of all samples with past regressors as
+instruments, which do not correlate with the present error; and with third powers, since a smooth prior takes the mean
+slope of what saturates on both sides, as polynomials of second order do.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Array, Matrix
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._compact import observed_values
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import autocorrelation_time
@@ -33,7 +35,7 @@ class SlopeErrors(NamedTuple):
     random: Array
     """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks)."""
     method: Array
-    """Differences of the posterior and each polynomial from their mean, (n, P, d, n_methods)."""
+    """Differences of the posterior and two polynomials from their mean, and that by third powers, (n, P, d, 4)."""
     white: Array
     """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
     n_samples: int
@@ -49,6 +51,62 @@ class SlopeErrors(NamedTuple):
         return SlopeErrors(self.random[:, outputs], self.method[:, outputs], self.white[:, outputs], self.n_samples)
 
 
+class FunctionErrors(NamedTuple):
+    """Errors of a function by noise that is correlated between samples and between outputs.
+
+    They are polynomials of second order, one for each block of the log. An error of the function is their sum, times
+    independent standard normal numbers.
+    """
+
+    weights: Array
+    """Of the terms of each polynomial, (k, n_terms, P)."""
+    centre: Vector
+    scale: Vector
+    """The polynomials are of (X - centre) / scale."""
+
+    def __call__(self, X: Array) -> Array:
+        """Return the values (k, n, P) of each polynomial at its own points X (k, n, d)."""
+        return _parabola((X - self.centre) / self.scale) @ self.weights
+
+    def gradient(self, X: Array) -> Array:
+        """Return the slopes (k, n, P, d) of each polynomial at its own points X (k, n, d)."""
+        slopes = _slopes_of(_parabola, (X - self.centre) / self.scale) @ self.weights[:, None]
+        return np.swapaxes(slopes, -1, -2) / self.scale
+
+    def draw(self, n_paths: int, random_state: Seed) -> FunctionErrors:
+        """Return draws of the error, as polynomials (n_paths, n_terms, P)."""
+        seed = check_random_state(random_state).randint(2**31 - 1, size=7)  # other numbers than those of the paths
+        normal = np.random.default_rng(seed).standard_normal((n_paths, len(self.weights)))
+        return self._replace(weights=np.tensordot(normal, self.weights, axes=1))
+
+    def in_units(self, shift: Vector, scale: Vector, outputs: Any) -> FunctionErrors:
+        """Return the errors of some outputs as a function of ``shift + scale`` times the regressors."""
+        return FunctionErrors(self.weights[..., outputs], shift + scale * self.centre, scale * self.scale)
+
+
+def function_errors(posterior: Any) -> FunctionErrors | None:
+    """Return the errors of the function of a posterior, or None if there are too few samples: see `slope_errors`."""
+    data = _measured(posterior)
+    if data is None:
+        return None
+    centre, scale = data.X[0].mean(axis=0), column_scale(data.X[0])
+    weights = np.zeros((BLOCKS, _parabola(data.X[0][:1]).shape[1], len(data.y)))
+    for k, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
+        basis = _basis_for(QUIET * len(x), x.shape[1])
+        if basis is None:
+            return None
+        errors = _Polynomial(basis, (x - centre) / scale, y).errors  # a line has the first terms of a parabola
+        weights[: len(errors), : errors.shape[1], k] = errors
+    return FunctionErrors(weights, centre, scale)
+
+
+def _measured(posterior: Any) -> Data | None:
+    """Return the measured samples of a posterior, None if it has none (compact models)."""
+    if getattr(posterior, "shares", ()) is None:
+        return None
+    return observed_values(posterior) if posterior.measured is None else Data.from_table(*posterior.measured)
+
+
 def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 
@@ -57,22 +115,27 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     whatever the correlation within a block and between outputs (Liang & Zeger 1986). Where a posterior has learned
     from other samples than those ``measured``, such as mirrored ones, polynomials are of the measured ones.
     """
-    if getattr(posterior, "shares", ()) is None:
+    data = _measured(posterior)
+    if data is None:
         return None
-    data = observed_values(posterior) if posterior.measured is None else Data.from_table(*posterior.measured)
     parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]
     if any(part is None for part in parts):
         return None
     polynomials, errors, white = zip(*parts, strict=True)
     n_blocks = max(error.shape[-1] for error in errors)
     random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
-    slopes = np.concatenate([posterior.gradient(X)[..., None], np.stack(polynomials, axis=1)], axis=-1)
-    method = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
+    *others, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
+    slopes = np.stack([posterior.gradient(X), *others], axis=-1)
+    scatter = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
+    method = np.concatenate([scatter, third[..., None] / np.sqrt(2)], axis=-1)
     return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))
 
 
 def _of_output(x, y, X):
-    """Return the slopes (n, d, 2) by polynomials, the error (n, d, n_blocks) of that of all samples, its white std."""
+    """Return slopes by polynomials (n, d, 3), the error (n, d, n_blocks) of that of all samples, its white std.
+
+    The slopes are those of the quiet half, those by instruments, and what third powers change of those of all samples.
+    """
     basis = _basis_for(QUIET * len(x), x.shape[1])
     if basis is None:
         return None
@@ -84,8 +147,16 @@ def _of_output(x, y, X):
     rest = y - Q @ every.weights  # so that slopes are those of all samples where the others do not determine them
     changes = _Polynomial(basis, z[quiet], rest[quiet]).weights, _instrumented(Q, rest)
     slopes = _slopes_of(basis, at) @ (every.weights[:, None] + np.stack(changes, axis=-1))
+    slopes = np.concatenate([slopes, _third(basis, z, rest, at)[..., None]], axis=-1)
     error, white = every.error(at)
     return slopes / scale[:, None], error / scale[:, None], white / scale
+
+
+def _third(basis, z, rest, at):
+    """Return by how much third powers of the regressors change the slopes (n, d), of what a polynomial leaves of y."""
+    Q, d = np.column_stack([basis(z), z**3]), z.shape[1]
+    weights = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True) @ (Q.T @ rest)
+    return _slopes_of(basis, at) @ weights[:-d] + 3 * at**2 * weights[-d:]
 
 
 def _basis_for(n, d):
@@ -133,17 +204,15 @@ class _Polynomial:
 
 
 def _line(z):
-    return np.column_stack([np.ones(len(z)), z])
+    return np.concatenate([np.ones((*z.shape[:-1], 1)), z], axis=-1)
 
 
 def _parabola(z):
-    first, second = np.triu_indices(z.shape[1])
-    return np.column_stack([_line(z), z[:, first] * z[:, second]])
+    first, second = np.triu_indices(z.shape[-1])
+    return np.concatenate([_line(z), z[..., first] * z[..., second]], axis=-1)
 
 
 def _slopes_of(basis, at):
-    """Return d basis / d z at points (n, d), (n, d, p): differences, which are exact up to second order."""
-    d = at.shape[1]
-    steps = np.eye(d)
-    change = [basis(at + step) - basis(at - step) for step in steps]
-    return 0.5 * np.stack(change, axis=1)
+    """Return d basis / d z at points (..., d), (..., d, p): differences, which are exact up to second order."""
+    change = [basis(at + step) - basis(at - step) for step in np.eye(at.shape[-1])]
+    return 0.5 * np.stack(change, axis=-2)

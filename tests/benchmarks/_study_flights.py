@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from _jsbsim_flight import FOOT, POUND_FORCE, SLUG, aircraft_of, started
+from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS, EULER, HAT, RATE_LENGTHS, TRUTH_SUFFIX
@@ -150,7 +151,7 @@ def c182_subject(seeds: int, duration: float) -> Subject:
 
 
 def c172p_subject(seeds: int, duration: float, name: str = "c172p") -> Subject:
-    """Return JSBSim's Cessna 172; its derivatives are those of least squares on exact regressors of all flights."""
+    """Return JSBSim's Cessna 172; its derivatives are those of third order on exact regressors of all flights."""
     test, aircraft = _c172p_log(2, "calm", 0, duration, name)
     seeded = {air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()}
     flown = {
@@ -160,8 +161,18 @@ def c172p_subject(seeds: int, duration: float, name: str = "c172p") -> Subject:
     felt = np.concatenate([log.exact for log in flown.values()])
     felt[:, ROTATION] -= np.concatenate([log.gust for log in flown.values()])
     truth, at = np.concatenate([log.truth for log in flown.values()]), test.exact.mean(axis=0)
-    known = np.linalg.lstsq(np.column_stack([np.ones(len(felt)), felt - at]), truth, rcond=None)[0][1:].T
+    known = slopes_of_third_order(felt, truth, at)
     return Subject(name, aircraft, logs, test, at, known, float(test.table["airspeed_true"].mean()))
+
+
+def slopes_of_third_order(X: np.ndarray, Y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the slopes (P, d) at a point (d,) of the polynomial of third order of regressors (n, d)."""
+    terms, scale = PolynomialFeatures(3), X.std(axis=0)
+    outer, inner = 0.0, 0.0
+    for rows in np.array_split(np.arange(len(X)), len(X) // 5000 + 1):
+        Q = terms.fit_transform((X[rows] - at) / scale)
+        outer, inner = outer + Q.T @ Q, inner + Q.T @ Y[rows]
+    return np.linalg.lstsq(outer, inner, rcond=1e-13)[0][1 : X.shape[1] + 1].T / scale
 
 
 def _c172p_log(number: int, air: str, seed: int, duration: float, model: str) -> tuple[Log, Aircraft]:

@@ -1,19 +1,21 @@
 """Learned aircraft flown free from the state of another flight, replayed on it, and how long a minute of flight takes.
 
-    python tests/benchmarks/freeflight.py ../shared/data [--models FOLDER] [--paths 100] [--out OUT]
+    python tests/benchmarks/freeflight.py ../shared/data [--models FOLDER] [--seeds 3] [--paths 100] [--out OUT]
 
 Free flight: from 20 points of a flight, spread over it, at the true state, under the logged controls and thrust and
 the true wind, by simulate: nothing of that flight enters after the start. It is another flight than the one learned
 from, or its last 40 %, then not learned from. "default": the pipeline of make_identification_pipeline; "gusty": that
 with gusty=True, symmetric=True; "least squares": that with LinearRegression at its end; "truth replayed": the true
 coefficients, open loop in time, integrated from the same starts. Errors are medians of the absolute errors over the
-starts; bands are those of an ensemble of posterior functions, and their coverage counts v_north ... r. With the mean
-wind, the velocity over the ground of the start is known, not its air data, which hold the gust.
+starts and --seeds models, which differ in their random numbers; bands are those of an ensemble of posterior functions,
+and their coverage counts v_north ... r. With the mean wind, the velocity over the ground of the start is known, not its
+air data, which hold the gust.
 
-Output error: the model corrected by 16 segments of 3 s of its training flight, wind and states as its pipeline
+Output error: each model corrected by 16 segments of 3 s of its training flight, wind and states as its pipeline
 reconstructs them; errors of the means over those without a correction, a geometric mean over the states.
 
-Replay: the pipeline's coefficients at the measured regressors, integrated from the measured state every 2 s and 10 s.
+Replay: coefficients of the first model at the measured regressors, integrated from the measured state every 2 s and
+10 s.
 
 --models keeps fitted pipelines there and takes those that are there.
 """
@@ -22,7 +24,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from functools import partial
 from pathlib import Path
 
 import joblib
@@ -112,14 +113,14 @@ def errors_of(flights, stretches):
     return rows
 
 
-def coverage_of(ensemble, stretches):
-    """Return which share of the truth lies within the 95 % bands, a row for each horizon.
+def coverage_of(ensembles, stretches):
+    """Return which share of the truth lies within the 95 % bands of ensembles, a row for each horizon.
 
     The interval score (Gneiting & Raftery 2007) is over the deviation of each state along all stretches.
     """
     size = pd.concat(stretches)[[*SCORED]].std()
-    bands = [band.reset_index(drop=True) for _, band in trajectory_bands(ensemble, LEVEL, SCORED).groupby("start")]
-    rows = []
+    bands = [band for ensemble in ensembles for band in _parts(trajectory_bands(ensemble, LEVEL, SCORED))]
+    stretches, rows = stretches * len(ensembles), []
     for horizon in HORIZONS:
         k = round(horizon / STEP)
         inside, width, score = [], [], []
@@ -142,21 +143,24 @@ def coverage_of(ensemble, stretches):
 def free(name, models, aircraft, flight, n_paths):
     """Return the rows of one test flight: errors of every method, and the coverage of the bands in each air."""
     stretches = windows(truth_of(flight))
-    flights = {method: _parts(flown_free(model, aircraft, stretches)) for method, model in models.items()}
+    flights = {
+        method: [part for model in each for part in _parts(flown_free(model, aircraft, stretches))]
+        for method, each in models.items()
+    }
     flights["truth replayed"] = [
         replay(s, aircraft, s[list(COEFFICIENTS)], horizon=HORIZONS[-1], gravity=s["gravity"].mean()) for s in stretches
     ]
     errors = [
         {"flight": name, "method": method, **row}
         for method, parts in flights.items()
-        for row in errors_of(parts, stretches)
+        for row in errors_of(parts, stretches * (len(parts) // len(stretches)))
     ]
     rows = []
     for method in LEARNED:
         for air, options in airs(aircraft, flight).items():
-            ensemble = flown_free(models[method], aircraft, stretches, n_paths=n_paths, **options)
+            found = [flown_free(model, aircraft, stretches, n_paths=n_paths, **options) for model in models[method]]
             first = {"flight": name, "method": method, "wind and gusts": air}
-            rows += [first | row for row in coverage_of(ensemble, stretches)]
+            rows += [first | row for row in coverage_of(found, stretches)]
     return errors, rows
 
 
@@ -165,7 +169,6 @@ def airs(aircraft, flight):
     turbulence = Turbulence.from_flight(flight, aircraft.span)
     mean = flight[["wind_north_true", "wind_east_true", "wind_down_true"]].mean().to_numpy()
     return {
-        "true wind": {},
         "true wind, rates of its gusts drawn": {"gusts": turbulence},
         "mean wind, gusts drawn": {"gusts": turbulence, "wind": mean},
     }
@@ -188,8 +191,13 @@ def segments(model, log):
     return found
 
 
-def corrected(name, model, aircraft, log, flight):
-    """Return the row of output error of one test flight."""
+def corrected(name, models, aircraft, log, flight):
+    """Return the rows of output error of one test flight, one for each model."""
+    first = {"flight": name}
+    return [first | {"seed": seed} | _corrected(model, aircraft, log, flight) for seed, model in enumerate(models)]
+
+
+def _corrected(model, aircraft, log, flight):
     parts = segments(model, log)
     gravity = float(flight["gravity_true"].mean())
     wind = [part[["time", *WIND]] for part in parts]
@@ -200,7 +208,7 @@ def corrected(name, model, aircraft, log, flight):
         for each in (model, found.model)
     )
     ratio = np.exp(np.log(after / before).mean(axis=1))
-    return {"flight": name, "factor of the prior": found.prior_scale} | {f"{h:g} s": float(ratio[h]) for h in HORIZONS}
+    return {"factor of the prior": found.prior_scale} | {f"{h:g} s": float(ratio[h]) for h in HORIZONS}
 
 
 def replayed(name, model, aircraft, flight):
@@ -244,21 +252,21 @@ def timed(model, aircraft, n_paths, duration=60.0):
     return rows
 
 
-def fitted(pipeline, flight, aircraft):
-    """Return the pipeline, which learned from the flight."""
-    return pipeline.fit(flight, aerodynamic_coefficients(flight, aircraft))
-
-
-def learned(folder, name, make):
-    """Return a fitted pipeline, from the folder where it is there."""
-    path = folder / f"{name}.joblib" if folder else None
-    if path is not None and path.exists():
-        return joblib.load(path)
-    model = make()
-    if path is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        joblib.dump(model, path)
-    return model
+def learned(options, name, flight, aircraft, **changes):
+    """Return pipelines that learned from the flight, one for each seed, from the folder where they are there."""
+    models = []
+    for seed in range(options.seeds):
+        path = options.models / f"{name}_{seed}.joblib" if options.models else None
+        if path is not None and path.exists():
+            models.append(joblib.load(path))
+            continue
+        model = make_identification_pipeline(aircraft, **changes)
+        model[-1].set_params(random_state=seed)
+        models.append(model.fit(flight, aerodynamic_coefficients(flight, aircraft)))
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            joblib.dump(model, path)
+    return models
 
 
 def _parts(trajectories):
@@ -274,51 +282,57 @@ def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
+    parser.add_argument("--seeds", type=int, default=3, help="of the search: models of each training flight")
     parser.add_argument("--paths", type=int, default=100, help="of the ensembles")
     options = parser.parse_args(words)
     if options.data is None and not options.smoke:
         parser.error("the folder of the shared data is needed")
-    errors, air, replays, refined = [], [], [], []
-    for airframe, train, test in [] if options.smoke else PAIRS:
-        folder = options.data / "flights"
-        aircraft = Aircraft.from_json(folder / f"{airframe}.json")
-        log = read_flight(folder / f"{airframe}_{train}.parquet")
-        if test.startswith("test"):
-            flight = read_flight(folder / f"{airframe}_{test}.parquet")
-        else:
-            split = round(SHARE * len(log))
-            log, flight = log.iloc[:split], log.iloc[split:].reset_index(drop=True)
-        Y = aerodynamic_coefficients(log, aircraft)
-        models = {}
-        for method, changes in LEARNED.items():
-            fit = partial(fitted, make_identification_pipeline(aircraft, **changes), log, aircraft)
-            models[method] = learned(options.models, f"{airframe}_{test[:4]}_{method}", fit)
-        models["least squares"] = make_identification_pipeline(aircraft, regressor=LinearRegression()).fit(log, Y)
-        found = free(f"{airframe} {test}", models, aircraft, flight, options.paths)
-        errors, air = errors + found[0], air + found[1]
-        replays += replayed(f"{airframe} {test}", models["default"], aircraft, flight)
-        refined.append(corrected(f"{airframe} {test}", models["default"], aircraft, log, flight))
     example = load_example_flights()
-    log, aircraft = example.train, example.aircraft
+    test = example.test.assign(gravity_true=STANDARD_GRAVITY)
     if options.smoke:
         regressor = DependentGPRegressor(n_latent=0, optimizer=None)
-        small = make_identification_pipeline(aircraft, reconstruction="passthrough", cutoff=6.0, regressor=regressor)
-        model = small.fit(log, thin_targets(aerodynamic_coefficients(log, aircraft, cutoff=6.0), 100))
+        small = make_identification_pipeline(
+            example.aircraft, reconstruction="passthrough", cutoff=6.0, regressor=regressor
+        )
+        targets = aerodynamic_coefficients(example.train, example.aircraft, cutoff=6.0)
+        finish(
+            options,
+            "freeflight",
+            times=timed(small.fit(example.train, thin_targets(targets, 100)), example.aircraft, 3, 0.2),
+        )
+        return
+    cases = {"example test": ("example", example.aircraft, example.train, test)}
+    cases |= {
+        f"{name} {test}": (f"{name}_{test[:4]}", *flights_of(options.data / "flights", name, train, test))
+        for name, train, test in PAIRS
+    }
+    errors, air, replays, refined = [], [], [], []
+    for name, (short, aircraft, log, flight) in cases.items():
+        models = {
+            method: learned(options, f"{short}_{method}", log, aircraft, **changes)
+            for method, changes in LEARNED.items()
+        }
+        default = models["default"]
+        line = make_identification_pipeline(aircraft, regressor=LinearRegression())
+        models["least squares"] = [line.fit(log, aerodynamic_coefficients(log, aircraft))]
+        found = free(name, models, aircraft, flight, options.paths)
+        errors, air = errors + found[0], air + found[1]
+        replays += replayed(name, default[0], aircraft, flight)
+        refined += corrected(name, default, aircraft, log, flight)
+        if short == "example":
+            times = timed(default[0], aircraft, options.paths)
+    finish(options, "freeflight", errors=errors, air=air, output_error=refined, replay=replays, times=times)
+
+
+def flights_of(folder, name, train, test):
+    """Return an aircraft, its flight to learn from, and the one to fly."""
+    log = read_flight(folder / f"{name}_{train}.parquet")
+    if test.startswith("test"):
+        flight = read_flight(folder / f"{name}_{test}.parquet")
     else:
-        fit = partial(fitted, make_identification_pipeline(aircraft), log, aircraft)
-        model = learned(options.models, "example", fit)
-        flight = example.test.assign(gravity_true=STANDARD_GRAVITY)
-        refined.append(corrected("example", model, aircraft, log, flight))
-    times = timed(model, aircraft, 3, 0.2) if options.smoke else timed(model, aircraft, options.paths)
-    finish(
-        options,
-        "freeflight",
-        errors=errors,
-        air=air,
-        output_error=refined,
-        replay=replays,
-        times=times,
-    )
+        split = round(SHARE * len(log))
+        log, flight = log.iloc[:split], log.iloc[split:].reset_index(drop=True)
+    return Aircraft.from_json(folder / f"{name}.json"), log, flight
 
 
 if __name__ == "__main__":

@@ -238,3 +238,20 @@ class TestBadInput:
         drawn = as_aerodynamics(fitted).sample(3)
         with pytest.raises(ValueError, match="3 paths as their first axis"):
             drawn(np.zeros((2, 5, 4)))
+
+
+def test_paths_and_covariance_have_errors_by_correlated_noise_if_asked():
+    """Of a model learned from a log: their variances are those of its posterior and of its polynomials, added."""
+    rng = np.random.default_rng(0)
+    X = pd.DataFrame(rng.normal(size=(300, 2)), columns=["alpha", "elevator"])
+    noise = np.convolve(rng.normal(size=304), np.ones(5), "valid")[:, None]
+    Y = pd.DataFrame(X.to_numpy() @ rng.normal(size=(2, 6)) + 0.1 * noise, columns=COEFFICIENTS)
+    model = as_aerodynamics(DependentGPRegressor(structure="trend").fit(X, Y))
+    at, n = np.array([[0.5, -1.0], [1.0, 0.3]]), 3000
+    alone, all_errors = model.covariance(at), model.covariance(at, correlated=True)
+    errors = model.function_errors()
+    each = errors(np.broadcast_to(at, (len(errors.weights), 2, 2)))
+    assert pytest.approx((each**2).sum(axis=0)) == np.diag(all_errors - alone).reshape(6, 2).T
+    drawn = model.sample(n, 0, correlated=True)(np.broadcast_to(at, (n, 2, 2)))
+    assert drawn.var(axis=0) == pytest.approx(np.diag(all_errors).reshape(6, 2).T, rel=0.15)
+    assert model.sample(2, 0, correlated=True).gradient(np.broadcast_to(at, (2, 2, 2))).shape == (2, 2, 6, 2)

@@ -82,6 +82,15 @@ def test_a_control_that_rests_in_the_quiet_half_keeps_its_slope(log):
     assert np.abs(errors.method[0, 0, 1]).max() < 2 * np.sqrt(np.sum(errors.random[0, 0, 1] ** 2)) < 0.1
 
 
+def test_third_powers_tell_the_slope_of_what_saturates():
+    """A tail that stalls on both sides: polynomials of second order find a mean slope, which is too small at zero."""
+    x = np.linspace(-1, 1, 600)[:, None]
+    model = DependentGPRegressor(structure="trend").fit(x, np.tanh(1.5 * x[:, 0]))
+    slope, third = model.predict_gradient([[0.0]])[0, 0], model.slope_errors(np.zeros((1, 1))).method[0, 0, 0, -1]
+    assert slope < 1.2
+    assert slope + np.sqrt(2) * third == pytest.approx(1.5, rel=0.07)
+
+
 def test_exact_and_sparse_inference_keep_the_same_samples(log, model):
     sparse = DependentGPRegressor(structure="trend", inference="sparse").fit(log[0], log[1])
     same = model.slope_errors(log[0][:1]).random
@@ -106,3 +115,36 @@ def test_past_regressors_tell_the_damping_that_gusts_flatten(every):
     flat = _Polynomial(_parabola, x, load).weights
     found = flat + _instrumented(_parabola(x), load - _parabola(x) @ flat)
     assert abs(found[1] + 1) < 0.5 * abs(flat[1] + 1)
+
+
+class TestFunctionErrors:
+    def test_are_the_scatter_over_many_logs(self):
+        """Of a polynomial of second order, with noise and regressors that last five samples."""
+        rng, found, stated = np.random.default_rng(5), [], []
+        at = np.array([[0.0], [1.5]])
+        for _ in range(80):
+            x = wandering(rng, (1200, 1), 5)
+            y = 2.0 * x[:, 0] + wandering(rng, 1200, 5)
+            errors = DependentGPRegressor(structure="trend").fit(x, y).function_errors()
+            found.append(_parabola(at) @ _Polynomial(_parabola, x, y).weights)
+            stated.append(np.sum(errors(np.broadcast_to(at, (60, 2, 1)))[..., 0] ** 2, axis=0))
+        assert np.std(found, axis=0) == pytest.approx(np.sqrt(np.mean(stated, axis=0)), rel=0.3)
+
+    def test_slopes_are_those_of_the_values_and_of_slope_errors(self, log, model):
+        errors, at, step = model.function_errors(), log[0][:3], np.array([1e-3, 0.0])
+        each = np.broadcast_to(at, (len(errors.weights), *at.shape))
+        slopes = errors.gradient(each)
+        assert slopes[..., 0] == pytest.approx((errors(each + step) - errors(each - step)) / 2e-3, rel=1e-6, abs=1e-12)
+        n_blocks = model.slope_errors(at).random.shape[-1]
+        assert np.moveaxis(slopes, 0, -1)[..., :n_blocks] == pytest.approx(model.slope_errors(at).random, abs=1e-9)
+
+    def test_draws_have_their_covariance_and_move_with_the_units(self, log, model):
+        errors, at = model.function_errors(), log[0][:1]
+        drawn = errors.draw(4000, 0)(np.broadcast_to(at, (4000, 1, 2)))[:, 0]
+        each = errors(np.broadcast_to(at, (len(errors.weights), 1, 2)))[:, 0]
+        assert drawn.T @ drawn / 4000 == pytest.approx(each.T @ each, rel=0.1)
+        moved = errors.in_units(1.0, 2.0, [1, 0])(np.broadcast_to(1.0 + 2.0 * at, (len(errors.weights), 1, 2)))[:, 0]
+        assert moved == pytest.approx(each[:, [1, 0]])
+
+    def test_none_without_samples_enough(self, log):
+        assert DependentGPRegressor(structure="trend").fit(log[0][:20], log[1][:20]).function_errors() is None

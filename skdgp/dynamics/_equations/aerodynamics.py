@@ -133,6 +133,8 @@ class Aerodynamics:
     flown: Mapping[str, tuple[float, float]] = {}
     slope_errors: Callable | None = None
     """Regressors (n, d) to errors of the slopes that the paths do not contain, see ``DependentGPRegressor``."""
+    function_errors: Callable | None = None
+    """() to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or to None."""
 
     def __init__(
         self,
@@ -189,10 +191,11 @@ class Aerodynamics:
             return self._each(self._gradient, X, (6, d))
         return self._gradient(X.reshape(-1, d)).reshape(*X.shape[:-1], 6, d)
 
-    def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
+    def sample(self, n_paths: int, random_state: Any = 0, *, correlated: bool = False) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 
         The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors of its own.
+        ``correlated``: with errors by noise that is correlated between the samples of a model learned from flights.
         """
         if self._sampler is None:
             raise ValueError(
@@ -200,18 +203,30 @@ class Aerodynamics:
                 "pipeline that ends in DependentGPRegressor, or Aerodynamics(..., sampler=...)."
             )
         values, slopes = self._sampler(n_paths, random_state)
+        errors = self.function_errors() if correlated and self.function_errors is not None else None
+        if errors is not None:
+            values, slopes = _with_errors(values, slopes, errors.draw(n_paths, random_state))
         drawn = copy.copy(self)
         drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = values, slopes, None, n_paths
         return drawn
 
-    def covariance(self, X: ArrayLike) -> Array:
-        """Return the joint covariance (6 n, 6 n) at regressors (n, d); raise ValueError without a posterior."""
+    def covariance(self, X: ArrayLike, *, correlated: bool = False) -> Array:
+        """Return the joint covariance (6 n, 6 n) at regressors (n, d); raise ValueError without a posterior.
+
+        ``correlated``: as of `sample`.
+        """
         if self._covariance is None:
             raise ValueError(
                 f"Got a model without a posterior covariance ({self!r}), but expected a pipeline that ends in "
                 "DependentGPRegressor, or Aerodynamics(..., covariance=...)."
             )
-        return self._covariance(np.asarray(X, dtype=float))
+        X = np.asarray(X, dtype=float)
+        covariance = self._covariance(X)
+        errors = self.function_errors() if correlated and self.function_errors is not None else None
+        if errors is None:
+            return covariance
+        root = errors(np.broadcast_to(X, (len(errors.weights), *X.shape))).T.reshape(len(covariance), -1)
+        return covariance + root @ root.T
 
     def _each(self, function: Callable, X: Array, shape: tuple[int, ...]) -> Array:
         """Return the values of each path at its regressors, (n_paths, ..., *shape)."""
@@ -232,6 +247,12 @@ class Aerodynamics:
             near, far = (self(X + m * step) - self(X - m * step) for m in (1, 2))
             slopes.append((8.0 * near - far) / (12.0 * step[k]))
         return np.stack(slopes, axis=-1)
+
+
+def _with_errors(values: Callable, slopes: Callable | None, errors: Any) -> tuple[Callable, Callable | None]:
+    """Return values and slopes of functions, with the errors of each added."""
+    added = None if slopes is None else lambda X: slopes(X) + errors.gradient(X)
+    return lambda X: values(X) + errors(X), added
 
 
 def as_aerodynamics(model: Any) -> Aerodynamics:
@@ -314,7 +335,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         chord=None if rates is None else rates.chord,
         mixing=mixing,
     )
-    aerodynamics.slope_errors = chain.slope_errors if chain.can_sample else None
+    if chain.can_sample:
+        aerodynamics.slope_errors, aerodynamics.function_errors = chain.slope_errors, chain.function_errors
     return aerodynamics
 
 
@@ -327,6 +349,7 @@ class _Chain:
         self.order = self._order()
         self.has_slopes = not self.others and isinstance(regressor, HasGradient)
         self.can_sample = not self.others and isinstance(regressor, HasPosterior)
+        self._errors: Any = NotImplemented
 
     def mean(self, X: Array) -> Array:
         """Return the coefficients (n, 6) at regressors (n, d)."""
@@ -341,6 +364,13 @@ class _Chain:
         errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "slope_errors", lambda X: None)
         found = errors((X - self.shift) / self.scale)
         return None if found is None else found.take(self.order).scaled(1.0 / self.scale)
+
+    def function_errors(self) -> Any:
+        """Return the errors of the function that the posterior does not contain, None where none are known."""
+        if self._errors is NotImplemented:
+            errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None)()
+            self._errors = None if errors is None else errors.in_units(self.shift, self.scale, self.order)
+        return self._errors
 
     def covariance(self, X: Array) -> Array:
         """Return the joint posterior covariance (6 n, 6 n)."""

@@ -217,6 +217,7 @@ class _Correction:
         self.theta, self.root = theta, root
         model.function, model._gradient = self._values, self._slopes
         model._sampler, model._covariance = self._sample, self._covariance
+        model.function_errors = None  # its flights tell the affine part
         return model
 
     def _values(self, X: Array) -> Array:

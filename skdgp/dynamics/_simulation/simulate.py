@@ -51,7 +51,7 @@ FASTEST, SPINNING = 1000.0, 60.0
 """Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
 FLYING = ""
 CALM_SHARE = 0.25
-"""Of the variance of a drift learned in gusts, in calm air: errors of the function that its posterior lacks."""
+"""Of the variance of a drift learned in gusts, in calm air: errors of the function that its paths lack."""
 MOST_KNOTS = 250
 """Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 
@@ -111,8 +111,9 @@ def simulate(
         its variance; where the model does not know the turbulence of its flights, it keeps all, and the paths spread
         too far.
     n_paths : int, optional
-        Number of functions drawn from the posterior to fly instead of its mean, each for a whole flight. Their spread
-        is the uncertainty of the trajectory.
+        Number of functions drawn to fly instead of the mean, each for a whole flight: from the posterior, with errors
+        by noise that is correlated between samples, which it does not contain. Their spread is the uncertainty of the
+        trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
     drift : bool, default=True
@@ -189,7 +190,7 @@ def simulate(
             drifting = _drift_besides_gusts(drifting, motion, turbulence, float(_airspeed(states, air).mean()))
         air = _gusty(air, turbulence, wind, motion, clock, states, n_paths, random_state)
     if n_paths is not None:
-        motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
+        motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
         if return_std:
             raise ValueError("Got n_paths and return_std=True, but expected one of them: paths spread by themselves.")
@@ -426,7 +427,7 @@ def _std_along(record: Record, motion: Motion, start: Mapping[str, float], drift
     slopes = jacobian(
         motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind
     )
-    covariance = motion.aerodynamics.covariance(record.regressors[at])
+    covariance = motion.aerodynamics.covariance(record.regressors[at], correlated=True)
     if drift and motion.aerodynamics.drift is not None:
         covariance = covariance + motion.aerodynamics.drift.covariance(record.time[knots])
     root = semidefinite_root(covariance)  # (6 k, m), output by output

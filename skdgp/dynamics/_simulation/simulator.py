@@ -124,7 +124,9 @@ class Simulator:
         states = initial_states(starts, lambda at: self._air(0.0, at))
         states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
-        self.motion.aerodynamics = self._mean if mean_flies else self._mean.sample(len(states), random_state)
+        self.motion.aerodynamics = (
+            self._mean if mean_flies else self._mean.sample(len(states), random_state, correlated=True)
+        )
         self._state = states[0] if single and mean_flies else states
         self._single, self._start, self._steps = single, self._state, 0
         self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)

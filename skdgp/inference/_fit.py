@@ -149,7 +149,7 @@ def fit_exact(
         random_state = check_random_state(random_state)
         rows, held = held_out_rows(Y, random_state) if early_stopping else (slice(None), None)
         options = optimizer, max_iter, random_state, input_noise, spread, held
-        learned = _learn_hyperparameters(kernel.prepared(X), X, Y, clock, rows, *options, noise_last=True)
+        learned = _learn_hyperparameters(kernel.prepared(X), X, Y, clock, rows, *options, exact=True)
     return learned.fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y, clock)))
 
 
@@ -321,12 +321,12 @@ def _initial_noise(residual, scale, clock):
 
 
 def _learn_hyperparameters(
-    kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held=None, noise_last=False
+    kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held=None, exact=False
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
     The joint search stops when the error at the rows ``held`` no longer falls. This error says nothing about the noise,
-    so with ``noise_last`` the noise is learned again at the end.
+    so with ``exact`` inference the noise is learned again at the end.
     """
     P, held_out = Y.shape[1], None
     if held is not None:
@@ -354,7 +354,7 @@ def _learn_hyperparameters(
     def optimize(name, kernel, noise, bounds, max_iter, data, spread=0.0, noise_alone=False):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
-        objective = Objective(kernel, data, len(noise), held_out)
+        objective = Objective(kernel, data, len(noise), held_out, common=exact)
         bounds = theta_bounds(kernel, bounds)
         if noise_alone:
             bounds[: kernel.n_dims] = kernel.theta[:, None]
@@ -391,7 +391,7 @@ def _learn_hyperparameters(
         noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     kernel, noise, best = optimize("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
-    if noise_last and held_out is not None and not (callable(optimizer) or stop.is_set()):
+    if exact and held_out is not None and not (callable(optimizer) or stop.is_set()):
         _, noise, last = optimize("noise", kernel, noise, bounds, NOISE_STEPS, data, noise_alone=True)
         n_evaluations += last.n_evaluations
     if isinstance(input_noise, str):

@@ -13,14 +13,16 @@ from skdgp.inference._likelihood import Data, couplings, log_likelihood
 class Objective:
     """The function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient.
 
-    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where the
-    kernel does not couple outputs, this is the sum of their likelihoods: P^2 times faster. It neglects what errors of
-    regressors have in common between outputs, which posteriors do not; errors on other flights are the same.
+    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
+    nothing couples outputs, this is the sum of their likelihoods: P^2 times faster. With ``common`` false it neglects
+    what errors of regressors have in common between outputs. Sparse inference does so, whose noise is then that of all
+    samples; the noise of exact inference would be too small.
     """
 
-    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None) -> None:
+    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None, common: bool = True) -> None:
         self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
-        self.parts = [data] if any(couplings(kernel)) else data.by_output()
+        coupled = any(couplings(kernel)) or (common and data.sample_noise is not None)
+        self.parts = [data] if coupled else data.by_output()
         self.theta, self.weights = np.empty(0), [np.empty(part.n_values) for part in self.parts]
         self.workspace = np.empty(max(part.n_values for part in self.parts) ** 2)
 

@@ -326,7 +326,8 @@ def _learn_hyperparameters(
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
     The joint search stops when the error at the rows ``held`` no longer falls. This error says nothing about the noise,
-    so with ``exact`` inference the noise is learned again at the end.
+    and without ``exact`` the search neglects what errors of regressors have in common between outputs, so noise is
+    learned again at the end.
     """
     P, held_out = Y.shape[1], None
     if held is not None:
@@ -343,6 +344,7 @@ def _learn_hyperparameters(
         )
     scale, X, Y, clock = column_scale(X), X[rows], Y[rows], None if clock is None else clock[rows]
     data = Data.from_table(X, Y, None, clock)
+    n_values = data.n_values
 
     def hyperparameters(kernel, noise, root):
         drift = None if clock is None else (noise[P : 2 * P], noise[2 * P : 3 * P])
@@ -351,10 +353,15 @@ def _learn_hyperparameters(
     if optimizer is None:
         return hyperparameters(kernel, noise, None if isinstance(input_noise, str) else input_noise)
 
+    def with_slopes(kernel, noise, root, rows=slice(None)):
+        data = hyperparameters(kernel, noise, root).data(X[rows], Y[rows], None if clock is None else clock[rows], 1)
+        # The drift is learned with the other hyperparameters, so the data must not fix it.
+        return data._replace(drift=data.drift and data.drift._replace(variance=None, memory=None))
+
     def optimize(name, kernel, noise, bounds, max_iter, data, spread=0.0, noise_alone=False):
         theta = np.concatenate([kernel.theta, np.log(noise)])
         theta += spread * random_state.normal(size=theta.shape)
-        objective = Objective(kernel, data, len(noise), held_out, common=exact)
+        objective = Objective(kernel, data, len(noise), held_out, common=exact or noise_alone)
         bounds = theta_bounds(kernel, bounds)
         if noise_alone:
             bounds[: kernel.n_dims] = kernel.theta[:, None]
@@ -384,14 +391,14 @@ def _learn_hyperparameters(
     root, bounds = input_noise, noise_bounds
     if input_noise is not None:
         root = np.diag(scale) if isinstance(input_noise, str) else input_noise
-        # The drift is learned with the other hyperparameters, so the data must not fix it.
-        data = hyperparameters(coarse, noise, root).data(X, Y, clock, passes=1)
-        data = data._replace(drift=data.drift and data.drift._replace(variance=None, memory=None))
+        data = with_slopes(coarse, noise, root)
     if isinstance(input_noise, str):
         noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     kernel, noise, best = optimize("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
-    if exact and held_out is not None and not (callable(optimizer) or stop.is_set()):
+    if (held_out is not None if exact else isinstance(input_noise, str)) and not (callable(optimizer) or stop.is_set()):
+        if not exact:  # the white noise will be that of all samples
+            data = with_slopes(kernel, noise, root, slice(None, None, 2))
         _, noise, last = optimize("noise", kernel, noise, bounds, NOISE_STEPS, data, noise_alone=True)
         n_evaluations += last.n_evaluations
     if isinstance(input_noise, str):
@@ -401,7 +408,7 @@ def _learn_hyperparameters(
         n_evaluations=n_evaluations + best.n_evaluations,
         interrupted=stop.is_set(),
         remaining=best.remaining,
-        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * data.n_values),
+        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * n_values),
     )
 
 

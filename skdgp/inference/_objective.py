@@ -15,8 +15,8 @@ class Objective:
 
     ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
     nothing couples outputs, this is the sum of their likelihoods: P^2 times faster. With ``common`` false it neglects
-    what errors of regressors have in common between outputs. Sparse inference does so, whose noise is then that of all
-    samples; the noise of exact inference would be too small.
+    what errors of regressors have in common between outputs: widths and amplitudes hardly change, but the variances of
+    the regressors' noise must then be learned again.
     """
 
     def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None, common: bool = True) -> None:

@@ -396,7 +396,8 @@ def _learn_hyperparameters(
         noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     kernel, noise, best = optimize("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
-    if (held_out is not None if exact else isinstance(input_noise, str)) and not (callable(optimizer) or stop.is_set()):
+    search_left_noise = held_out is not None if exact else isinstance(input_noise, str)
+    if search_left_noise and not (callable(optimizer) or stop.is_set()):
         if not exact:  # the white noise will be that of all samples
             data = with_slopes(kernel, noise, root, slice(None, None, 2))
         _, noise, last = optimize("noise", kernel, noise, bounds, NOISE_STEPS, data, noise_alone=True)

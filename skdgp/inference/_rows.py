@@ -58,7 +58,7 @@ def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None
 
 
 def quarters(rows: Indices) -> Iterator[tuple[Indices, Indices, slice]]:
-    """Yield for each quarter of the rows the rows outside, those inside, and their places; with gaps as above."""
+    """Yield for each quarter of the rows those outside, without GAP on either side, those inside, and their places."""
     for a, b in pairwise(np.linspace(0, len(rows), 5).astype(int)):
         gap = int(GAP * (b - a))
         yield np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b], slice(a, b)

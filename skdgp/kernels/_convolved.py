@@ -550,7 +550,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             roots = self._roots()[latents][:, [i, j]].swapaxes(0, 1)
             for output, R in zip((i, j), roots, strict=True):
                 dR = full_slopes(mass, gains[:, None, None] * second, F, roots, R)
-                gradients["length_scale"][latents, output] += -(dR * R).sum(axis=-1)
+                gradients["length_scale"][latents, output] -= (dR * R).sum(axis=-1)
                 shear = (dR / lengths[:, output, :, None])[:, *lower]
                 gradients["shear"][latents, output] += shear
             slope = np.einsum("mkl,mpl,mp->mk", F, F, first)
@@ -560,7 +560,7 @@ class ConvolvedGaussian(MultiOutputKernel):
                 gradients["length_scale"][latents, output] += by_length
             slope = F**2 * first
         gradients["shift"][latents, i] += slope
-        gradients["shift"][latents, j] += -slope
+        gradients["shift"][latents, j] -= slope
         return gradients
 
     def is_stationary(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from itertools import takewhile
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -203,7 +204,7 @@ class Aerodynamics:
                 "pipeline that ends in DependentGPRegressor, or Aerodynamics(..., sampler=...)."
             )
         values, slopes = self._sampler(n_paths, random_state)
-        errors = self.function_errors() if correlated and self.function_errors is not None else None
+        errors = self._errors() if correlated else None
         if errors is not None:
             values, slopes = _with_errors(values, slopes, errors.draw(n_paths, random_state))
         drawn = copy.copy(self)
@@ -222,11 +223,15 @@ class Aerodynamics:
             )
         X = np.asarray(X, dtype=float)
         covariance = self._covariance(X)
-        errors = self.function_errors() if correlated and self.function_errors is not None else None
+        errors = self._errors() if correlated else None
         if errors is None:
             return covariance
         root = errors(np.broadcast_to(X, (len(errors.weights), *X.shape))).T.reshape(len(covariance), -1)
         return covariance + root @ root.T
+
+    def _errors(self) -> Any:
+        """Return the errors of the function that the posterior does not contain, None where none are known."""
+        return None if self.function_errors is None else self.function_errors()
 
     def _each(self, function: Callable, X: Array, shape: tuple[int, ...]) -> Array:
         """Return the values of each path at its regressors, (n_paths, ..., *shape)."""
@@ -349,7 +354,6 @@ class _Chain:
         self.order = self._order()
         self.has_slopes = not self.others and isinstance(regressor, HasGradient)
         self.can_sample = not self.others and isinstance(regressor, HasPosterior)
-        self._errors: Any = NotImplemented
 
     def mean(self, X: Array) -> Array:
         """Return the coefficients (n, 6) at regressors (n, d)."""
@@ -367,10 +371,12 @@ class _Chain:
 
     def function_errors(self) -> Any:
         """Return the errors of the function that the posterior does not contain, None where none are known."""
-        if self._errors is NotImplemented:
-            errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None)()
-            self._errors = None if errors is None else errors.in_units(self.shift, self.scale, self.order)
-        return self._errors
+        return self._function_errors
+
+    @cached_property
+    def _function_errors(self) -> Any:
+        errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None)()
+        return None if errors is None else errors.in_units(self.shift, self.scale, self.order)
 
     def covariance(self, X: Array) -> Array:
         """Return the joint posterior covariance (6 n, 6 n)."""

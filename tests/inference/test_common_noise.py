@@ -1,0 +1,45 @@
+"""What errors of regressors have in common between outputs: in the objective of a search, and in what it learns."""
+
+import numpy as np
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import Data, log_likelihood
+from skdgp.inference._objective import Objective
+from skdgp.kernels import ConvolvedGaussian
+
+STD = 0.1, 0.01
+"""Of the errors of two regressors."""
+
+
+@pytest.fixture(scope="module")
+def log():
+    """Two noisy regressors, which two outputs that share nothing else both feel."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-2, 2, (800, 2))
+    Y = np.column_stack([np.sin(x[:, 0]) + np.cos(x[:, 1]), np.cos(x[:, 0]) + np.sin(x[:, 1])])
+    return x + rng.normal(0, STD, x.shape), Y + rng.normal(0, 0.02, Y.shape)
+
+
+def test_the_objective_keeps_or_neglects_it(log):
+    X, Y = log[0][:40], log[1][:40]
+    kernel = ConvolvedGaussian(0).initialize(X, Y, np.random.RandomState(0))
+    loading = np.random.default_rng(1).normal(size=(40, 2, 1))
+    data, noise = Data.from_table(X, Y, loading), np.array([0.1, 0.2, 0.3])
+    theta = np.concatenate([kernel.theta, np.log(noise)])
+    alone = [np.where(np.arange(2) == i, Y, np.nan) for i in range(2)]
+    parts = [log_likelihood(kernel, noise, Data.from_table(X, one, loading)) for one in alone]
+    assert Objective(kernel, data, 3)(theta)[0] == pytest.approx(log_likelihood(kernel, noise, data))
+    assert Objective(kernel, data, 3, common=False)(theta)[0] == pytest.approx(sum(parts))
+    assert sum(parts) != pytest.approx(log_likelihood(kernel, noise, data), rel=1e-3)
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_the_noise_of_each_regressor_is_found(log, inference):
+    X, Y = log if inference == "sparse" else (part[:150] for part in log)
+    model = DependentGPRegressor(
+        n_latent=0, inference=inference, input_noise="learned", early_stopping=True, random_state=0, max_iter=30
+    ).fit(X, Y)
+    found = np.sqrt(np.diag(model.input_covariance_))
+    assert found[0] == pytest.approx(STD[0], rel=0.2)
+    assert found[1] < 3 * STD[1]

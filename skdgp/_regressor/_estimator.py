@@ -12,38 +12,30 @@ from sklearn.metrics import r2_score
 from sklearn.utils import Bunch, check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.checkpoint import fit_record, run_recorded
 from skdgp._compute.linalg import check_memory, eigen_root
-from skdgp._compute.parallel import check_n_jobs, fit_map
+from skdgp._compute.parallel import check_n_jobs
 from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
+from skdgp._regressor._structure import learn
 from skdgp.inference import (
     Data,
     FunctionErrors,
     SlopeErrors,
-    choose_kernel,
     compact,
-    fit_exact,
-    fit_sparse,
     function_errors,
-    held_out_errors,
     input_noise_loading,
     output_correlation,
     residual_drift,
     slope_errors,
 )
-from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel
+from skdgp.kernels import MultiOutputKernel
 from skdgp.kernels._convolved import COVARIANCE_TYPES
 
 EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
 
-ADDITIVE_SAMPLES = 5000  # largest number of samples for which structure="auto" adds main effects: see docs/choosing.md
-SHARED_LATENTS = 2  # number of shared latents of n_latent=None
-COMPLETE = 0.95  # smallest part of the values that is observed for structure="auto" to share none
-MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 FIT_REMEDY = (
     "Use inference='sparse' or fewer values: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over "
     "the log."
@@ -329,8 +321,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None, self.normalize_y)
         modelled = clock if self.drift == "likelihood" else None
-        best = task.run(self._search, X, Z, modelled)
+        found = task.run(learn, self, X, Z, modelled)
+        best = found.fit
         _checks.warn_of_search(best, self.max_iter)
+        self.structure_, self.structure_errors_ = found.structure, found.structure_errors
+        self.n_latent_, self.n_latent_scores_ = found.n_latent, found.n_latent_scores
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_ = best.posterior
         self.kernel_ = best.posterior.kernel
@@ -346,106 +341,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.n_iter_, self.n_evaluations_, self.converged_ = best.n_iter, best.n_evaluations, best.converged
         task.end()
         return self
-
-    def _search(self, X, Z, clock):
-        """Return the best fit over the starting points, or that of the trend alone where it is better."""
-        self._check_structure()
-        root = _checks.input_root(self.input_noise, X, self._regressor_names())
-        options = {"optimizer": self.optimizer, "max_iter": self.max_iter, "input_noise": root, "clock": clock}
-        seeds = check_random_state(self.random_state).randint(2**31 - 1, size=1 + self.n_restarts_optimizer)
-        inputs = X if clock is None else np.column_stack([X, clock])
-        record = fit_record(inputs, Z, seeds, self.get_params(deep=False))
-        seeds = seeds if record is None else record.seeds
-        kernel, known = self._choose_kernel(X, Z, options | {"random_state": int(seeds[0]), "record": record})
-        search = fit_exact if self.inference_ == "exact" else partial(fit_sparse, n_inducing=self.n_inducing)
-        search = partial(search, X=X, Y=Z, early_stopping=self.early_stopping, **options)
-        names = [f"start-{k}" for k in range(len(seeds) if known is None else 1)]
-        starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
-        start = partial(run_recorded, record, function=partial(search, kernel, found=known))
-        fits = fit_map(start, starts, self.n_jobs)
-        best = max(fits, key=lambda fit: fit.value)
-        best = best._replace(interrupted=any(fit.interrupted for fit in fits))
-        if self.structure != "auto" or best.interrupted or not self._has_trend():
-            return best
-        alone = partial(search, self._make_trend(), random_state=int(seeds[0]))
-        try:
-            better = self._trend_is_better(best, partial(run_recorded, record, "trend-exact", alone), X, Z)
-        except KeyboardInterrupt:
-            return best._replace(interrupted=True)
-        if not better:
-            return best
-        self.structure_, self.n_latent_ = "trend", 0
-        return run_recorded(record, "trend", alone)
-
-    def _check_structure(self):
-        """Raise ValueError if the structure needs another kernel or trend."""
-        if self.structure == "trend" and not self._has_trend():
-            raise ValueError(
-                f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
-                "kernel=None and a trend such as 'linear'."
-            )
-        if self.structure == "additive" and self.kernel is not None:
-            raise ValueError(
-                f"Got structure='additive' with kernel={self.kernel!r}, but expected kernel=None: add "
-                "ConvolvedGaussian(0, regressors=[k]) to the kernel."
-            )
-
-    def _has_trend(self):
-        """Return whether the model has a trend that can be fitted without processes."""
-        return self.kernel is None and self.trend not in ("constant", None)
-
-    def _choose_kernel(self, X, Z, options):
-        """Return the kernel to fit, and the best hyperparameters so far if Ctrl-C ended its choice, else None."""
-        self.structure_, self.structure_errors_ = self.structure, {}
-        self.n_latent_, self.n_latent_scores_ = self.n_latent if self.kernel is None else None, {}
-        if self.structure == "trend":
-            self.n_latent_ = 0
-            return self._make_trend(), None
-        if self.structure == "auto":
-            additive = self._has_trend() and len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1
-            self.structure_ = "additive" if additive else "joint"
-        hyperparameters = None
-        if self.kernel is None and self.n_latent is None:
-            complete = np.isfinite(Z).mean() >= COMPLETE
-            independent = self.structure == "auto" and self.private_latents and complete
-            self.n_latent_ = 0 if independent else SHARED_LATENTS
-        if self.n_latent_ == "auto":
-            fewest = int(not self.private_latents)
-            numbers = range(fewest, (MAX_LATENT if Z.shape[1] > 1 else fewest) + 1)
-            choice = choose_kernel([self._make_kernel(k, self.structure_) for k in numbers], X, Z, **options)
-            self.n_latent_, hyperparameters = numbers[choice.index], choice.found
-            self.n_latent_scores_ = dict(zip(numbers, choice.scores, strict=False))
-        return self._make_kernel(self.n_latent_, self.structure_), hyperparameters
-
-    def _trend_is_better(self, rich, fit_trend, X, Z):
-        """Return whether the trend alone predicts held-out blocks better than the fit.
-
-        The trend is fitted to exact regressors for this: that is faster and changes its errors by some per cent.
-        """
-        alone = fit_trend(input_noise=None)
-        if alone.interrupted:
-            raise KeyboardInterrupt
-        simple, errors = (held_out_errors(fit, X, Z, self.n_inducing) for fit in (alone, rich))
-        if simple is None or errors is None:
-            return False
-        self.structure_errors_ = {"trend": simple, self.structure_: errors}
-        return np.nanmean(simple) < np.nanmean(errors)
-
-    def _make_kernel(self, n_latent, structure):
-        options = {
-            "private_latents": self.private_latents,
-            "covariance_type": self.covariance_type,
-            "length_scale_prior": self.length_scale_prior,
-        }
-        trend = None if self.trend in ("constant", None) else self._make_trend()
-        kernel: Any = ConvolvedGaussian(n_latent, **options) if self.kernel is None else clone(self.kernel)
-        if structure == "additive":
-            for k in range(self.n_features_in_):
-                kernel = ConvolvedGaussian(0, regressors=[k], length_scale_prior=self.length_scale_prior) + kernel
-        return kernel if trend is None else trend + kernel
-
-    def _make_trend(self):
-        return LinearTrend() if self.trend == "linear" else BasisTrend(self.trend)
 
     # -- updates of a fitted model ---------------------------------------------------------------------
 

@@ -192,7 +192,7 @@ class TestStructure:
             if len(known) == compared and (stage == "fit" or compared == 2):
                 raise KeyboardInterrupt
 
-        monkeypatch.setattr("skdgp._regressor._estimator.held_out_errors", watched)
+        monkeypatch.setattr("skdgp._regressor._structure.held_out_errors", watched)
         model = DependentGPRegressor(structure="auto", n_latent=0, max_iter=20, random_state=0)
         with listening(interrupt), pytest.warns(ConvergenceWarning, match="interrupted"):
             model.fit(x, y)

@@ -26,6 +26,7 @@ from skdgp.inference import (
     compact,
     function_errors,
     input_noise_loading,
+    misfit_variance,
     output_correlation,
     residual_drift,
     slope_errors,
@@ -36,6 +37,7 @@ from skdgp.kernels._convolved import COVARIANCE_TYPES
 EXACT_LIMIT = 6000
 """Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
 
+LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
     "Use inference='sparse' or fewer values: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over "
     "the log."
@@ -131,10 +133,13 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     kernel_ : MultiOutputKernel
         Fitted covariance of the normalised outputs.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, drift included, in squared units of the outputs.
+        Variance of the measurement noise, drift included and misfit excluded, in squared units of the outputs.
     drift_variance_, drift_memory_ : ndarray (P,)
         Variance tau^2 of the drift, and its memory T in the unit of ``time``; zero without ``time``. With
         ``drift="residuals"`` it holds the effect of errors of the regressors, too.
+    misfit_variance_ : ndarray (P,)
+        Variance of what the function misses where flights come back to the same regressors, in squared units of the
+        outputs: part of the function's band. Zero without ``time``. See :func:`skdgp.inference.misfit_variance`.
     input_covariance_ : ndarray (d, d)
         Covariance of the regressors' noise; zero for exact regressors.
     log_marginal_likelihood_value_ : float
@@ -253,7 +258,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         state = {"structure": "joint", "drift": "residuals", "early_stopping": False} | state
         if "_scale" in state:
             white = np.zeros(len(state["_scale"]))
-            fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0}
+            fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0, "misfit_variance_": white}
             state = fitted | {"drift_variance_": white, "drift_memory_": white} | state
         super().__setstate__(state)
 
@@ -322,23 +327,26 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None, self.normalize_y)
         modelled = clock if self.drift == "likelihood" else None
         found = task.run(learn, self, X, Z, modelled)
-        best = found.fit
-        _checks.warn_of_search(best, self.max_iter)
+        posterior, learned = found.fit.posterior, found.fit.learned
+        _checks.warn_of_search(learned, self.max_iter)
         self.structure_, self.structure_errors_ = found.structure, found.structure_errors
         self.n_latent_, self.n_latent_scores_ = found.n_latent, found.n_latent_scores
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
-        self.posterior_ = best.posterior
-        self.kernel_ = best.posterior.kernel
-        self.noise_variance_ = best.noise * self._scale**2
-        variance, memory = np.zeros((2, len(self._scale))) if best.drift is None else best.drift
-        if clock is not None and modelled is None:
-            _, variance, memory = residual_drift(best.posterior, X, Z, clock)
+        self.posterior_, self.kernel_ = posterior, posterior.kernel
+        self.noise_variance_ = learned.total_noise * self._scale**2
+        variance, memory, self.misfit_variance_ = np.zeros((3, len(self._scale)))
+        if learned.drift is not None:
+            variance, memory = learned.drift
+        elif clock is not None:
+            _, variance, memory = residual_drift(posterior, X, Z, clock)
+        if clock is not None:
+            self._part_misfit(X, Z, clock)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
         self._n_flights = 0 if modelled is None else int(modelled[:, 1].max()) + 1
-        self._root = best.root
-        self.input_covariance_ = np.zeros((X.shape[1],) * 2) if best.root is None else best.root @ best.root.T
-        self.log_marginal_likelihood_value_ = best.posterior.log_marginal_likelihood
-        self.n_iter_, self.n_evaluations_, self.converged_ = best.n_iter, best.n_evaluations, best.converged
+        self._root = learned.root
+        self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
+        self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
+        self.n_iter_, self.n_evaluations_, self.converged_ = learned.n_iter, learned.n_evaluations, learned.converged
         task.end()
         return self
 
@@ -536,17 +544,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         mean = self.posterior_.predict(X, return_variance=return_std)
         if return_std:
             mean, variance = mean
-            if include_noise:
-                variance = variance + self.noise_variance_ / self._scale**2
+            variance = variance + self._independent(include_noise)
             variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
             return self._squeeze(mean * self._scale + self._center), self._squeeze(np.sqrt(variance) * self._scale)
         mean = self._squeeze(mean * self._scale + self._center)
         if not return_cov:
             return mean
         check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
-        cov = self.posterior_.covariance(X)
-        if include_noise:
-            cov[np.diag_indices_from(cov)] += np.repeat(self.noise_variance_ / self._scale**2, len(X))
+        cov = self._covariance(X, include_noise)
         loading = self._loading(X, include_input_noise)
         blocks = cov.reshape(len(self._scale), len(X), len(self._scale), len(X))
         np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
@@ -647,7 +652,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         X = self._check_regressors(X)
         mean = self.posterior_.predict(X)
         check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
-        cov = self.posterior_.covariance(X)
+        cov = self._covariance(X)
         white = check_random_state(random_state).standard_normal((len(cov), n_samples))
         draws = eigen_root(cov) @ white  # a posterior covariance may be singular
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
@@ -764,6 +769,24 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """Fitted hyperparameters, in the form of the argument of ``log_marginal_likelihood``."""
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
+
+    def _covariance(self, X, include_noise=False):
+        """Return the joint covariance of the normalised outputs, (P n, P n)."""
+        cov = self.posterior_.covariance(X)
+        cov[np.diag_indices_from(cov)] += np.repeat(self._independent(include_noise), len(X))
+        return cov
+
+    def _independent(self, include_noise):
+        """Return the variance of errors of normalised outputs that are independent between samples, (P,)."""
+        noise = self.noise_variance_ if include_noise else 0.0
+        return (self.misfit_variance_ + noise) / self._scale**2
+
+    def _part_misfit(self, X, Z, clock):
+        """Tell misfit and noise apart: the search took both for noise."""
+        total = self.noise_variance_ + self.misfit_variance_
+        misfit = misfit_variance(self.posterior_, X, Z, clock) * self._scale**2
+        self.misfit_variance_ = np.minimum(misfit, LARGEST_MISFIT * total)
+        self.noise_variance_ = total - self.misfit_variance_
 
     def _loading(self, X, factor):
         """Return J R times the root of ``factor``, (n, P, r), for noisy regressors; r is zero for exact regressors."""

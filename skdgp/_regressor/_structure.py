@@ -63,13 +63,13 @@ def learn(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Learned:
     start = partial(run_recorded, record, function=partial(search, kernel, found=known))
     fits = fit_map(start, starts, model.n_jobs)
     best = max(fits, key=lambda fit: fit.value)
-    learned.fit = best._replace(interrupted=any(fit.interrupted for fit in fits))
+    learned.fit = best.marked(any(fit.interrupted for fit in fits))
     if model.structure == "auto" and _has_trend(model) and not learned.fit.interrupted:
         alone = partial(search, _make_trend(model), random_state=int(seeds[0]))
         try:
             _prefer_trend(learned, partial(run_recorded, record), alone, X, Z, model.n_inducing)
         except KeyboardInterrupt:
-            learned.fit = best._replace(interrupted=True)
+            learned.fit = best.marked(interrupted=True)
     return learned
 
 

@@ -206,7 +206,7 @@ class PortableModel:
     trend_roots : tuple of ndarray (d + 1, r)
         One for each output, with k <= r <= k + d + 1.
     prior_variance : ndarray (P,)
-        Of the Gaussian functions, of normalised outputs.
+        Of the Gaussian functions and of the misfit, of normalised outputs.
     noise_variance : ndarray (P,)
         Of measurements of the coefficients; it is no part of the deviation.
     drift_variance, drift_memory : ndarray (P,)

@@ -63,6 +63,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     regressors, shift, scale, limits = _inputs(pipeline)
     form = _exact(regressor.posterior_) if isinstance(regressor.posterior_, ExactPosterior) else None
     form = sparse_form(regressor.posterior_) if form is None else form
+    form["prior_variance"] += regressor.misfit_variance_ / regressor._scale**2
     drift = np.zeros((2, len(regressor._scale)))
     if np.any(regressor.drift_variance_):
         drift = np.stack([regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_])

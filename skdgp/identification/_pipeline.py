@@ -350,6 +350,9 @@ class FlightPipeline(Pipeline):
         words |= {key: value for key, value in clock.items() if key in words}
         last.fit(Z, learned, **words)
         if isinstance(last, DependentGPRegressor):
+            if self.symmetric:  # the noise of a mirrored sample is not independent of that of the sample
+                n, own = len(targets), np.column_stack([time, numbers])
+                last._part_misfit(Z[:n], (learned.to_numpy(float)[:n] - last._center) / last._scale, own)
             factor = np.full(Y.shape[1], float(len(samples)))
             if self.gusty:
                 factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)

@@ -9,17 +9,20 @@ loading   matrix that multiplies independent variables: G of the noise G G^T tha
           sample; A, b of a posterior mean A b
 clock     time and flight number of each value, (n, 2)
 drift     the part of the noise that is correlated in time
+misfit    the error of the function that residuals show where flights come back to the same regressors
 ========  =============================================================================================================
 """
 
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, fit_exact, fit_sparse, input_noise_loading, residual_drift
+from skdgp.inference._fit import Fit, fit_exact, fit_sparse, residual_drift
 from skdgp.inference._kernel_selection import Choice, choose_kernel, held_out_errors
 from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import autocorrelation_time
 from skdgp.inference._optimize import Optimum, maximize
+from skdgp.inference._search import input_noise_loading
 from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, slope_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
@@ -48,6 +51,7 @@ __all__ = [
     "input_noise_loading",
     "log_likelihood",
     "maximize",
+    "misfit_variance",
     "output_correlation",
     "reach_of",
     "residual_drift",

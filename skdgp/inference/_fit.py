@@ -1,12 +1,8 @@
-"""Fits: the search for hyperparameters, in stages, and the posterior at the best ones.
-
-``_learn_hyperparameters`` is the search of both kinds of inference. It learns from the rows that ``_rows`` chooses.
-"""
+"""Fits: exact and sparse posteriors at the best hyperparameters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from threading import Event
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,90 +10,38 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
-from skdgp._compute.threads import threads_for
 from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import autocorrelation_time, fit_drift, fit_drift_to_integrals
-from skdgp.inference._objective import Objective, theta_bounds
-from skdgp.inference._optimize import maximize
-from skdgp.inference._rows import HELD_OUT_ROWS, held_out_rows, some_rows, stratified
-from skdgp.inference._singles import fit_singles
+from skdgp.inference._rows import held_out_rows, some_rows
+from skdgp.inference._search import NOISE_BOUNDS, NOISE_STEPS, Hyperparameters, input_noise_loading, search
 from skdgp.inference._sparse import SparsePosterior, maximize_features
 from skdgp.inference._sums import shares_of
 
 FEATURE_ITERATIONS = 4  # iterations that move and scale the inducing variables on the bound
-NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
-NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
-INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
-IRRELEVANT_RISE = 0.05  # expected rise of the likelihood for each value [nats] up to which a search has converged
-MEMORY_STEPS = 4  # starting memory of a drift, in sample intervals
 
 
 class Fit(NamedTuple):
-    """A posterior with its hyperparameters and the history of the search.
+    """A posterior, the hyperparameters it has, and how well it explains its data.
 
-    ``noise`` (P,) is the variance of one measurement, drift included. A sparse posterior uses a larger noise where the
-    errors of neighbouring samples are correlated. ``root`` (d, r) is R of the regressors' noise covariance R R^T, None
-    for exact regressors. ``drift`` holds the variances and memories (P,) of the drift, or None. ``value`` is the log
-    likelihood, or its bound, plus the log prior of the kernel: it compares fits of the same data.
+    ``value`` is the log likelihood, or its bound, plus the log prior of the kernel: it compares fits of the same data.
+    A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples are correlated.
     """
 
     posterior: ExactPosterior | SparsePosterior
-    noise: np.ndarray
-    root: np.ndarray | None
-    drift: tuple[np.ndarray, np.ndarray] | None
+    learned: Hyperparameters
     value: float
-    n_iter: int
-    n_evaluations: int
-    interrupted: bool = False
-    remaining: float = 0.0
-    converged: bool = True
 
-    def found(self, interrupted: bool) -> Hyperparameters:
-        """Return the hyperparameters of an exact fit, for use with other samples."""
-        history = self.n_iter, self.n_evaluations, interrupted, self.remaining, self.converged
-        white_noise = self.noise if self.drift is None else self.noise - self.drift[0]
-        return Hyperparameters(self.posterior.kernel, white_noise, self.root, self.drift, *history)
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the search."""
+        return self.learned.interrupted
 
-
-class Hyperparameters(NamedTuple):
-    """Hyperparameters and the history of the search; ``noise`` excludes ``drift``."""
-
-    kernel: object
-    noise: np.ndarray
-    root: np.ndarray | None = None
-    drift: tuple[np.ndarray, np.ndarray] | None = None
-    n_iter: int = 0
-    n_evaluations: int = 0
-    interrupted: bool = False
-    remaining: float = 0.0
-    converged: bool = True
-
-    def fit(self, posterior: Any, value: Any = None, more: Any = None) -> Fit:
-        """Return the posterior with the history of the search; ``more`` is a later Optimum, or None."""
-        value = posterior.log_marginal_likelihood if value is None else value
-        n_evaluations = self.n_evaluations + (more.n_evaluations if more else 0)
-        interrupted = self.interrupted or bool(more and more.interrupted)
-        value += posterior.kernel.log_prior()
-        history = self.n_iter, n_evaluations, interrupted, self.remaining, self.converged
-        noise = self.noise if self.drift is None else self.noise + self.drift[0]
-        return Fit(posterior, noise, self.root, self.drift, value, *history)
-
-    def data(self, X: Matrix, Y: Matrix, clock: Matrix | None, passes: int = 2) -> Data:
-        """Return the observed values with their noise model: noisy regressors and drift.
-
-        The first pass takes slopes of a fit to exact regressors, the second of one to noisy regressors.
-        """
-        drift = self.drift or (None, None)
-        data = Data.from_table(X, Y, None, clock, drift)
-        if self.root is None:
-            return data
-        for _ in range(passes):
-            loading = input_noise_loading(ExactPosterior(self.kernel, self.noise, data), X, self.root)
-            data = Data.from_table(X, Y, loading, clock, drift)
-        return data
+    def marked(self, interrupted: bool) -> Fit:
+        """Return the same fit, interrupted or not."""
+        return self._replace(learned=self.learned._replace(interrupted=interrupted))
 
 
 def fit_exact(
@@ -149,8 +93,8 @@ def fit_exact(
         random_state = check_random_state(random_state)
         rows, held = held_out_rows(Y, random_state) if early_stopping else (slice(None), None)
         options = optimizer, max_iter, random_state, input_noise, spread, held
-        learned = _learn_hyperparameters(kernel.prepared(X), X, Y, clock, rows, *options, exact=True)
-    return learned.fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y, clock)))
+        learned = search(kernel.prepared(X), X, Y, clock, rows, *options, exact=True)
+    return _fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y, clock)), learned)
 
 
 def fit_sparse(
@@ -201,12 +145,11 @@ def fit_sparse(
     if learned is None:
         rows, held = held_out_rows(Y, random_state) if early_stopping else (some_rows(Y, random_state), None)
         options = optimizer, max_iter, random_state, input_noise, spread, held
-        learned = _learn_hyperparameters(kernel, X, Y, clock, rows, *options)
+        learned = search(kernel, X, Y, clock, rows, *options)
     kernel, features = learned.kernel, learned.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
-        total = learned.noise if learned.drift is None else learned.noise + learned.drift[0]
-        posterior = SparsePosterior(kernel, features, total, shares)
+        posterior = SparsePosterior(kernel, features, learned.total_noise, shares)
         if optimizer is None:
             return _final_fit(learned, posterior, X, Y, clock, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
@@ -230,6 +173,17 @@ def fit_sparse(
     return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value, best)
 
 
+def _fit(posterior, learned, value=None, more=None) -> Fit:
+    """Return the fit; ``more`` is an Optimum of a later search, or None."""
+    if more is not None:
+        learned = learned._replace(
+            n_evaluations=learned.n_evaluations + more.n_evaluations,
+            interrupted=learned.interrupted or more.interrupted,
+        )
+    value = posterior.log_marginal_likelihood if value is None else value
+    return Fit(posterior, learned, value + posterior.kernel.log_prior())
+
+
 def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, more=None) -> Fit:
     """Return the fit; with noisy regressors, part of each output's noise becomes noise of the regressors.
 
@@ -237,7 +191,7 @@ def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, m
     too, but have no drift of their own: their part is always inflated.
     """
     if hyperparameters.root is None and hyperparameters.drift is None:
-        return hyperparameters.fit(posterior, value, more)
+        return _fit(posterior, hyperparameters, value, more)
     noise, drift, loading = hyperparameters.noise, hyperparameters.drift, None
     if hyperparameters.root is not None:
         loading = input_noise_loading(posterior, X, hyperparameters.root)
@@ -251,7 +205,7 @@ def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, m
     with sharing(shares):
         effective_noise = noise * inflation if drift is None else noise
         posterior = SparsePosterior(posterior.kernel, posterior.features, effective_noise, shares)
-    return hyperparameters._replace(noise=noise, drift=drift).fit(posterior, value, more)
+    return _fit(posterior, hyperparameters._replace(noise=noise, drift=drift), value, more)
 
 
 def residual_drift(
@@ -303,131 +257,6 @@ def _converge_noise(posterior, inflation, least):
         if change < 0.01:
             break
     return posterior
-
-
-def _initial_noise(residual, scale, clock):
-    """Return the starting noise and its bounds: variances (P,), with a drift also its variances and memories."""
-    bounds = np.multiply.outer(scale**2, NOISE_BOUNDS)
-    noise = np.clip(0.2 * np.nanvar(residual, axis=0), *bounds.T)
-    if clock is None:
-        return noise, bounds
-    time, flight = clock.T
-    steps = np.abs(np.diff(time))[np.diff(flight) == 0]
-    step = float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 1.0
-    longest = max(float(np.ptp(time[flight == number])) for number in np.unique(flight))
-    memory = np.full(len(noise), MEMORY_STEPS * step)
-    span = np.tile([step, max(longest, 2 * MEMORY_STEPS * step)], (len(noise), 1))
-    return np.concatenate([0.5 * noise, 0.5 * noise, memory]), np.concatenate([bounds, bounds, span])
-
-
-def _learn_hyperparameters(
-    kernel, X, Y, clock, rows, optimizer, max_iter, random_state, input_noise, spread, held=None, exact=False
-) -> Hyperparameters:
-    """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
-
-    The joint search stops when the error at the rows ``held`` no longer falls. This error says nothing about the noise,
-    and without ``exact`` the search neglects what errors of regressors have in common between outputs, so noise is
-    learned again at the end.
-    """
-    P, held_out = Y.shape[1], None
-    if held is not None:
-        some = stratified(held, HELD_OUT_ROWS, random_state)
-        held_out, Y = Data.from_table(X[some], Y[some]), np.array(Y)
-        Y[held] = np.nan
-    open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
-    noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y), clock)
-    stop = Event()
-    singles, n_evaluations, n_iter = None, 0, 0
-    if optimizer is not None and P > 1 and not open_kernel.has_values():
-        singles, noise, n_evaluations = fit_singles(
-            open_kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop
-        )
-    scale, X, Y, clock = column_scale(X), X[rows], Y[rows], None if clock is None else clock[rows]
-    data = Data.from_table(X, Y, None, clock)
-    n_values = data.n_values
-
-    def hyperparameters(kernel, noise, root):
-        drift = None if clock is None else (noise[P : 2 * P], noise[2 * P : 3 * P])
-        return Hyperparameters(kernel, noise[:P], root, drift)
-
-    if optimizer is None:
-        return hyperparameters(kernel, noise, None if isinstance(input_noise, str) else input_noise)
-
-    def with_slopes(kernel, noise, root, rows=slice(None)):
-        data = hyperparameters(kernel, noise, root).data(X[rows], Y[rows], None if clock is None else clock[rows], 1)
-        # The drift is learned with the other hyperparameters, so the data must not fix it.
-        return data._replace(drift=data.drift and data.drift._replace(variance=None, memory=None))
-
-    def optimize(name, kernel, noise, bounds, max_iter, data, spread=0.0, noise_alone=False):
-        theta = np.concatenate([kernel.theta, np.log(noise)])
-        theta += spread * random_state.normal(size=theta.shape)
-        objective = Objective(kernel, data, len(noise), held_out, common=exact or noise_alone)
-        bounds = theta_bounds(kernel, bounds)
-        if noise_alone:
-            bounds[: kernel.n_dims] = kernel.theta[:, None]
-        with threads_for(data.n_values):
-            best = maximize(
-                objective,
-                theta,
-                bounds,
-                optimizer=optimizer,
-                max_iter=max_iter,
-                name=name,
-                stop=stop,
-                held_out_error=None if held_out is None or noise_alone else objective.held_out_error,
-            )
-        theta, noise = np.split(best.theta, [-len(noise)])
-        return kernel.clone_with_theta(theta), np.exp(noise), best
-
-    # First few hyperparameters (widths shared by all outputs), then all of them. This start needs few iterations and
-    # ends at optima that predict better than those reached from arbitrary widths. With noisy regressors, the slopes of
-    # the coarse model propagate their noise to the outputs.
-    kernel = open_kernel.initialize(X, Y, random_state, singles)
-    coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
-    if coarse.n_dims < kernel.n_dims or input_noise is not None:
-        coarse, noise, best = optimize("coarse", coarse, noise, noise_bounds, -(-max_iter // 2), data, spread)
-        n_evaluations, n_iter, spread = n_evaluations + best.n_evaluations, best.n_iter, 0.0
-        kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
-    root, bounds = input_noise, noise_bounds
-    if input_noise is not None:
-        root = np.diag(scale) if isinstance(input_noise, str) else input_noise
-        data = with_slopes(coarse, noise, root)
-    if isinstance(input_noise, str):
-        noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
-        bounds = np.concatenate([noise_bounds, input_bounds])
-    kernel, noise, best = optimize("fit", kernel, noise, bounds, max_iter - n_iter, data, spread)
-    search_left_noise = held_out is not None if exact else isinstance(input_noise, str)
-    if search_left_noise and not (callable(optimizer) or stop.is_set()):
-        if not exact:  # the white noise will be that of all samples
-            data = with_slopes(kernel, noise, root, slice(None, None, 2))
-        _, noise, last = optimize("noise", kernel, noise, bounds, NOISE_STEPS, data, noise_alone=True)
-        n_evaluations += last.n_evaluations
-    if isinstance(input_noise, str):
-        root = root * np.sqrt(noise[len(noise_bounds) :])
-    return hyperparameters(kernel, noise, root)._replace(
-        n_iter=n_iter + best.n_iter,
-        n_evaluations=n_evaluations + best.n_evaluations,
-        interrupted=stop.is_set(),
-        remaining=best.remaining,
-        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * n_values),
-    )
-
-
-def input_noise_loading(posterior: Any, X: Matrix, root: Matrix) -> np.ndarray:
-    """Return G = J R, (n, P, r): the slopes J of the mean times the root R of the regressors' noise covariance."""
-    return posterior.gradient(X) @ root
-
-
-def _initial_input_noise(noise, P, data, d):
-    """Return the noise vector with starting factors s (d,) of the regressors' noise variances, and bounds of s.
-
-    At the start, half of each output's noise comes from the regressors, with equal factors s.
-    """
-    propagated = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading]
-    part = 0.5 * float(np.nanmedian(noise[:P] / np.maximum(propagated, 1e-12)))
-    least, most = INPUT_BOUNDS
-    start = np.full(d, np.clip(part, 10 * least, most / 10))
-    return np.concatenate([0.5 * noise[:P], noise[P:], start]), np.tile(INPUT_BOUNDS, (d, 1))
 
 
 def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any) -> Matrix:

@@ -13,8 +13,9 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.checkpoint import FitRecord, run_recorded
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._fit import Fit, Hyperparameters, fit_exact, fit_sparse, inducing_centres
+from skdgp.inference._fit import Fit, fit_exact, fit_sparse, inducing_centres
 from skdgp.inference._rows import quarters, some_rows
+from skdgp.inference._search import Hyperparameters
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def choose_kernel(
     for k, kernel in enumerate(kernels):
         fit = run_recorded(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
         if fit.interrupted:
-            return Choice(max(k - 1, 0), scores, (best or fit).found(interrupted=True))
+            return Choice(max(k - 1, 0), scores, (best or fit).marked(interrupted=True).learned)
         n_hyperparameters = fit.posterior.kernel.n_dims + Y.shape[1]
         scores.append(fit.value - 0.5 * n_hyperparameters * np.log(np.isfinite(Y).sum()))
         if best is not None and scores[-1] <= scores[-2]:
@@ -124,7 +125,7 @@ def held_out_errors(fit: Fit, X: Matrix, Y: Matrix, n_inducing: int) -> Vector |
     rows = rows[:: -(-len(rows) // BLOCK_ROWS)]
     if len(rows) < FEWEST_ROWS:
         return None
-    learned = Hyperparameters(fit.posterior.kernel, fit.noise, fit.root)
+    learned = Hyperparameters(fit.posterior.kernel, fit.learned.total_noise, fit.learned.root)
     options: dict[str, Any] = {
         "n_inducing": n_inducing,
         "optimizer": None,

@@ -1,0 +1,67 @@
+"""Misfit: what the processes of a posterior cannot follow, seen where flights come back to the same regressors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from skdgp._compute.linalg import column_scale
+from skdgp._compute.typing import Matrix, Vector
+
+LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have independent noise [s]
+CANDIDATES, NEIGHBOURS = 40, 8  # nearest samples that are looked at, and largest number of them that is used
+MISFIT_ROWS = 20000  # largest number of samples
+
+
+def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:
+    r"""Return the variance of the misfit of each output, (P,), at the samples that a posterior has learned from.
+
+    Residuals e of two samples with near regressors share the error of the function, but no noise if they are from
+    different flights or 10 s apart. So their product has the mean square of this error as its mean:
+
+    .. math:: v_i = \max\left(0, \frac{1}{n} \sum_a e_{ia} \frac{1}{|N_a|} \sum_{b \in N_a} e_{ib}\right).
+
+    :math:`N_a` are at most 8 of the 40 samples nearest to a, by regressors over their standard deviations; a sample
+    without such neighbours does not count. For the right model the mean product is the negative posterior covariance,
+    so v is zero. It is positive where the function has kinks or jumps that the kernel's widths smooth away. Errors that
+    change their sign within the distance of neighbours do not show.
+
+    Parameters
+    ----------
+    posterior : ExactPosterior, SparsePosterior or regressor
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    clock : ndarray (n, 2)
+        Time [s] and flight number of each sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.linear_model import LinearRegression
+    >>> from skdgp.inference import misfit_variance
+    >>> rng = np.random.default_rng(0)
+    >>> x, time = rng.uniform(-1, 1, (4000, 1)), np.arange(4000.0)
+    >>> y = np.abs(x) + rng.normal(0, 0.5, x.shape)
+    >>> line = LinearRegression().fit(x, y)
+    >>> misfit = misfit_variance(line, x, y, np.column_stack([time, 0 * time]))
+    >>> float(np.sqrt(misfit[0]).round(1)), float(np.std(np.abs(x) - line.predict(x)).round(1))
+    (0.3, 0.3)
+    """
+    rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
+    rows = rows[:: -(-len(rows) // MISFIT_ROWS)]
+    X, residual, (time, flight) = X[rows], Y[rows] - posterior.predict(X[rows]), clock[rows].T
+    _, near = KDTree(X / column_scale(X)).query(X / column_scale(X), k=min(CANDIDATES, len(X)))
+    apart = (np.abs(time[near] - time[:, None]) > LARGEST_LAG) | (flight[near] != flight[:, None])
+    variance = np.zeros(Y.shape[1])
+    for i, e in enumerate(residual.T):
+        used = apart & np.isfinite(e)[near]
+        used &= np.cumsum(used, axis=1) <= NEIGHBOURS
+        used[~np.isfinite(e)] = False
+        some = used.any(axis=1)
+        if some.any():
+            mean = np.mean(e[near[some]], axis=1, where=used[some])
+            variance[i] = max(0.0, float(np.mean(e[some] * mean)))
+    return variance

@@ -1,0 +1,221 @@
+"""The search for hyperparameters, in stages.
+
+1. Each output alone (``_singles``).
+2. "coarse": all outputs, with widths that they share.
+3. "fit": all hyperparameters, until the likelihood or the error of held-out blocks gets no better.
+4. "noise": the noise alone, where the third stage left it to be learned.
+
+All learn from rows that ``_rows`` chooses.
+"""
+
+from __future__ import annotations
+
+from threading import Event
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.linalg import column_scale, output_scale
+from skdgp._compute.threads import threads_for
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._exact import ExactPosterior
+from skdgp.inference._likelihood import Data
+from skdgp.inference._objective import Objective, theta_bounds
+from skdgp.inference._optimize import Optimum, maximize
+from skdgp.inference._rows import HELD_OUT_ROWS, stratified
+from skdgp.inference._singles import fit_singles
+
+NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
+NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
+INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
+IRRELEVANT_RISE = 0.05  # expected rise of the likelihood for each value [nats] up to which a search has converged
+MEMORY_STEPS = 4  # starting memory of a drift, in sample intervals
+
+
+class Hyperparameters(NamedTuple):
+    """Hyperparameters and the history of the search that found them.
+
+    ``noise`` (P,) excludes ``drift``, the drifts' variances and memories (P,), None without drift. ``root`` (d, r) is R
+    of the regressors' noise covariance R R^T, None for exact regressors. ``remaining`` is the expected rise of the
+    likelihood by further iterations.
+    """
+
+    kernel: Any
+    noise: Vector
+    root: Matrix | None = None
+    drift: tuple[Vector, Vector] | None = None
+    n_iter: int = 0
+    n_evaluations: int = 0
+    interrupted: bool = False
+    remaining: float = 0.0
+    converged: bool = True
+
+    @property
+    def total_noise(self) -> Vector:
+        """Variance of one measurement of each output, drift included, (P,)."""
+        return self.noise if self.drift is None else self.noise + self.drift[0]
+
+    def data(self, X: Matrix, Y: Matrix, clock: Matrix | None, passes: int = 2) -> Data:
+        """Return the observed values with their noise model: noisy regressors and drift.
+
+        The first pass takes slopes of a fit to exact regressors, the second of one to noisy regressors.
+        """
+        drift = self.drift or (None, None)
+        data = Data.from_table(X, Y, None, clock, drift)
+        if self.root is None:
+            return data
+        for _ in range(passes):
+            loading = input_noise_loading(ExactPosterior(self.kernel, self.noise, data), X, self.root)
+            data = Data.from_table(X, Y, loading, clock, drift)
+        return data
+
+
+def input_noise_loading(posterior: Any, X: Matrix, root: Matrix) -> np.ndarray:
+    """Return G = J R, (n, P, r): the slopes J of the mean times the root R of the regressors' noise covariance."""
+    return posterior.gradient(X) @ root
+
+
+class _Stages:
+    """The rows of a search, and what its stages have in common.
+
+    A noise vector is [sigma^2 (P)], with a clock [sigma^2, tau^2, T], and with learned noise of the regressors its d
+    factors at the end. ``common``: whether the likelihood knows what errors of regressors have in common.
+    """
+
+    def __init__(self, X, Y, clock, held_out, optimizer, random_state, common, stop):
+        self.X, self.Y, self.clock, self.held_out = X, Y, clock, held_out
+        self.optimizer, self.random_state, self.common, self.stop = optimizer, random_state, common, stop
+        self.n_evaluations = 0
+
+    def hyperparameters(self, kernel, noise, root) -> Hyperparameters:
+        P = self.Y.shape[1]
+        drift = None if self.clock is None else (noise[P : 2 * P], noise[2 * P : 3 * P])
+        return Hyperparameters(kernel, noise[:P], root, drift)
+
+    def data(self, kernel, noise, root, rows=slice(None)) -> Data:
+        """Return the values of some rows, with the noise that the slopes of an exact fit propagate to them.
+
+        The drift is learned with the other hyperparameters, so the data do not fix it.
+        """
+        clock = None if self.clock is None else self.clock[rows]
+        data = self.hyperparameters(kernel, noise, root).data(self.X[rows], self.Y[rows], clock, 1)
+        return data._replace(drift=data.drift and data.drift._replace(variance=None, memory=None))
+
+    def run(self, name, data, kernel, noise, bounds, max_iter, spread=0.0) -> tuple[Any, Vector, Optimum]:
+        """Return kernel and noise at the end of a stage, and its Optimum."""
+        objective = Objective(kernel, data, len(noise), self.held_out, self.common)
+        error = None if self.held_out is None else objective.held_out_error
+        return self._maximize(name, objective, noise, theta_bounds(kernel, bounds), max_iter, spread, error)
+
+    def run_noise(self, data, kernel, noise, bounds) -> Vector:
+        """Return the noise that is best for this kernel."""
+        objective, bounds = Objective(kernel, data, len(noise)), theta_bounds(kernel, bounds)
+        bounds[: kernel.n_dims] = kernel.theta[:, None]
+        return self._maximize("noise", objective, noise, bounds, NOISE_STEPS)[1]
+
+    def _maximize(self, name, objective, noise, bounds, max_iter, spread=0.0, error=None):
+        theta = np.concatenate([objective.kernel.theta, np.log(noise)])
+        theta += spread * self.random_state.normal(size=theta.shape)
+        options = {"optimizer": self.optimizer, "max_iter": max_iter, "name": name, "stop": self.stop}
+        with threads_for(objective.data.n_values):
+            best = maximize(objective, theta, bounds, **options, held_out_error=error)
+        self.n_evaluations += best.n_evaluations
+        theta, noise = np.split(best.theta, [-len(noise)])
+        return objective.kernel.clone_with_theta(theta), np.exp(noise), best
+
+
+def search(
+    kernel: Any,
+    X: Matrix,
+    Y: Matrix,
+    clock: Matrix | None,
+    rows: Any,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Any,
+    input_noise: Any,
+    spread: float,
+    held: Any = None,
+    exact: bool = False,
+) -> Hyperparameters:
+    """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
+
+    The joint search stops when the error at the rows ``held`` no longer falls. This error says nothing about the noise,
+    and without ``exact`` the search neglects what errors of regressors have in common between outputs, so noise is
+    learned again at the end. The other arguments are those of ``fit_exact``.
+    """
+    P, held_out = Y.shape[1], None
+    if held is not None:
+        some = stratified(held, HELD_OUT_ROWS, random_state)
+        held_out, Y = Data.from_table(X[some], Y[some]), np.array(Y)
+        Y[held] = np.nan
+    open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
+    noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y), clock)
+    stop, singles, n_singles = Event(), None, 0
+    if optimizer is not None and P > 1 and not open_kernel.has_values():
+        singles, noise, n_singles = fit_singles(
+            open_kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop
+        )
+    scale, X, Y, clock = column_scale(X), X[rows], Y[rows], None if clock is None else clock[rows]
+    stages = _Stages(X, Y, clock, held_out, optimizer, random_state, exact, stop)
+    learned_root = isinstance(input_noise, str)
+    root = np.diag(scale) if learned_root else input_noise
+    if optimizer is None:
+        return stages.hyperparameters(kernel, noise, None if learned_root else root)
+    data, bounds, n_iter = Data.from_table(X, Y, None, clock), noise_bounds, 0
+    # First few hyperparameters (widths shared by all outputs), then all of them. This start needs few iterations and
+    # ends at optima that predict better than those reached from arbitrary widths. With noisy regressors, the slopes of
+    # the coarse model propagate their noise to the outputs.
+    kernel = open_kernel.initialize(X, Y, random_state, singles)
+    coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
+    if coarse.n_dims < kernel.n_dims or root is not None:
+        coarse, noise, best = stages.run("coarse", data, coarse, noise, bounds, -(-max_iter // 2), spread)
+        n_iter, spread = best.n_iter, 0.0
+        kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
+    if root is not None:
+        data = stages.data(coarse, noise, root)
+    if learned_root:
+        noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
+        bounds = np.concatenate([noise_bounds, input_bounds])
+    kernel, noise, best = stages.run("fit", data, kernel, noise, bounds, max_iter - n_iter, spread)
+    noise_is_left = held_out is not None if exact else learned_root
+    if noise_is_left and not (callable(optimizer) or stop.is_set()):
+        if not exact:  # the white noise will be that of all samples
+            data = stages.data(kernel, noise, root, slice(None, None, 2))
+        noise = stages.run_noise(data, kernel, noise, bounds)
+    if learned_root:
+        root = root * np.sqrt(noise[len(noise_bounds) :])
+    return stages.hyperparameters(kernel, noise, root)._replace(
+        n_iter=n_iter + best.n_iter,
+        n_evaluations=n_singles + stages.n_evaluations,
+        interrupted=stop.is_set(),
+        remaining=best.remaining,
+        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * np.isfinite(Y).sum()),
+    )
+
+
+def _initial_noise(residual, scale, clock):
+    """Return the starting noise and its bounds: variances (P,), with a drift also its variances and memories."""
+    bounds = np.multiply.outer(scale**2, NOISE_BOUNDS)
+    noise = np.clip(0.2 * np.nanvar(residual, axis=0), *bounds.T)
+    if clock is None:
+        return noise, bounds
+    time, flight = clock.T
+    steps = np.abs(np.diff(time))[np.diff(flight) == 0]
+    step = float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 1.0
+    longest = max(float(np.ptp(time[flight == number])) for number in np.unique(flight))
+    memory = np.full(len(noise), MEMORY_STEPS * step)
+    span = np.tile([step, max(longest, 2 * MEMORY_STEPS * step)], (len(noise), 1))
+    return np.concatenate([0.5 * noise, 0.5 * noise, memory]), np.concatenate([bounds, bounds, span])
+
+
+def _initial_input_noise(noise, P, data, d):
+    """Return the noise vector with starting factors s (d,) of the regressors' noise variances, and bounds of s.
+
+    At the start, half of each output's noise comes from the regressors, with equal factors s.
+    """
+    propagated = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading]
+    part = 0.5 * float(np.nanmedian(noise[:P] / np.maximum(propagated, 1e-12)))
+    least, most = INPUT_BOUNDS
+    start = np.full(d, np.clip(part, 10 * least, most / 10))
+    return np.concatenate([0.5 * noise[:P], noise[P:], start]), np.tile(INPUT_BOUNDS, (d, 1))

@@ -1,0 +1,118 @@
+"""Misfit: errors of the function that residuals show where a log comes back to the same regressors."""
+
+import joblib
+import numpy as np
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import misfit_variance
+
+NOISE = 0.3
+
+
+def log_of(function, n=2000, seed=0, errors=None):
+    """Return regressors (n, 1), noisy values (n, 1) and true ones of a log of one sample a second."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-1, 1, (n, 1))
+    truth = function(x)
+    return x, truth + (rng.normal(0, NOISE, x.shape) if errors is None else errors(rng, n)), truth
+
+
+def drifting(rng, n):
+    """Return errors that are correlated over some samples."""
+    errors = np.zeros((n, 1))
+    for k in range(1, n):
+        errors[k] = 0.8 * errors[k - 1] + 0.6 * NOISE * rng.normal()
+    return errors
+
+
+class Given:
+    """A posterior whose mean is a given function."""
+
+    def __init__(self, function):
+        self.predict = function
+
+
+def clock_of(n, flight=0):
+    return np.column_stack([np.arange(n, dtype=float), np.full(n, flight)])
+
+
+class TestVariance:
+    @pytest.mark.parametrize("errors", [None, drifting])
+    def test_is_the_mean_square_of_the_error_of_the_function(self, errors):
+        x, y, truth = log_of(np.abs, 8000, errors=errors)
+        found = misfit_variance(Given(lambda x: 0.5 * x + 0.4), x, y, clock_of(len(x)))
+        assert found[0] == pytest.approx(np.mean((truth - 0.5 * x - 0.4) ** 2), rel=0.15)
+
+    @pytest.mark.parametrize("errors", [None, drifting])
+    def test_is_a_small_part_of_the_noise_for_the_true_function(self, errors):
+        x, y, _ = log_of(np.abs, 8000, errors=errors)
+        assert misfit_variance(Given(np.abs), x, y, clock_of(len(x)))[0] < 0.02 * NOISE**2
+
+    def test_does_not_count_neighbours_in_time(self):
+        """All samples of a log of 8 s are near in time, so nothing is known."""
+        x, y, _ = log_of(np.abs)
+        clock = clock_of(len(x)) / 250
+        assert misfit_variance(Given(np.zeros_like), x, y, clock)[0] == 0
+        clock[1000:, 1] = 1  # two flights
+        assert misfit_variance(Given(np.zeros_like), x, y, clock)[0] == pytest.approx(1 / 3, rel=0.1)
+
+    def test_of_each_output_is_that_of_its_own_values(self):
+        x, y, _ = log_of(np.abs, 4000)
+        Y = np.column_stack([y, np.where(np.arange(len(y)) % 3, 2 * y[:, 0], np.nan), np.full(len(y), np.nan)])
+        model = Given(lambda x: np.zeros((len(x), 3)))
+        found = misfit_variance(model, x, Y, clock_of(len(x)))
+        assert found[1] == pytest.approx(4 * found[0], rel=0.1)
+        assert found[2] == 0
+
+
+class TestBand:
+    def test_of_a_trend_holds_a_function_with_a_kink(self):
+        x, y, truth = log_of(np.abs)
+        model = DependentGPRegressor(structure="trend", inference="sparse", random_state=0)
+        held = {}
+        for time in (None, np.arange(len(x))):
+            mean, std = model.fit(x, y, time=time).predict(x, return_std=True)
+            held[time is None] = np.mean(np.abs(truth - mean) < 2 * std)
+        assert held[True] < 0.3
+        assert held[False] > 0.9
+
+    def test_of_the_right_model_does_not_grow(self):
+        x, y, _ = log_of(lambda x: np.sin(3 * x), 400)
+        model = DependentGPRegressor(n_latent=1, max_iter=30, random_state=0).fit(x, y, time=np.arange(len(x)))
+        assert model.misfit_variance_[0] < 0.02 * NOISE**2
+
+    def test_is_the_same_in_all_forms(self):
+        x, y, _ = log_of(np.abs)
+        model = DependentGPRegressor(structure="trend", inference="sparse", random_state=0).fit(
+            x, y, time=np.arange(len(x))
+        )
+        assert model.misfit_variance_[0] > 0.01
+        std, cov = (model.predict(x[:4], **{name: True})[1] for name in ("return_std", "return_cov"))
+        np.testing.assert_allclose(np.sqrt(np.diag(cov)), std[:, 0])
+        draws = model.sample_y(x[:4], 4000, random_state=0)[:, 0]
+        np.testing.assert_allclose(draws.std(axis=1), std[:, 0], rtol=0.05)
+        small = model.compact(n_inducing=1)
+        np.testing.assert_allclose(small.predict(x[:4], return_std=True)[1], std, rtol=1e-6)
+
+    def test_of_measurements_is_that_of_the_function_and_noise(self):
+        x, y, _ = log_of(np.abs)
+        model = DependentGPRegressor(structure="trend", inference="sparse", random_state=0).fit(
+            x, y, time=np.arange(len(x))
+        )
+        mean, std = model.predict(x, return_std=True, include_noise=True)
+        assert np.mean(np.abs(y - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.02)
+        of_function = model.predict(x, return_std=True)[1]
+        np.testing.assert_allclose(std**2 - of_function**2, np.full_like(std, model.noise_variance_[0]))
+        assert model.noise_variance_[0] == pytest.approx(
+            NOISE**2, rel=0.1
+        )  # without misfit, which the search took for noise
+
+    def test_of_a_saved_model_is_kept(self, tmp_path):
+        x, y, _ = log_of(np.abs)
+        model = DependentGPRegressor(structure="trend", inference="sparse", random_state=0).fit(
+            x, y, time=np.arange(len(x))
+        )
+        joblib.dump(model, tmp_path / "model.joblib")
+        again = joblib.load(tmp_path / "model.joblib")
+        np.testing.assert_array_equal(again.predict(x, return_std=True)[1], model.predict(x, return_std=True)[1])

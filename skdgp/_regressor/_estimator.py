@@ -18,7 +18,7 @@ from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
-from skdgp._regressor._structure import learn
+from skdgp._regressor._structure import choose
 from skdgp.inference import (
     Data,
     FunctionErrors,
@@ -326,7 +326,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None, self.normalize_y)
         modelled = clock if self.drift == "likelihood" else None
-        found = task.run(learn, self, X, Z, modelled)
+        found = task.run(choose, self, X, Z, modelled)
         posterior, learned = found.fit.posterior, found.fit.learned
         _checks.warn_of_search(learned, self.max_iter)
         self.structure_, self.structure_errors_ = found.structure, found.structure_errors

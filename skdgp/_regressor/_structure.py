@@ -24,8 +24,8 @@ MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 
 
 @dataclass
-class Learned:
-    """What ``learn`` chose: the attributes of the same names, with an underscore at the end, of the regressor."""
+class Chosen:
+    """What ``choose`` found: the attributes of the same names, with an underscore at the end, of the regressor."""
 
     structure: str
     n_latent: int | str | None
@@ -34,7 +34,7 @@ class Learned:
     fit: Fit | None = None
 
 
-def learn(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Learned:
+def choose(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Chosen:
     """Return the best fit over the starting points, or that of the trend alone where it is better.
 
     Parameters
@@ -54,7 +54,7 @@ def learn(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Learned:
     inputs = X if clock is None else np.column_stack([X, clock])
     record = fit_record(inputs, Z, seeds, model.get_params(deep=False))
     seeds = seeds if record is None else record.seeds
-    learned, kernel, known = _choose_kernel(model, X, Z, options | {"random_state": int(seeds[0]), "record": record})
+    chosen, kernel, known = _choose_kernel(model, X, Z, options | {"random_state": int(seeds[0]), "record": record})
     exact = model.inference_ == "exact"
     search = fit_exact if exact else partial(fit_sparse, n_inducing=model.n_inducing)
     search = partial(search, X=X, Y=Z, early_stopping=model.early_stopping, **options)
@@ -63,17 +63,17 @@ def learn(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Learned:
     start = partial(run_recorded, record, function=partial(search, kernel, found=known))
     fits = fit_map(start, starts, model.n_jobs)
     best = max(fits, key=lambda fit: fit.value)
-    learned.fit = best.marked(any(fit.interrupted for fit in fits))
-    if model.structure == "auto" and _has_trend(model) and not learned.fit.interrupted:
+    chosen.fit = best.marked(any(fit.interrupted for fit in fits))
+    if model.structure == "auto" and _has_trend(model) and not chosen.fit.interrupted:
         alone = partial(search, _make_trend(model), random_state=int(seeds[0]))
         try:
-            _prefer_trend(learned, partial(run_recorded, record), alone, X, Z, model.n_inducing)
+            _prefer_trend(chosen, partial(run_recorded, record), alone, X, Z, model.n_inducing)
         except KeyboardInterrupt:
-            learned.fit = best.marked(interrupted=True)
-    return learned
+            chosen.fit = best.marked(interrupted=True)
+    return chosen
 
 
-def _prefer_trend(learned, run, alone, X, Z, n_inducing):
+def _prefer_trend(chosen, run, alone, X, Z, n_inducing):
     """Replace the fit by the trend ``alone`` if this predicts held-out blocks better.
 
     The trend is fitted to exact regressors for the comparison: that is faster and changes its errors by some per cent.
@@ -81,13 +81,13 @@ def _prefer_trend(learned, run, alone, X, Z, n_inducing):
     trend = run("trend-exact", partial(alone, input_noise=None))
     if trend.interrupted:
         raise KeyboardInterrupt
-    fits = {"trend": trend, learned.structure: learned.fit}
+    fits = {"trend": trend, chosen.structure: chosen.fit}
     errors = {name: held_out_errors(fit, X, Z, n_inducing) for name, fit in fits.items()}
     if any(values is None for values in errors.values()):
         return
-    learned.structure_errors = errors
-    if np.nanmean(errors["trend"]) < np.nanmean(errors[learned.structure]):
-        learned.structure, learned.n_latent, learned.fit = "trend", 0, run("trend", alone)
+    chosen.structure_errors = errors
+    if np.nanmean(errors["trend"]) < np.nanmean(errors[chosen.structure]):
+        chosen.structure, chosen.n_latent, chosen.fit = "trend", 0, run("trend", alone)
 
 
 def _check_structure(model):
@@ -111,26 +111,26 @@ def _has_trend(model):
 
 def _choose_kernel(model, X, Z, options):
     """Return the choice, the kernel to fit, and the best hyperparameters so far if Ctrl-C ended its choice."""
-    learned = Learned(model.structure, model.n_latent if model.kernel is None else None)
+    chosen = Chosen(model.structure, model.n_latent if model.kernel is None else None)
     if model.structure == "trend":
-        learned.n_latent = 0
-        return learned, _make_trend(model), None
+        chosen.n_latent = 0
+        return chosen, _make_trend(model), None
     if model.structure == "auto":
         additive = _has_trend(model) and len(X) <= ADDITIVE_SAMPLES and X.shape[1] > 1
-        learned.structure = "additive" if additive else "joint"
+        chosen.structure = "additive" if additive else "joint"
     if model.kernel is None and model.n_latent is None:
         complete = np.isfinite(Z).mean() >= COMPLETE
         independent = model.structure == "auto" and model.private_latents and complete
-        learned.n_latent = 0 if independent else SHARED_LATENTS
-    make = partial(_make_kernel, model, learned.structure, X.shape[1])
-    if learned.n_latent != "auto":
-        return learned, make(learned.n_latent), None
+        chosen.n_latent = 0 if independent else SHARED_LATENTS
+    make = partial(_make_kernel, model, chosen.structure, X.shape[1])
+    if chosen.n_latent != "auto":
+        return chosen, make(chosen.n_latent), None
     fewest = int(not model.private_latents)
     numbers = range(fewest, (MAX_LATENT if Z.shape[1] > 1 else fewest) + 1)
     choice = choose_kernel([make(k) for k in numbers], X, Z, **options)
-    learned.n_latent = numbers[choice.index]
-    learned.n_latent_scores = dict(zip(numbers, choice.scores, strict=False))
-    return learned, make(learned.n_latent), choice.found
+    chosen.n_latent = numbers[choice.index]
+    chosen.n_latent_scores = dict(zip(numbers, choice.scores, strict=False))
+    return chosen, make(chosen.n_latent), choice.found
 
 
 def _make_kernel(model, structure, d, n_latent):

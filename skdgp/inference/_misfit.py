@@ -13,15 +13,18 @@ from skdgp._compute.typing import Matrix, Vector
 LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have independent noise [s]
 CANDIDATES, NEIGHBOURS = 40, 8  # nearest samples that are looked at, and largest number of them that is used
 MISFIT_ROWS = 20000  # largest number of samples
+PARTS = 16  # parts of the log whose means show the standard error of the whole
 
 
 def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:
     r"""Return the variance of the misfit of each output, (P,), at the samples that a posterior has learned from.
 
     Residuals e of two samples with near regressors share the error of the function, but no noise if they are from
-    different flights or 10 s apart. So their product has the mean square of this error as its mean:
+    different flights or 10 s apart. So their products have the mean square of this error as their mean. With the mean m
+    of n products and its standard error s from 16 parts of the log, what is beyond chance is
 
-    .. math:: v_i = \max\left(0, \frac{1}{n} \sum_a e_{ia} \frac{1}{|N_a|} \sum_{b \in N_a} e_{ib}\right).
+    .. math:: v_i = \max(0, m_i - s_i), \quad
+              m_i = \frac{1}{n} \sum_a e_{ia} \frac{1}{|N_a|} \sum_{b \in N_a} e_{ib}.
 
     :math:`N_a` are at most 8 of the 40 samples nearest to a, by regressors over their standard deviations; a sample
     without such neighbours does not count. For the right model the mean product is the negative posterior covariance,
@@ -36,6 +39,11 @@ def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vect
         NaN where an output was not observed.
     clock : ndarray (n, 2)
         Time [s] and flight number of each sample.
+
+    Returns
+    -------
+    ndarray (P,)
+        In squared units of Y.
 
     Examples
     --------
@@ -61,7 +69,8 @@ def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vect
         used &= np.cumsum(used, axis=1) <= NEIGHBOURS
         used[~np.isfinite(e)] = False
         some = used.any(axis=1)
-        if some.any():
-            mean = np.mean(e[near[some]], axis=1, where=used[some])
-            variance[i] = max(0.0, float(np.mean(e[some] * mean)))
+        if some.sum() >= PARTS:
+            products = e[some] * np.mean(e[near[some]], axis=1, where=used[some])
+            parts = [part.mean() for part in np.array_split(products, PARTS)]
+            variance[i] = max(0.0, products.mean() - np.std(parts, ddof=1) / np.sqrt(PARTS))
     return variance

@@ -54,7 +54,7 @@ class TestFit:
         theta, bounds = posterior.kernel.theta, posterior.kernel.bounds
         inside = (theta > bounds[:, 0] + 1e-6) & (theta < bounds[:, 1] - 1e-6)
         assert np.abs(gradient[: len(theta)][inside]).max() < 0.5  # one unit of log likelihood is nothing
-        assert found.n_iter < 300
+        assert found.learned.n_iter < 300
 
     def test_never_ends_below_its_start(self, fit, drawn):
         X, Y, *_ = drawn
@@ -83,7 +83,7 @@ class TestFit:
         stages = []
         with listening(lambda stage, n, value: stages.append(stage)):
             found = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 3}))
-        assert len(stages) == found.n_evaluations
+        assert len(stages) == found.learned.n_evaluations
         assert set(stages) == {"output 1", "output 2", "fit"} | ({"bound"} if fit is not fit_exact else set())
 
     def test_constant_targets_and_single_values_do_not_break_it(self, fit, drawn):

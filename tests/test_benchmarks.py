@@ -15,7 +15,6 @@ SCRIPTS = (
     "evaluations",
     "samples",
     "heldout",
-    "prediction_peers",
     "prediction",
     "workers",
     "comparison",

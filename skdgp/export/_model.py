@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from skdgp.dynamics import Aircraft
 
 CHUNK_BYTES = 2**26  # working memory of one chunk of rows
 ROUNDING = float(np.finfo(float).eps)
+ARRAYS = ("Vector", "Matrix", "Indices")  # annotations
 
 
 @dataclass(frozen=True)
@@ -263,13 +264,8 @@ class PortableModel:
             row[list(block.regressors)] = True
         full = any(block.root.ndim == 2 for block in self.blocks)
         roots = [np.diag(b.root) if full and b.root.ndim == 1 else b.root for b in self.blocks]
-        names = (
-            *("shift", "scale", "center", "output_scale", "deviation_scale", "centres", "readout_of", "trend_center"),
-            *("trend_scale", "trend_weights", "prior_variance", "noise_variance", "drift_variance", "drift_memory"),
-            "input_covariance",
-        )
         return {
-            **{name: getattr(self, name) for name in names},
+            **{each.name: getattr(self, each.name) for each in fields(self) if each.type in ARRAYS},
             "block_place": np.array(places, dtype=np.int64).reshape(-1, 4),
             "block_gain": np.array([b.gain for b in self.blocks], dtype=float),
             "block_shift": np.array([b.shift for b in self.blocks]).reshape(-1, d),

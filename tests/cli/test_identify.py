@@ -43,6 +43,12 @@ QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
+@pytest.fixture(autouse=True)
+def _no_report(monkeypatch):
+    """Leave the report out: what takes a process of its own draws it."""
+    monkeypatch.setattr(_identification, "render_report", lambda content: "")
+
+
 def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json"):
     return main(["identify", *train, "--aircraft", aircraft, "-o", str(output), *QUICK, *arguments])
 
@@ -132,8 +138,7 @@ class TestIdentify:
         np.testing.assert_allclose(error, [of[name]["median_relative_error"] for name in COEFFICIENTS], rtol=1e-9)
         np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9)
 
-    def test_the_function_gives_what_the_command_gives(self, folder, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    def test_the_function_gives_what_the_command_gives(self, folder, tmp_path, capsys):
         train = ["lateral.csv", "latlon.csv"]
         assert identify("--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
         printed = capsys.readouterr().out.splitlines()
@@ -168,8 +173,7 @@ class TestIdentify:
         assert "warning: No test flight was named: the last flight, latlon, is held out" in capsys.readouterr().err
         assert "No test flight was named" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
-    def test_holds_out_the_end_of_a_single_flight(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    def test_holds_out_the_end_of_a_single_flight(self, tmp_path, capsys):
         assert identify("--json", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert json.loads(capsys.readouterr().out) == metrics
@@ -177,16 +181,14 @@ class TestIdentify:
         assert [flight["samples"] for flight in metrics["test"].values()] == [175]
         assert "truth" not in next(iter(metrics["test"].values()))["coefficients"]
 
-    def test_all_samples_of_sparse_inference(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    def test_all_samples_of_sparse_inference(self, tmp_path):
         options = ["--samples", "all", "--inference", "sparse", "--inducing", "8", "--max-iter", "2", "--trend", "none"]
         assert identify(*options, "--test", "test.csv", output=tmp_path) == 0
         fit = json.loads((tmp_path / "metrics.json").read_text())["fit"]
         assert fit["inference"] == "sparse"
         assert fit["samples"] == fit["samples_available"] == 700
 
-    def test_rows_without_regressors_are_left_out_and_counted(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    def test_rows_without_regressors_are_left_out_and_counted(self, tmp_path, folder, capsys):
         table = pd.read_csv(folder / "latlon.csv")
         table.loc[100:109, "alpha"] = np.nan
         table.to_csv(tmp_path / "holes.csv", index=False)
@@ -194,8 +196,7 @@ class TestIdentify:
         assert "10 of 700 rows are left out" in capsys.readouterr().err
         assert json.loads((tmp_path / "out" / "metrics.json").read_text())["fit"]["flights"] == {"latlon": 690}
 
-    def test_a_log_without_attitude_is_scored_but_not_replayed(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    def test_a_log_without_attitude_is_scored_but_not_replayed(self, tmp_path, folder, capsys):
         pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
         assert identify("--test", str(tmp_path / "bare.csv"), output=tmp_path / "out") == 0
         said = capsys.readouterr().err
@@ -207,7 +208,6 @@ class TestIdentify:
 
     def test_what_makes_a_model_poor_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
         """Rows between gaps, a surface that never moves, a test on what was learned, no pictures."""
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         monkeypatch.setattr(_identification, "find_spec", lambda name: None)
         table = pd.read_csv(folder / "latlon.csv").drop(index=[*range(100, 150), *range(151, 200)]).assign(rudder=0.01)
         table.to_csv(tmp_path / "gaps.csv", index=False)
@@ -218,14 +218,12 @@ class TestIdentify:
         assert "'latlon' is both learned from and tested on" in said
         assert 'No pictures in the report: they need pip install "skdgp[plot]"' in said
 
-    def test_a_flight_too_short_for_its_model_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    def test_a_flight_too_short_for_its_model_is_remarked_on(self, tmp_path, folder, capsys):
         pd.read_csv(folder / "latlon.csv").iloc[:160].to_csv(tmp_path / "short.csv", index=False)
         assert identify("--test", "test.csv", output=tmp_path / "out", train=[str(tmp_path / "short.csv")]) == 0
         assert "The training flights last 3.98 s, in which" in capsys.readouterr().err
 
-    def test_several_test_flights_are_scored_together_too(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    def test_several_test_flights_are_scored_together_too(self, tmp_path, capsys):
         assert identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
@@ -608,7 +606,6 @@ class TestKilled:
             with pytest.raises(self.Killed):
                 self.identify(monkeypatch, output)
         assert {path.name for path in output.iterdir()} == {"checkpoint"}
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         assert self.identify(monkeypatch, output) == 0
         assert {path.name for path in output.iterdir()} == OUTPUTS
         assert json.loads((output / "metrics.json").read_text())["fit"]["evaluations"] > 100
@@ -747,8 +744,7 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
 
 @pytest.mark.usefixtures("short_flights")
 @pytest.mark.parametrize("short_flights", [2000], indirect=True)
-def test_demo_is_honest(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(_identification, "render_report", lambda content: "")  # other tests draw
+def test_demo_is_honest(tmp_path, capsys):
     assert main(["demo", "--samples", "100", "-o", str(tmp_path)]) == 0
     assert capsys.readouterr().err == ""
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
@@ -774,8 +770,6 @@ def test_demo_is_honest(tmp_path, capsys, monkeypatch):
 )
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
 def test_examples_draw(name, arguments, tmp_path, capsys):
-    if not EXAMPLES.is_dir():
-        pytest.skip("the examples are not beside the tests")
     picture = tmp_path / "picture.png"
     runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]([*arguments, "--output", str(picture)])
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -784,10 +778,7 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
 
 @pytest.mark.usefixtures("short_flights", "short_fits")
 def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
-    if not PAGE.is_file():
-        pytest.skip("the documentation is not beside the tests")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_identification, "render_report", lambda content: "")
     names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}
     for ours, theirs in names.items():
         (tmp_path / f"{theirs}.csv").write_bytes((folder / f"{ours}.csv").read_bytes())

@@ -247,10 +247,8 @@ class TestBadInput:
     def refused(self, folder, tmp_path, capsys):
         def check(message, *arguments, **options):
             assert identify(*arguments, output=tmp_path / "new" / "out", **options) == 1
-            error = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
-            assert len(error) == 1
-            assert re.search(message, error[0])
-            assert error[0].startswith("error: ")
+            (error,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+            assert re.search(f"^error: .*({message})", error)
             assert not (tmp_path / "new").exists()
 
         return check

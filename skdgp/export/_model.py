@@ -278,11 +278,12 @@ class PortableModel:
         }
 
     def terms(self, i: int) -> Iterator[tuple[Block, Vector, Matrix]]:
-        """Yield every block of output i, with the weights (size,) and the rows of U (size, k) of its functions."""
+        """Yield every block of output i, with the weights (size,) and the rows of (0, U) (size, r) of its functions."""
         readout = self.readouts[self.readout_of[i]]
+        left = self.trend_roots[i].shape[1] - readout.size  # U stands under the last columns of T
         for block in self.blocks:
             if block.output == i:
-                yield block, readout.weights[block.columns], readout.root[block.columns]
+                yield block, readout.weights[block.columns], np.pad(readout.root[block.columns], ((0, 0), (left, 0)))
 
     @cached_property
     def content_hash(self) -> str:

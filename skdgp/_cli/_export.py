@@ -84,28 +84,20 @@ EXPORT = Command(
         "": [
             opt.option("model MODEL", "the model.joblib that identify wrote, or a portable model.npz"),
             opt.AIRCRAFT,
-            opt.Option(("--to",), {"choices": list(FORMATS), "required": True, "help": "the format"}),
+            opt.option("--to", "the format", choices=list(FORMATS), required=True),
             opt.FOLDER,
             opt.option(
                 "--max-kb KB",
                 "largest size [kB] of code or portable form (default: the whole model)",
                 opt.positive("kB"),
             ),
-            opt.Option(
-                ("--precision",),
-                {"choices": list(TOLERANCE), "help": "of arguments and results, of c (default: double)"},
+            opt.option("--precision", "of arguments and results, of c (default: double)", choices=list(TOLERANCE)),
+            opt.option(
+                "--form",
+                "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) or coefficients",
+                choices=["functions", "tables", *FMU_FILES],
             ),
-            opt.Option(
-                ("--form",),
-                {
-                    "choices": ["functions", "tables", *FMU_FILES],
-                    "help": "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) or "
-                    "coefficients",
-                },
-            ),
-            opt.Option(
-                ("--fmi",), {"choices": list(FMI_VERSIONS), "help": "version of the standard, of fmu (default: 2.0)"}
-            ),
+            opt.option("--fmi", "version of the standard, of fmu (default: 2.0)", choices=list(FMI_VERSIONS)),
             opt.option(
                 "--draws K",
                 "aircraft drawn from the posterior besides the mean, of jsbsim (default: none)",

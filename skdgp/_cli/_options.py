@@ -47,12 +47,12 @@ def option(usage: str, help: str, type: Callable = FileName, **keywords) -> Opti
 
 def choice(name: str, choices: Sequence[str], help: str) -> Option:
     """Return an option that has one of some values, by default the first."""
-    return Option((name,), {"choices": choices, "default": choices[0], "help": help})
+    return option(name, help, choices=choices, default=choices[0])
 
 
 def flag(name: str, help: str) -> Option:
     """Return an option without a value."""
-    return Option((name,), {"action": "store_true", "help": help})
+    return option(name, help, action="store_true")
 
 
 def number(
@@ -126,11 +126,11 @@ OPTIONAL_FOLDER = option("-o --output DIR", "folder for outputs (default: none)"
 
 def loads(thrust: str | None, forces: list[str] | None, default: str) -> list[Option]:
     """Return the options of known loads."""
-    sources = {"choices": ["auto", "columns", "propeller", "none"], "default": thrust}
     engine = "what gives the thrust; none: a glider, or an unknown thrust that becomes part of the coefficients"
     names = "further known loads: tether means the columns tether_x, tether_y, tether_z [N]"
+    sources = ["auto", "columns", "propeller", "none"]
     return [
-        Option(("--thrust",), sources | {"help": f"{engine} (default: {default})"}),
+        option("--thrust", f"{engine} (default: {default})", choices=sources, default=thrust),
         option("--external-forces NAME", names, str, nargs="+", default=forces),
     ]
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import signal
 import tempfile
-import threading
 import warnings
 from argparse import Namespace
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 import pandas as pd
 
-from skdgp._cli._console import Console
+from skdgp._cli._console import Console, ctrl_c
 from skdgp._cli._parser import Command
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
 
@@ -58,22 +56,9 @@ class OutputFolder:
 
     def write(self, writers: dict[str, Writer]) -> None:
         """Write all files or none; once all are complete, Ctrl-C waits until they are in their places."""
-        with _ctrl_c_restored() as ignore_ctrl_c:
-            write_together(self.path, writers, ignore_ctrl_c)
+        with ctrl_c() as set_handler:
+            write_together(self.path, writers, lambda: set_handler(signal.SIG_IGN))
             self.is_written = True
-
-
-@contextmanager
-def _ctrl_c_restored() -> Iterator[Callable[[], object]]:
-    """Yield a function that makes Ctrl-C do nothing until the end of the block."""
-    handler = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or handler is None:
-        yield lambda: None
-        return
-    try:
-        yield lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)
-    finally:
-        signal.signal(signal.SIGINT, handler)
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def _axis_values(name: str, help: str) -> opt.Option:
 
 def _ends(name: str, help: str) -> opt.Option:
     """Return the option of a lowest and a highest value."""
-    return opt.Option((name,), {"type": opt.number(), "nargs": 2, "metavar": ("LOW", "HIGH"), "help": help})
+    return opt.option(f"{name} LOW HIGH", help, opt.number(), nargs=2)
 
 
 PLAN = Command(
@@ -161,7 +161,7 @@ PLAN = Command(
             *(opt.MODEL, opt.AIRCRAFT),
             opt.option("--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True),
             opt.option("--seconds S", "of all flights together", opt.positive("seconds"), required=True),
-            opt.Option(("--axes",), {"choices": AXES, "nargs": "+", "required": True, "help": "controls to move"}),
+            opt.option("--axes", "controls to move", choices=AXES, nargs="+", required=True),
             opt.option(
                 "--goal NAME",
                 "function (over what was flown), free-flight (2 s), derivatives such as Cm_q Cn_rudder (default: all)",

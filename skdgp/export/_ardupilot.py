@@ -115,16 +115,10 @@ def _linear(columns: Matrix, y: Array) -> tuple[Array, Array]:
     return np.asarray(weights, dtype=float), np.asarray(A @ weights, dtype=float)
 
 
-def _wind(alpha: Vector, C: Matrix) -> tuple[Array, Array]:
-    """Return lift and drag coefficients."""
+def _turned(alpha: Vector, x: Array, z: Array) -> tuple[Array, Array]:
+    """Return lift and drag of CX and CZ, or CX and CZ of lift and drag: the map is its own inverse."""
     s, c = np.sin(alpha), np.cos(alpha)
-    return C[:, 0] * s - C[:, 2] * c, -C[:, 0] * c - C[:, 2] * s
-
-
-def _body(alpha: Vector, lift: Array, drag: Array) -> tuple[Array, Array]:
-    """Return CX and CZ."""
-    s, c = np.sin(alpha), np.cos(alpha)
-    return lift * s - drag * c, -lift * c - drag * s
+    return x * s - z * c, -x * c - z * s
 
 
 def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix]:
@@ -133,7 +127,7 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     deflections = dict(zip(build.regressors, np.abs(build.limits).max(axis=0), strict=True))
     largest = {name: float(deflections.get(name, 0.0)) for name in SIGNS}  # [rad]
     alpha = _terms(build, X, ["alpha"])[:, 0]
-    lift, drag = _wind(alpha, C)
+    lift, drag = _turned(alpha, C[:, 0], C[:, 2])
     aspect = aircraft.span**2 / aircraft.wing_area
     longitudinal = _terms(build, X, ["alpha", "q_hat", "elevator"])
     cl, lift_fit = _linear(longitudinal, lift)
@@ -147,7 +141,7 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
 
     bounds = ([-1.0, EFFICIENCY[0], -1e3], [1.0, EFFICIENCY[1], 1e3])
     cd = least_squares(errors, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
-    fitted[:, 0], fitted[:, 2] = _body(alpha, lift_fit, drag_of(cd))
+    fitted[:, 0], fitted[:, 2] = _turned(alpha, lift_fit, drag_of(cd))
     values: dict[str, Any] = {"s": aircraft.wing_area, "b": aircraft.span, "c": aircraft.chord}
     values |= {"c_lift_0": cl[0], "c_lift_a": cl[1], "c_lift_q": cl[2]}
     values |= {"c_lift_deltae": cl[3] * SIGNS["elevator"] * largest["elevator"]}
@@ -158,8 +152,8 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
         values |= _named(letter, LATERAL_TERMS, weights, largest)
     weights, fitted[:, 4] = _linear(_terms(build, X, list(MOMENT_TERMS.values())), C[:, 4])
     values |= _named("m", MOMENT_TERMS, weights, largest)
-    values |= {f"{key}_max": largest[name] for key, name in (("deltaa", "aileron"), ("deltae", "elevator"))}
-    values["deltar_max"] = largest["rudder"]
+    surfaces = {"deltaa": "aileron", "deltae": "elevator", "deltar": "rudder"}
+    values |= {f"{key}_max": largest[name] for key, name in surfaces.items()}
     return {key: float(value) for key, value in values.items()}, fitted
 
 
@@ -174,7 +168,7 @@ def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix, link: str) -> tupl
     """Return the plugin, and the coefficients (n, 6) of the system within stall."""
     aircraft, alpha = build.aircraft, _terms(build, X, ["alpha"])[:, 0]
     surfaces = [name for name in SIGNS if name in build.regressors]
-    lift, drag = _wind(alpha, C)
+    lift, drag = _turned(alpha, C[:, 0], C[:, 2])
     columns = _terms(build, X, ["alpha", "beta", *GAZEBO_RATES.values(), *surfaces])
     with_constant = np.column_stack([np.ones(len(X)), columns])
     weights, values = {}, {}
@@ -191,7 +185,7 @@ def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix, link: str) -> tupl
     rest = np.linalg.lstsq(basis, drag - polar / efficiency, rcond=None)[0]
     weights["CD"] = np.concatenate([rest[:1], [0.0, 0.0], rest[1:]])
     fitted = np.empty_like(C)
-    fitted[:, 0], fitted[:, 2] = _body(alpha, values["CL"], polar / efficiency + basis @ rest)
+    fitted[:, 0], fitted[:, 2] = _turned(alpha, values["CL"], polar / efficiency + basis @ rest)
     for name, i in (("CY", 1), ("Cl", 3), ("Cm", 4), ("Cn", 5)):
         fitted[:, i] = values[name]
     plugin = Element("plugin", filename="gz-sim-advanced-lift-drag-system", name="gz::sim::systems::AdvancedLiftDrag")

@@ -75,7 +75,6 @@ def sized_for_c(model: PortableModel, precision: str = "double", max_kb: float |
 
 def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
     """Return the texts of aero.h, aero.c, test_aero.c and the Makefile by name; errors as of :func:`write_c`."""
-    check_choice("precision", precision, TOLERANCE)
     size = c_bytes(model, precision)
     if size > MAX_BYTES:
         raise ValueError(

@@ -32,15 +32,13 @@ def casadi_function(model: PortableModel) -> Any:
     mean, std = [], []
     for i in range(len(model.outputs)):
         value = ca.dot(ca.DM(model.trend_weights[i]), p)
-        root = model.trend_roots[i]
-        half = ca.mtimes(ca.DM(root.T), p)
+        half = ca.mtimes(ca.DM(model.trend_roots[i].T), p)
         for block, weights, rows in model.terms(i):
             away = ca.repmat(z - ca.DM(block.shift), 1, block.size) - ca.DM(model.centres[block.rows].T)
             F = np.diag(block.root) if block.root.ndim == 1 else block.root.T
             g = block.gain * ca.exp(-0.5 * ca.sum1(ca.mtimes(ca.DM(F), away) ** 2)).T
             value += ca.dot(ca.DM(weights), g)
-            padded = np.hstack([np.zeros((len(rows), root.shape[1] - rows.shape[1])), rows])
-            half += ca.mtimes(ca.DM(padded.T), g)
+            half += ca.mtimes(ca.DM(rows.T), g)
         prior = model.prior_variance[i] + ca.sumsqr(ca.DM(model.trend_scale[i]) * p)
         variance = ca.fmax(prior - ca.sumsqr(half), np.finfo(float).eps * prior)
         mean.append(model.center[i] + model.output_scale[i] * value)

@@ -241,11 +241,8 @@ def _deviation(root: Element, model: PortableModel, i: int, name: str, scaled: S
             functions.append(f"{name}_e{k}_{j}")
             rows.append(row)
             _calculate(_variable(root, functions[-1]), exponent)
-    T = model.trend_roots[i]
-    lower = np.reshape(rows, (len(rows), model.readouts[model.readout_of[i]].size))
-    H = np.concatenate([T, np.column_stack([np.zeros((len(rows), T.shape[1] - lower.shape[1])), lower])])
     squares = []
-    for j, column in enumerate(H.T):
+    for j, column in enumerate(np.vstack([model.trend_roots[i], *rows]).T):
         of = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
         squares.append(f"{name}_r{j}")
         _calculate(_variable(root, squares[-1]), _apply("plus", float(column[0]), *of))

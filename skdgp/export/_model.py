@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from skdgp.dynamics import Aircraft
 
 CHUNK_BYTES = 2**26  # working memory of one chunk of rows
 ROUNDING = float(np.finfo(float).eps)
+ARRAYS = ("Vector", "Matrix", "Indices")  # annotations
 
 
 @dataclass(frozen=True)
@@ -263,13 +264,8 @@ class PortableModel:
             row[list(block.regressors)] = True
         full = any(block.root.ndim == 2 for block in self.blocks)
         roots = [np.diag(b.root) if full and b.root.ndim == 1 else b.root for b in self.blocks]
-        names = (
-            *("shift", "scale", "center", "output_scale", "deviation_scale", "centres", "readout_of", "trend_center"),
-            *("trend_scale", "trend_weights", "prior_variance", "noise_variance", "drift_variance", "drift_memory"),
-            "input_covariance",
-        )
         return {
-            **{name: getattr(self, name) for name in names},
+            **{each.name: getattr(self, each.name) for each in fields(self) if each.type in ARRAYS},
             "block_place": np.array(places, dtype=np.int64).reshape(-1, 4),
             "block_gain": np.array([b.gain for b in self.blocks], dtype=float),
             "block_shift": np.array([b.shift for b in self.blocks]).reshape(-1, d),
@@ -282,11 +278,12 @@ class PortableModel:
         }
 
     def terms(self, i: int) -> Iterator[tuple[Block, Vector, Matrix]]:
-        """Yield every block of output i, with the weights (size,) and the rows of U (size, k) of its functions."""
+        """Yield every block of output i, with the weights (size,) and the rows of (0, U) (size, r) of its functions."""
         readout = self.readouts[self.readout_of[i]]
+        left = self.trend_roots[i].shape[1] - readout.size  # U stands under the last columns of T
         for block in self.blocks:
             if block.output == i:
-                yield block, readout.weights[block.columns], readout.root[block.columns]
+                yield block, readout.weights[block.columns], np.pad(readout.root[block.columns], ((0, 0), (left, 0)))
 
     @cached_property
     def content_hash(self) -> str:

@@ -40,8 +40,7 @@ def onnx_model(model: PortableModel) -> Any:
             square = graph.squares(graph("Sub", z, block.shift), block.root, model.centres[block.rows])
             g = graph("Exp", graph("Mul", square, np.array(-0.5)))
             value = graph("Add", value, graph("MatMul", g, block.gain * w[:, None]))
-            padded = np.hstack([np.zeros((len(rows), root.shape[1] - rows.shape[1])), block.gain * rows])
-            half = graph("Add", half, graph("MatMul", g, padded))
+            half = graph("Add", half, graph("MatMul", g, block.gain * rows))
         tau = model.trend_scale[i]
         prior = graph.sum(graph("Mul", graph("Mul", trend, trend), tau[1:] ** 2), 1)
         prior = graph("Add", prior, np.array(model.prior_variance[i] + tau[0] ** 2))

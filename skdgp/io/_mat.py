@@ -150,12 +150,10 @@ class _Reader:
         flags, _ = np.frombuffer(head[0][1], f"{self.order}u4").tolist()
         shape, name = self._numbers(head[1]).astype(int).tolist(), bytes(head[2][1]).decode("latin-1")
         kind, value = flags & 0xFF, None
-        if kind in NUMERIC and not flags & COMPLEX:
+        if (kind in NUMERIC and not flags & COMPLEX) or kind == CHAR:
             rest = list(islice(parts, 2))
-            value = self._array(rest[0], shape, name) if len(rest) == 1 else None
-        elif kind == CHAR:
-            rest = list(islice(parts, 2))
-            value = self._texts(rest[0], shape) if len(rest) == 1 else None
+            if len(rest) == 1:
+                value = self._texts(rest[0], shape) if kind == CHAR else self._array(rest[0], shape, name)
         elif kind == CELL:
             value = self._cells(parts, depth)
         elif kind == STRUCT and math.prod(shape) == 1:

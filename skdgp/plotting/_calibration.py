@@ -201,6 +201,5 @@ class CalibrationDisplay(Display):
 
 def _densities(transformed: Matrix) -> Matrix:
     """Return the histogram of each column, (B, P), relative to a uniform one."""
-    counts = np.column_stack([np.histogram(column, N_BINS, (0, 1))[0] for column in transformed.T])
     with np.errstate(invalid="ignore"):
-        return N_BINS * counts / counts.sum(axis=0)
+        return np.column_stack([np.histogram(column, N_BINS, (0, 1), density=True)[0] for column in transformed.T])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.typing import Indices, Mask, Vector
+from skdgp._flight.clock import true_runs
 
 GAP = 5.0  # usual steps; no line is drawn across a longer one
 
@@ -70,9 +71,7 @@ def line_points(time: Vector, values: Vector, *, n_bins: int, starts: Indices | 
 
 def _extremes(values: Vector, first: Indices, line: Indices) -> Indices:
     """Return the sorted positions of one lowest and one highest value per slice, and of the ends of lines."""
-    number = np.zeros(len(values), dtype=int)
-    number[first[1:]] = 1
-    number = np.cumsum(number)
+    number = np.repeat(np.arange(len(first)), np.diff(first, append=len(values)))
     ends = np.flatnonzero(np.diff(line))
     points = [ends, ends + 1, np.array([0, len(values) - 1])]
     for extreme in (np.minimum, np.maximum):
@@ -102,7 +101,6 @@ def band_points(
     return np.insert(t, gaps, np.nan), low, high
 
 
-def isolated(values: Vector) -> Indices:
+def isolated(values: Vector) -> list[int]:
     """Return the indices of finite values without a finite neighbour, which a line alone does not show."""
-    padded = np.concatenate([[False], np.isfinite(values), [False]])
-    return np.flatnonzero(padded[1:-1] & ~padded[:-2] & ~padded[2:])
+    return [run.start for run in true_runs(np.isfinite(values)) if run.stop - run.start == 1]

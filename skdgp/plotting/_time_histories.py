@@ -12,6 +12,7 @@ from scipy.stats import norm
 from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice, check_columns
+from skdgp._flight.clock import true_runs
 from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import (
     Display,
@@ -379,7 +380,7 @@ def _draw_comparison(ax: Any, data: _Comparison, level: float, n_bins: int) -> t
         if values is None:
             return None
         t, v = line_points(data.time, values, n_bins=n_bins, starts=starts)
-        dots = list(isolated(v))
+        dots = isolated(v)
         return ax.plot(t, v, marker="." if dots else None, markersize=3, markevery=dots, **style)[0]
 
     # The thin measured line lies over the broad estimate, so both are visible where they agree.
@@ -411,15 +412,10 @@ def _outline(t: Vector, lower: Vector, upper: Vector, **style: Any) -> Any:
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
-    vertices, codes = [np.empty((0, 2))], [np.empty(0, dtype=Path.code_type)]
-    for piece in np.split(np.arange(len(t)), np.flatnonzero(np.isnan(t))):
-        k = piece[~np.isnan(t[piece])]
-        if k.size:
-            forth, back = np.column_stack([t[k], upper[k]]), np.column_stack([t[k], lower[k]])[::-1]
-            vertices += [forth, back, forth[:1]]
-            codes.append(np.full(2 * k.size + 1, Path.LINETO, dtype=Path.code_type))
-            codes[-1][0], codes[-1][-1] = Path.MOVETO, Path.CLOSEPOLY
-    return PathPatch(Path(np.concatenate(vertices), np.concatenate(codes)), **style)
+    runs = true_runs(~np.isnan(t))
+    edges = [(np.column_stack([t[k], upper[k]]), np.column_stack([t[k], lower[k]])[::-1]) for k in runs]
+    outlines = [Path(np.concatenate([forth, back, forth[:1]]), closed=True) for forth, back in edges]
+    return PathPatch(Path.make_compound_path(*outlines), **style)
 
 
 def _limit(ax: Any, data: _Comparison) -> None:

@@ -107,7 +107,7 @@ def flown_plan(plan: FlownPlan) -> str:
     names = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
     errors = plan.errors
     if len(errors) <= MOST_LISTED:
-        rows = [[_derivative(name), *(_milli(row[key]) for key in names)] for name, row in _rows(errors)]
+        rows = [[_derivative(str(name)), *(_milli(row[key]) for key in names)] for name, row in errors.iterrows()]
         head, classes, each = ["", *names.values()], "narrow", ""
     else:
         (head, rows), classes = _by_coefficient(errors, ("found", "expected", "before")), ""
@@ -248,8 +248,8 @@ def _teaching(plan: Plan) -> str:
     if len(errors) <= MOST_LISTED:
         head, known = ["", "before", "after", "left [%]"], np.isfinite(errors["before"]) & (errors["before"] > 0)
         rows = [
-            [_derivative(name), _milli(row["before"]), _milli(row["after"]), percent(row["left"], ".0f")]
-            for name, row in _rows(errors.assign(left=(errors["after"] / errors["before"]).where(known)))
+            [_derivative(str(name)), _milli(row["before"]), _milli(row["after"]), percent(row["left"], ".0f")]
+            for name, row in errors.assign(left=(errors["after"] / errors["before"]).where(known)).iterrows()
         ]
         caption = "Standard errors of the goal, before and after the flight, in thousandths"
         caption += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
@@ -413,7 +413,7 @@ def _shown(name: str, value: float) -> str:
 
 
 def _value(name: str, frame: pd.DataFrame, end: str) -> str:
-    value = dict(_rows(frame)).get(name, {}).get(end, np.nan)
+    value = frame[end].get(name, np.nan)
     return _shown(name, value) if np.isfinite(value) else DASH
 
 
@@ -428,19 +428,14 @@ def _signed(value: float, form: str) -> str:
     return ("+" if value > 0 else "") + number(value, form)
 
 
-def _rows(table: pd.DataFrame) -> list[tuple[str, dict[Any, Any]]]:
-    """Return name and values of each row."""
-    return [(str(name), row) for name, row in table.to_dict("index").items()]
-
-
 def _by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
     """Return heads and rows of a table of coefficients by regressors; all names but the first stand in grey."""
     pairs = [name.split("_", 1) for name in errors.index if "_" in name]
-    known, regressors = dict(_rows(errors)), list(dict.fromkeys(second for _, second in pairs))
+    regressors = list(dict.fromkeys(second for _, second in pairs))
     rows = []
     for coefficient in dict.fromkeys(first for first, _ in pairs):
         keys = [f"{coefficient}_{name}" for name in regressors]
-        shown = [[_milli(known[key][name]) for name in names] if key in known else [""] for key in keys]
+        shown = [[_milli(errors[name][key]) for name in names] if key in errors.index else [""] for key in keys]
         cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in shown]
         rows.append([symbol(coefficient), *cells])
     return ["", *(_heading(name, unit=False) for name in regressors)], rows

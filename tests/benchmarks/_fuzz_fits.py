@@ -397,4 +397,4 @@ def prepare(folder, seed):
     return None
 
 
-FITS = Campaign("fits", 2000, 4, 0.5, "fitted", prepare, case)
+FITS = Campaign("fits", 2000, 0.5, "fitted", prepare, case)

@@ -89,4 +89,4 @@ def case(prepared, rng):
     return "same"
 
 
-FLIPS = Campaign("flips", 5000, 50, 0.1, "same", prepare, case)
+FLIPS = Campaign("flips", 5000, 0.1, "same", prepare, case)

@@ -376,4 +376,4 @@ def check(table, n_bytes):
             raise Difference("time does not increase within a flight")
 
 
-LOGS = Campaign("logs", 100_000, 200, 0.4, "read", prepare, case)
+LOGS = Campaign("logs", 100_000, 0.4, "read", prepare, case)

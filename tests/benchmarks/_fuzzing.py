@@ -10,8 +10,9 @@ import time
 import traceback
 import warnings
 from collections import Counter, deque
-from multiprocessing.connection import wait
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,6 @@ class Campaign(NamedTuple):
 
     name: str
     count: int
-    chunk: int
     share: float  # of the time
     accepted: str
     prepare: object
@@ -98,22 +98,27 @@ def run(campaign, seed, folder, jobs, seconds, count, told=print):
     began = time.monotonic()
     tally, shown = _Tally(campaign), Counter()
 
-    def take(results, memory):
-        for result in results:
-            kind = tally.add(result)
-            if kind and (shown.update([kind]) or shown[kind] <= 3):
-                told(f"  {campaign.name}:{result.number} {result.outcome}: {result.what}")
+    def take(result, memory):
+        kind = tally.add(result)
+        if kind and (shown.update([kind]) or shown[kind] <= 3):
+            told(f"  {campaign.name}:{result.number} {result.outcome}: {result.what}")
         tally.memory = max(tally.memory, memory)
 
-    if jobs and count:
+    if jobs:
         _in_workers(campaign, seed, folder, jobs, began + seconds, count, take)
-    elif count:
-        prepared = campaign.prepare(folder, seed)
-        for number in range(count):
-            take([judged(campaign, prepared, seed, number)], _peak())
-            if time.monotonic() > began + seconds:
-                break
+    else:
+        for result, memory in _results(campaign, seed, folder, range(count), began + seconds):
+            take(result, memory)
     return tally.row(count, time.monotonic() - began), tally.failures()
+
+
+def _results(campaign, seed, folder, numbers, deadline):
+    """Yield the results of cases and the peak of the memory, as far as the time allows."""
+    prepared = campaign.prepare(Path(folder), seed)
+    for number in numbers:
+        yield judged(campaign, prepared, seed, number), _peak()
+        if time.monotonic() > deadline:
+            return
 
 
 class _Tally:
@@ -166,89 +171,43 @@ class _Tally:
 # -- workers ---------------------------------------------------------------------------------------------
 
 
-class _Worker:
-    """A process, the numbers it was given, and which of them it is at."""
+def _in_workers(campaign, seed, folder, jobs, deadline, count, take):
+    """Run every ``jobs``-th case in a process; one that dies or hangs fails its case, and another takes up the rest."""
+    context, lock = multiprocessing.get_context("spawn"), Lock()
 
-    def __init__(self, *words):
-        context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self.at, self.since = context.Value("q", -1), context.Value("d", time.monotonic())
-        self.process = context.Process(target=_work, args=(theirs, self.at, self.since, *words), daemon=True)
-        self.process.start()
-        theirs.close()
-        self.numbers = []
+    def work(first):
+        left = deque(range(first, count, jobs))
+        while left and time.monotonic() < deadline:
+            pipe, theirs = context.Pipe(duplex=False)
+            words = (theirs, campaign, seed, str(folder), list(left), deadline)
+            process = context.Process(target=_work, args=words, daemon=True)
+            process.start()
+            theirs.close()
+            why = "the process died"
+            with contextlib.suppress(EOFError):
+                while pipe.poll(LONGEST):
+                    result, memory = pipe.recv()
+                    left.popleft()
+                    with lock:
+                        take(result, memory)
+                why = f"no end within {LONGEST:g} s"
+                process.kill()
+            process.join()
+            if process.exitcode == 1:
+                raise RuntimeError(f"A worker of {campaign.name} failed between two cases.")
+            if process.exitcode:
+                with lock:
+                    take(Result(left.popleft(), FOREIGN, LONGEST, f"{why} (exit code {process.exitcode})"), 0)
 
-    def give(self, numbers):
-        self.numbers = numbers
-        self.since.value = time.monotonic()
-        self.pipe.send(numbers)
-
-    def end(self):
-        with contextlib.suppress(OSError):
-            self.pipe.send(None)
-        self.process.join(5.0)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
+    with ThreadPoolExecutor(jobs) as threads:
+        list(threads.map(work, range(jobs)))
 
 
-def _work(pipe, at, since, campaign, seed, folder):
+def _work(pipe, *words):
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     with threadpool_limits(1):
-        prepared = campaign.prepare(Path(folder), seed)
-        while (numbers := pipe.recv()) is not None:
-            results = []
-            for number in numbers:
-                at.value, since.value = number, time.monotonic()
-                results.append(judged(campaign, prepared, seed, number))
-            at.value = -1
-            pipe.send((results, _peak()))
-
-
-def _in_workers(campaign, seed, folder, jobs, deadline, count, take):
-    waiting = deque(range(a, min(a + campaign.chunk, count)) for a in range(0, count, campaign.chunk))
-    workers = []
-
-    def start():
-        workers.append(_Worker(campaign, seed, str(folder)))
-        feed(workers[-1])
-
-    def feed(worker):
-        if waiting and time.monotonic() < deadline:
-            worker.give(list(waiting.popleft()))
-        else:
-            worker.numbers = []
-            workers.remove(worker)
-            worker.end()
-
-    def lost(worker, why):
-        """Take up the numbers of a worker that is no more, but for the one it was at."""
-        number = worker.at.value
-        workers.remove(worker)
-        worker.process.kill()
-        worker.process.join()
-        if number < 0:
-            raise RuntimeError(f"A worker of {campaign.name} {why} between two cases.")
-        take([Result(number, FOREIGN, time.monotonic() - worker.since.value, why)], 0)
-        waiting.append([each for each in worker.numbers if each != number])
-        start()
-
-    for _ in range(jobs):
-        start()
-    while workers:
-        wait([worker.pipe for worker in workers], timeout=1.0)
-        for worker in list(workers):
-            if worker.pipe.poll():
-                try:
-                    results, memory = worker.pipe.recv()
-                except (EOFError, OSError):
-                    worker.process.join()
-                    lost(worker, f"the process died (exit code {worker.process.exitcode})")
-                    continue
-                take(results, memory)
-                feed(worker)
-            elif time.monotonic() - worker.since.value > LONGEST:
-                lost(worker, f"no end within {LONGEST:g} s")
+        for each in _results(*words):
+            pipe.send(each)
 
 
 def _peak():

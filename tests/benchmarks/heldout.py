@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from _common import finish, parser_of, use_torch_threads
+from _peers import IndependentProcesses, OnTrend
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
 
@@ -125,47 +126,21 @@ def gpytorch(task, budgets, threads=1, **configuration):
     from _gpytorch import clocked, train_variational
 
     next(train_variational(task.X[:20], task.thinned[:20] * 0, n_inducing=2))  # what torch does once in a process
-    rest = Residuals(task.X, task.Y)
-    steps = train_variational(task.X, rest.targets, **{**BEST, **configuration})
-    for seconds, step, predict in clocked(steps, budgets):
-        yield seconds, step, task.error(rest.restore(task.Xt, predict(task.Xt)))
+    trend = LinearRegression().fit(task.X, task.Y)
+    rest = task.Y - trend.predict(task.X)
+    scale = rest.std(axis=0)
+    for seconds, step, predict in clocked(
+        train_variational(task.X, rest / scale, **{**BEST, **configuration}), budgets
+    ):
+        yield seconds, step, task.error(trend.predict(task.Xt) + scale * predict(task.Xt))
 
 
-def scikit_learn(task):
-    """Yield seconds, evaluations, error of six processes of the residuals of a linear model, each output alone."""
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-
-    seen = np.isfinite(task.thinned).all(axis=1)
+def timed(model, task, Y):
+    """Yield seconds, evaluations (unknown), error of a model of the rows that were observed."""
+    seen = np.isfinite(Y).all(axis=1)
     start = time.perf_counter()
-    rest = Residuals(task.X[seen], task.thinned[seen])
-    kernel = ConstantKernel() * RBF(np.full(task.X.shape[1], 3.0), (1e-1, 1e4)) + WhiteKernel(0.1, (1e-6, 1e2))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        models = [GaussianProcessRegressor(kernel).fit(task.X[seen], y) for y in rest.targets.T]
-    seconds = time.perf_counter() - start
-    mean = np.column_stack([model.predict(task.Xt) for model in models])
-    yield seconds, None, task.error(rest.restore(task.Xt, mean))
-
-
-def least_squares(task):
-    start = time.perf_counter()
-    model = LinearRegression().fit(task.X, task.Y)
-    seconds = time.perf_counter() - start
-    yield seconds, None, task.error(model.predict(task.Xt))
-
-
-class Residuals:
-    """What a linear model leaves of the targets, each of variance one."""
-
-    def __init__(self, X, Y):
-        self.trend = LinearRegression().fit(X, Y)
-        rest = Y - self.trend.predict(X)
-        self.scale = rest.std(axis=0)
-        self.targets = rest / self.scale
-
-    def restore(self, X, mean):
-        return self.trend.predict(X) + self.scale * mean
+    model.fit(task.X[seen], Y[seen])
+    yield time.perf_counter() - start, None, task.error(model.predict(task.Xt))
 
 
 def run(name, points):
@@ -179,11 +154,11 @@ def run(name, points):
 
 def curves(task, budgets, peers):
     """Return error over seconds of every method."""
-    rows = run("least squares", least_squares(task))
+    rows = run("least squares", timed(LinearRegression(), task, task.Y))
     rows += run("skdgp, exact, 755 samples", ours(task, task.thinned, budgets, inference="exact"))
     rows += run("skdgp, sparse, all samples", ours(task, task.Y, budgets, inference="sparse"))
     if peers:
-        rows += run("scikit-learn, 755 samples", scikit_learn(task))
+        rows += run("scikit-learn, 755 samples", timed(OnTrend(IndependentProcesses()), task, task.thinned))
         rows += run("GPyTorch, sparse variational, all samples, one thread", gpytorch(task, budgets))
         rows += run("GPyTorch, sparse variational, all samples, all threads", gpytorch(task, budgets, threads=None))
         slower = TRIED["150 inducing points, rate .02 throughout"]

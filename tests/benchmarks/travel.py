@@ -18,15 +18,13 @@ import pandas as pd
 from _common import finish, parser_of
 from scipy.interpolate import CubicSpline
 
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import as_aerodynamics, simulate, trim
 from skdgp.export import write_jsbsim
 from skdgp.export._build_up import Posterior
-from skdgp.export._jsbsim import SOURCES
+from skdgp.export._jsbsim import FOOT, POUND_FORCE, SOURCES, SURFACES
 from skdgp.identification import load_model
 
-FOOT, POUND_FORCE = 0.3048, 4.4482216152605
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-SURFACES = ("elevator", "aileron", "rudder")
 RADIUS = 1e10  # of an Earth that is flat over the flight; a larger one rounds the altitude to 0.01 mm [m]
 PLANET = f"""<?xml version="1.0"?>
 <planet name="flat"><semimajor_axis unit="M">{RADIUS}</semimajor_axis><semiminor_axis unit="M">{RADIUS}</semiminor_axis>
@@ -91,11 +89,7 @@ def flown(fdm, start, controls, largest):
     rows = controls.to_dict("records")
     set_controls(fdm, rows[0], largest)
     fdm.run_ic()
-    source = {
-        "airspeed": ("velocities/vt-fps", FOOT), "alpha": ("aero/alpha-rad", 1), "beta": ("aero/beta-rad", 1),
-        "phi": ("attitude/phi-rad", 1), "theta": ("attitude/theta-rad", 1), "altitude": ("position/h-sl-ft", FOOT),
-        **{name: (f"velocities/{name}-rad_sec", 1) for name in "pqr"},
-    }  # fmt: skip
+    source = SOURCES | {name: (f"velocities/{name}-rad_sec", 1.0) for name in "pqr"}
     found = []
     for following in [*rows[1:], rows[-1]]:
         found.append([fdm[source[name][0]] * source[name][1] for name in COMPARED])

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import signal
 from copy import copy
 from itertools import pairwise
@@ -45,10 +46,8 @@ def refused(path, tmp_path, capsys):
 
     def refused(message, command, *words, model=path, output="new/out"):
         assert main([command, str(model), *map(str, words), "-o", str(tmp_path / output)]) == 1
-        error = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
-        assert len(error) == 1
-        assert error[0].startswith("error: ")
-        assert re.search(message, error[0])
+        (error,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+        assert re.search(f"^error: .*({message})", error)
         assert not (tmp_path / "new").exists()
 
     return refused
@@ -377,19 +376,7 @@ class TestPlan:
     WORDS = ("--airspeed", "35", "--seconds", "10", "--axes", "rudder", "--altitude", "300", "--gusts", "none")
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
-        more = (
-            "--limits",
-            "rudder=0.1",
-            "--full",
-            "rudder=0.4",
-            "--goal",
-            "Cn_rudder",
-            "function",
-            "--growth",
-            "2",
-            "--paths",
-            "20",
-        )
+        more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder function --growth 2 --paths 20")
         said = run("plan", *self.WORDS, *more)
         names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json", "config.toml"}
         assert files(tmp_path / "out") == names

@@ -75,22 +75,7 @@ class TestRepeat:
             ["predict", "m.joblib", "a.csv", "b.csv", "--include-noise"],
             ["simulate", "m.joblib", "--trim", "35", "--wind", "-3", "1e-3", "0", "--bank", "-.1"],
             ["derivatives", "m.joblib", "--airspeed", "30", "35.5", "--json"],
-            [
-                "plan",
-                "m",
-                "--airspeed",
-                "30",
-                "--seconds",
-                "9",
-                "--axes",
-                "rudder",
-                "--full",
-                "rudder=1",
-                "--beta",
-                "-.1",
-                ".1",
-                "--pilot",
-            ],
+            shlex.split("plan m --airspeed 30 --seconds 9 --axes rudder --full rudder=1 --beta -.1 .1 --pilot"),
         ],
         ids=lambda words: words[0],
     )
@@ -162,8 +147,7 @@ class TestReading:
     def test_what_is_wrong_is_told_in_one_line(self, config, text, message, tmp_path, capsys):
         assert main(["demo", "--config", str(config(text)), "-o", str(tmp_path / "out")]) == 1
         (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith("error: ")
-        assert re.search(message, line)
+        assert re.search(f"^error: .*({message})", line)
         assert not (tmp_path / "out").exists()
 
     def test_a_folder(self, tmp_path, capsys):

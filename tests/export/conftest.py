@@ -1,5 +1,7 @@
 """Small models of six coefficients."""
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -76,17 +78,15 @@ def fitted(regressors):
         "joint": (curved, {"n_latent": 1, "private_latents": False}),
         "sparse": (curved, {"n_latent": 1, "private_latents": False, "inference": "sparse", "n_inducing": 40}),
     }
-    found = {}
 
+    @cache
     def get(name):
-        if name not in found:
-            function, parameters = options[name]
-            Y = function(regressors) + noise * np.random.default_rng(1).standard_normal((len(regressors), 6))
-            regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
-            model = make_pipeline(StandardScaler(), regressor)
-            model[0].set_output(transform="pandas")
-            found[name] = model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
-        return found[name]
+        function, parameters = options[name]
+        Y = function(regressors) + noise * np.random.default_rng(1).standard_normal((len(regressors), 6))
+        regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
+        model = make_pipeline(StandardScaler(), regressor)
+        model[0].set_output(transform="pandas")
+        return model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
 
     return get
 
@@ -94,12 +94,10 @@ def fitted(regressors):
 @pytest.fixture(scope="session")
 def built(fitted, uav):
     """Return the build-ups of the fitted pipelines by name, each made once; of main effects without pairs."""
-    found = {}
 
+    @cache
     def get(name):
-        if name not in found:
-            pairs = "none" if name == "additive" else "all"
-            found[name] = build_up(fitted(name), uav, pairs=pairs, max_loss=np.inf)
-        return found[name]
+        pairs = "none" if name == "additive" else "all"
+        return build_up(fitted(name), uav, pairs=pairs, max_loss=np.inf)
 
     return get

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -121,13 +122,11 @@ def pipeline(fitted, regressors):
 def path(build, pipeline, uav, tmp_path_factory):
     """Return the file of each form, written once."""
     folder, model = tmp_path_factory.mktemp("dave"), {"tables": (build,), "functions": (pipeline, uav)}
-    found = {}
 
+    @cache
     def get(form):
-        if form not in found:
-            found[form] = folder / f"{form}.dml"
-            write_dave_ml(found[form], *model[form], form=form)
-        return found[form]
+        write_dave_ml(folder / f"{form}.dml", *model[form], form=form)
+        return folder / f"{form}.dml"
 
     return get
 

@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from functools import cache
 from zipfile import ZipFile
 
 import numpy as np
@@ -19,7 +20,7 @@ from skdgp.export._fmu import BASE_UNITS, COMPILERS
 
 fmpy = pytest.importorskip("fmpy", reason="flies FMUs in FMPy: pip install fmpy")
 NO_COMPILER = not any(map(shutil.which, COMPILERS))
-needs_compiler = pytest.mark.skipif(NO_COMPILER, reason="an FMU flies after a C compiler has made its binary")
+NEEDED = "an FMU flies after a C compiler has made its binary"
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 STATE = ["north", "east", "down", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r"]
 SHOWN = [
@@ -101,20 +102,26 @@ KINDS = [(name, form, fmi) for name, form in (("explicit", "aircraft"), ("implic
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory):
     """Return the path of an FMU, written once; gcc accepts no warning and finds undefined behaviour at run time."""
-    folder, found = tmp_path_factory.mktemp("fmu"), {}
-    patch = pytest.MonkeyPatch()
+    if NO_COMPILER:
+        pytest.skip(NEEDED)
+    folder, patch = tmp_path_factory.mktemp("fmu"), pytest.MonkeyPatch()
     if shutil.which("gcc"):
         patch.setenv("CC", "gcc -O0 -Wall -Wextra -Werror -pedantic -fsanitize=undefined -fno-sanitize-recover=all")
 
-    def get(*kind):
-        if kind not in found:
-            name, form, fmi = kind
-            found[kind] = str(folder / f"{name}{form}{fmi[0]}.fmu")
-            assert write_fmu(found[kind], MODELS[name], form=form, fmi=fmi)
-        return found[kind]
+    @cache
+    def write(name, form, fmi):
+        path = str(folder / f"{name}{form}{fmi[0]}.fmu")
+        assert write_fmu(path, MODELS[name], form=form, fmi=fmi)
+        return path
 
-    yield get
+    yield write
     patch.undo()
+
+
+@pytest.fixture(params=["2.0", "3.0"])
+def fmi(request):
+    """Return a version of the standard."""
+    return request.param
 
 
 class Instance:
@@ -178,7 +185,6 @@ def table(**columns):
 CONTROLS = {"elevon_left": (0.0, 0.02), "elevon_right": (-0.01, 0.02), "rudder": (0.01, 0.02)}
 
 
-@needs_compiler
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
 def test_description_and_symbols(kind, fmu, tmp_path):
     from fmpy.validation import validate_fmu
@@ -196,8 +202,6 @@ def test_description_and_symbols(kind, fmu, tmp_path):
         assert not [name for _, name in symbols if name.startswith(("Py", "_Py"))]
 
 
-@needs_compiler
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("every", [1, 5])
 def test_flight_is_that_of_simulate(name, fmi, every, instance):
@@ -237,8 +241,6 @@ def test_flight_is_that_of_simulate(name, fmi, every, instance):
         np.testing.assert_array_equal(np.array(found)[:, -1], outside)
 
 
-@needs_compiler
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_inputs_without_slopes_are_held(fmi, fmu):
     """FMPy itself flies the controls of a computer that holds them; all loads of the propulsion act."""
     loads = {"thrust_x": (5.0, 2.0), "thrust_y": (1.0, 1.0), "thrust_z": (-2.0, 1.0)}
@@ -259,8 +261,6 @@ def test_inputs_without_slopes_are_held(fmi, fmu):
     np.testing.assert_allclose([list(row)[1:] for row in found], expected[STATE], rtol=1e-9, atol=1e-9)
 
 
-@needs_compiler
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_coefficients_are_those_of_the_model(fmi, instance):
     model, rng = MODELS["implicit"], np.random.default_rng(0)
     aero = instance("implicit", "coefficients", fmi)
@@ -277,8 +277,6 @@ def test_coefficients_are_those_of_the_model(fmi, instance):
     np.testing.assert_allclose(found, np.column_stack([mean, std, (np.abs(X) > 0.3).sum(axis=1)]), rtol=1e-9)
 
 
-@needs_compiler
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_without_any_input_it_flies(fmi, fmu, capsys):
     """An importer that sets nothing sees a flight, near level."""
     for name in MODELS:
@@ -287,8 +285,6 @@ def test_without_any_input_it_flies(fmi, fmu, capsys):
         assert 900 < last["altitude"] < 1100
 
 
-@needs_compiler
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_state_is_kept_and_instances_are_separate(fmi, instance):
     one, other = (instance("implicit", "aircraft", fmi) for _ in range(2))
     for each, rudder in ((one, 0.02), (other, -0.02)):
@@ -318,8 +314,6 @@ def test_state_is_kept_and_instances_are_separate(fmi, instance):
     assert one.get(["psi"]) == 0.0
 
 
-@needs_compiler
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_misuse_is_an_error_with_a_message(fmi, instance):
     uav = instance("explicit", "aircraft", fmi)
     fmu = uav.fmu
@@ -362,8 +356,6 @@ def test_misuse_is_an_error_with_a_message(fmi, instance):
     assert np.isfinite(uav.get(SHOWN)).all()
 
 
-@needs_compiler
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_a_flight_ends_where_that_of_simulate_ends(fmi, instance):
     start = {"airspeed": 25.0, "theta": -1.4, "alpha": 0.0, "altitude": -4980.0}
     with pytest.warns(UserWarning, match="below any land|ended early"):
@@ -391,7 +383,6 @@ def test_a_flight_ends_where_that_of_simulate_ends(fmi, instance):
     assert "airspeed under 1 m/s" in slow.logged[-1].decode()
 
 
-@needs_compiler
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="FMPy compiles with cmake")
 def test_source_compiles_elsewhere(fmu, tmp_path, capfd):
     from fmpy.build import build_platform_binary
@@ -453,7 +444,7 @@ def test_what_has_no_form_is_refused(model, options, message, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@needs_compiler
+@pytest.mark.skipif(NO_COMPILER, reason=NEEDED)
 def test_command(tmp_path, capsys):
     """One command writes an FMU."""
     save_portable(tmp_path / "model.npz", MODELS["explicit"])

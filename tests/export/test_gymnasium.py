@@ -1,6 +1,6 @@
 """The environment is one of Gymnasium, and flies what `simulate` flies."""
 
-import builtins
+import sys
 
 import numpy as np
 import pytest
@@ -145,13 +145,6 @@ def test_what_cannot_be_flown_is_refused(make, fitted, uav):
 
 
 def test_gymnasium_is_named_where_it_is_not_installed(make, monkeypatch):
-    real = builtins.__import__
-
-    def absent(name, *args, **words):
-        if name.split(".")[0] == "gymnasium":
-            raise ImportError(name)
-        return real(name, *args, **words)
-
-    monkeypatch.setattr(builtins, "__import__", absent)
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(ImportError, match=r'pip install "skdgp\[export\]"'):
         make()

@@ -183,128 +183,81 @@ def quaternion(angles):
     return np.column_stack([w, x, y, z])
 
 
+def always(kind, value):
+    """Return a field that is the same at any time."""
+    return lambda t: (kind, np.full(len(t), value))
+
+
 @pytest.fixture(scope="session")
 def px4(flight):
     """Return a ULog of a PX4 fixed wing that logs every column."""
     f, w = flight, ULogWriter(MAV_TYPE=1, FW_AIRSPD_MIN=12.0)
 
-    def add(name, rate, *, delay=0.0, **fields):
-        t = f.time(rate, delay=delay)
-        made = {key: (kind, make(t)) for key, (kind, make) in fields.items()}
+    def add(name, rate, *, delay=0.0, factor=1.0, **fields):
+        """Add a topic; a field is channels of the flight, or a function of time to its type and values."""
+        t, made = f.time(rate, delay=delay), {}
+        for key, value in fields.items():
+            if isinstance(value, str):
+                n = len(value.split())
+                made[key] = f"float[{n}]" if n > 1 else "float", f.at(t, *value.split()) * factor
+            else:
+                made[key] = value(t)
         w.topic(name, t, **made)
 
-    def of(*names, factor=1.0):
-        return lambda t: f.at(t, *names) * factor
-
-    add("vehicle_angular_velocity", 200, xyz=("float[3]", of("p", "q", "r")))
-    add("vehicle_acceleration", 100, delay=0.0017, xyz=("float[3]", of("ax", "ay", "az")))
-    add("vehicle_attitude", 50, delay=0.003, q=("float[4]", lambda t: quaternion(f.at(t, "phi", "theta", "psi"))))
-    add(
-        "airspeed",
-        20,
-        true_airspeed_m_s=("float", of("airspeed")),
-        indicated_airspeed_m_s=("float", of("airspeed", factor=0.9)),
-    )
-    add("airflow_aoa", 25, aoa_rad=("float", of("alpha")))
-    add("airflow_slip", 25, slip_rad=("float", of("beta")))
-    add(
-        *("vehicle_local_position", 30),
-        **{
-            k: ("float", of(n))
-            for k, n in (
-                ("x", "north"),
-                ("y", "east"),
-                ("z", "down"),
-                ("vx", "v_north"),
-                ("vy", "v_east"),
-                ("vz", "v_down"),
-            )
-        },
-        **{k: ("bool", lambda t: np.ones(len(t))) for k in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")},
-    )
-    add("vehicle_global_position", 10, alt=("float", of("altitude")))
-    add("vehicle_air_data", 15, rho=("float", of("density")))
-    add("wind", 2, windspeed_north=("float", of("wind_north")), windspeed_east=("float", of("wind_east")))
-    add("actuator_motors", 50, control=("float[4]", lambda t: np.tile(f.at(t, "throttle"), 4)))
-    add("rpm", 10, indicated_frequency_rpm=("float", of("propeller_speed", factor=30 / np.pi)))
-    add(
-        "actuator_outputs",
-        50,
-        output=("float[4]", lambda t: 1500 + 1000 * f.at(t, "aileron", "elevator", "rudder", "rudder")),
-    )
-    add("vehicle_status", 1, vehicle_type=("uint8_t", lambda t: np.full(len(t), 2)))
-    add("vehicle_land_detected", 1, landed=("bool", lambda t: np.zeros(len(t))))
+    valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), always("bool", True))
+    attitude = {"q": lambda t: ("float[4]", quaternion(f.at(t, "phi", "theta", "psi")))}
+    pulses = {"output": lambda t: ("float[4]", 1500 + 1000 * f.at(t, "aileron", "elevator", "rudder", "rudder"))}
+    indicated = {"indicated_airspeed_m_s": lambda t: ("float", 0.9 * f.at(t, "airspeed"))}
+    position = {"x": "north", "y": "east", "z": "down", "vx": "v_north", "vy": "v_east", "vz": "v_down"}
+    add("vehicle_angular_velocity", 200, xyz="p q r")
+    add("vehicle_acceleration", 100, delay=0.0017, xyz="ax ay az")
+    add("vehicle_attitude", 50, delay=0.003, **attitude)
+    add("airspeed", 20, true_airspeed_m_s="airspeed", **indicated)
+    add("airflow_aoa", 25, aoa_rad="alpha")
+    add("airflow_slip", 25, slip_rad="beta")
+    add("vehicle_local_position", 30, **position, **valid)
+    add("vehicle_global_position", 10, alt="altitude")
+    add("vehicle_air_data", 15, rho="density")
+    add("wind", 2, windspeed_north="wind_north", windspeed_east="wind_east")
+    add("actuator_motors", 50, control="throttle throttle throttle throttle")
+    add("rpm", 10, factor=30 / np.pi, indicated_frequency_rpm="propeller_speed")
+    add("actuator_outputs", 50, **pulses)
+    add("vehicle_status", 1, vehicle_type=always("uint8_t", 2))
+    add("vehicle_land_detected", 1, landed=always("bool", False))
     return bytes(w)
 
 
 @pytest.fixture(scope="session")
 def ardupilot(flight):
     """Return a DataFlash log of an ArduPilot plane that logs every column."""
-    f = flight
+    f, first = flight, {"I": always("B", 0)}
     servos = {f"SERVO{n}_FUNCTION": value for n, value in ((1, 4.0), (2, 19.0), (4, 21.0))}
     w = DataFlashWriter("ArduPlane V4.5.1 (abcdef01)", AIRSPEED_MIN=12.0, **servos)
 
-    def add(name, rate, *, delay=0.0, **fields):
+    def add(name, rate, *, delay=0.0, code="f", factor=1.0, offset=0.0, **fields):
+        """Add a topic; a field is a channel of the flight, or a function of time to its type and values."""
         t = f.time(rate, delay=delay)
-        w.topic(
-            name, t, **{key: (code, value(t) if callable(value) else value) for key, (code, value) in fields.items()}
-        )
+        made = {
+            key: (code, f[value](t) * factor + offset) if isinstance(value, str) else value(t)
+            for key, value in fields.items()
+        }
+        w.topic(name, t, **made)
 
-    def of(name, factor=1.0, offset=0.0):
-        return lambda t: f[name](t) * factor + offset
-
-    rates, forces = dict(zip("XYZ", "pqr", strict=True)), {"X": "ax", "Y": "ay", "Z": "az"}
-    add(
-        "IMU",
-        100,
-        I=("B", 0),
-        **{f"Gyr{k}": ("f", of(n)) for k, n in rates.items()},
-        **{f"Acc{k}": ("f", of(n)) for k, n in forces.items()},
-    )
     degree = 180 / np.pi
-    add(
-        "ATT",
-        50,
-        delay=0.004,
-        Roll=("c", of("phi", degree)),
-        Pitch=("c", of("theta", degree)),
-        Yaw=("C", lambda t: f["psi"](t) * degree % 360),
-    )
-    add(
-        "ARSP",
-        20,
-        I=("B", 0),
-        Airspeed=("f", lambda t: f["airspeed"](t) * np.sqrt(f["density"](t) / 1.225)),
-        H=("B", 1),
-    )
-    add("AOA", 20, AOA=("f", of("alpha", degree)), SSA=("f", of("beta", degree)))
-    add(
-        "XKF1",
-        25,
-        C=("B", 0),
-        **{
-            k: ("f", of(n))
-            for k, n in (
-                ("VN", "v_north"),
-                ("VE", "v_east"),
-                ("VD", "v_down"),
-                ("PN", "north"),
-                ("PE", "east"),
-                ("PD", "down"),
-            )
-        },
-    )
-    add("XKF2", 25, C=("B", 0), VWN=("f", of("wind_north")), VWE=("f", of("wind_east")))
-    add("POS", 10, Alt=("f", of("altitude")))
-    add("BARO", 10, I=("B", 0), Press=("f", lambda t: 101325 * (f["density"](t) / 1.225) ** (1 / (1 - 1 / 5.25588))))
-    add("CTUN", 10, ThO=("f", of("throttle", 100)))
-    add("RPM", 10, rpm1=("f", of("propeller_speed", 30 / np.pi)), rpm2=("f", 0.0))
-    add(
-        "RCOU",
-        50,
-        C1=("H", of("aileron", 1000, 1500)),
-        C2=("H", of("elevator", -1000, 1500)),
-        C3=("H", 1100),
-        C4=("H", of("rudder", 1000, 1500)),
-    )
+    heading = {"Yaw": lambda t: ("C", f["psi"](t) * degree % 360)}
+    pitot = {"Airspeed": lambda t: ("f", f["airspeed"](t) * np.sqrt(f["density"](t) / 1.225))}
+    pressure = {"Press": lambda t: ("f", 101325 * (f["density"](t) / 1.225) ** (1 / (1 - 1 / 5.25588)))}
+    others = {"C2": lambda t: ("H", 1500 - 1000 * f["elevator"](t)), "C3": always("H", 1100)}
+    velocity = {"VN": "v_north", "VE": "v_east", "VD": "v_down"}
+    add("IMU", 100, **first, GyrX="p", GyrY="q", GyrZ="r", AccX="ax", AccY="ay", AccZ="az")
+    add("ATT", 50, delay=0.004, code="c", factor=degree, Roll="phi", Pitch="theta", **heading)
+    add("ARSP", 20, **first, **pitot, H=always("B", 1))
+    add("AOA", 20, factor=degree, AOA="alpha", SSA="beta")
+    add("XKF1", 25, C=always("B", 0), **velocity, PN="north", PE="east", PD="down")
+    add("XKF2", 25, C=always("B", 0), VWN="wind_north", VWE="wind_east")
+    add("POS", 10, Alt="altitude")
+    add("BARO", 10, **first, **pressure)
+    add("CTUN", 10, factor=100, ThO="throttle")
+    add("RPM", 10, factor=30 / np.pi, rpm1="propeller_speed", rpm2=always("f", 0.0))
+    add("RCOU", 50, code="H", factor=1000, offset=1500, C1="aileron", **others, C4="rudder")
     return bytes(w)

@@ -1,10 +1,11 @@
 """Damaged logs: whatever the bytes, a table, or one error; soon, in little memory, with no other warning."""
 
+import importlib
 import struct
 import time
 import tracemalloc
-import warnings
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -24,68 +25,19 @@ SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
 """A small file is read within so many seconds, in so many bytes and so many times its own."""
 
 
-def scattered(raw, rng):
-    """Some bytes are others."""
-    damaged = raw.copy()
-    at = rng.integers(0, len(raw), 10 ** int(rng.integers(0, 4)))
-    damaged[at] = rng.integers(0, 256, len(at))
-    return damaged
-
-
-def in_the_definitions(raw, rng):
-    """Some of the first bytes are others, where formats and lengths stand."""
-    damaged = raw.copy()
-    at = rng.integers(0, min(3000, len(raw)), int(rng.integers(1, 6)))
-    damaged[at] = rng.choice([0, 1, 0x7F, 0x80, 0xFF, *rng.integers(0, 256, 5)], len(at))
-    return damaged
-
-
-def moved(raw, rng):
-    """Stretches are cut out, doubled, or put elsewhere."""
-    a, b, c = np.sort(rng.integers(0, len(raw), 3))
-    return np.concatenate(
-        [raw[:a], raw[b:c], raw[a:b], raw[c:]][: rng.integers(2, 5)] + [raw[b:c]] * rng.integers(0, 2)
-    )
-
-
-def with_extreme_numbers(raw, rng):
-    """Infinities, NaN, largest and denormal numbers are written over values."""
-    damaged = raw.copy()
-    numbers = np.array([np.inf, -np.inf, np.nan, 3.4e38, 1e-45], np.float32).view(np.uint8).reshape(-1, 4)
-    for at in rng.integers(0, len(raw) - 4, int(rng.integers(1, 300))):
-        damaged[at : at + 4] = rng.choice(numbers)
-    return damaged
-
-
-def cut(raw, rng):
-    """The end is missing."""
-    return raw[: rng.integers(0, len(raw))]
-
-
-DAMAGE = [scattered, in_the_definitions, moved, with_extreme_numbers, cut]
+with pytest.MonkeyPatch.context() as patch:  # the fuzz of the benchmarks damages and judges in the same way
+    patch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    fuzz = importlib.import_module("_fuzz_logs")
 
 
 def survives(path, n_bytes):
     """Read in every way; return what came of it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.simplefilter("ignore", FlightDataWarning)
-        warnings.filterwarnings(
-            "ignore", "Unknown columns|Infinite values|.* repeat the row", UserWarning
-        )  # warnings of damage
+    with fuzz.only(*fuzz.DOCUMENTED, others=(FlightDataWarning,)):
         try:
             options = {"airborne": False, "imu_position": [0.1, 0.0, -0.2]}
-            table = read_flight(path, **(options if path.suffix in AUTOPILOTS else {}))
-        except FlightReadError:  # any other failure fails the test
-            return "refused"
-        assert isinstance(table, pd.DataFrame)
-        assert len(table) <= 20 * n_bytes
-        assert not np.isinf(table.select_dtypes("number").to_numpy()).any()
-        for _, part in table.groupby("flight"):
-            assert (np.diff(part.time) > 0).all()
-        try:
+            fuzz.check(read_flight(path, **(options if path.suffix in AUTOPILOTS else {})), n_bytes)
             str(inspect_log(path))
-        except FlightReadError:  # magnitudes of a table are looked at again
+        except FlightReadError:  # any other failure fails the test
             return "refused"
         return "read"
 
@@ -104,17 +56,17 @@ def logs(tmp_path_factory, px4, ardupilot):
     return {suffix: np.frombuffer(content, np.uint8)[:60_000] for suffix, content in raw.items()}
 
 
-@pytest.mark.parametrize("damage", DAMAGE, ids=lambda damage: damage.__name__)
+@pytest.mark.parametrize("damage", fuzz.BYTES, ids=lambda damage: damage.__name__)
 @pytest.mark.parametrize("suffix", ROUNDS)
 def test_damaged_logs(logs, tmp_path, suffix, damage):
-    rng = np.random.default_rng([len(suffix), DAMAGE.index(damage)])
+    rng = np.random.default_rng([len(suffix), fuzz.BYTES.index(damage)])
     path, outcomes = tmp_path / f"log{suffix}", []
     for _ in range(ROUNDS[suffix]):
         content = damage(logs[suffix], rng).tobytes()
         path.write_bytes(content)
-        began = time.monotonic()
+        began = time.process_time()
         outcomes.append(survives(path, len(content)))
-        assert time.monotonic() - began < 2 * SECONDS
+        assert time.process_time() - began < 2 * SECONDS
     assert "read" in outcomes or suffix not in AUTOPILOTS  # a damaged log is mostly a good one
 
 
@@ -157,14 +109,14 @@ def test_any_bytes(folder, suffix, head, content):
     content = (heads[head] if head < len(heads) else b"") + content
     path = folder / f"log{suffix}"
     path.write_bytes(content)
-    began = time.monotonic()
+    began = time.process_time()
     tracemalloc.start()
     try:
         survives(path, max(len(content), 1))
         assert tracemalloc.get_traced_memory()[1] < MEMORY + GROWTH * len(content)
     finally:
         tracemalloc.stop()
-    assert time.monotonic() - began < SECONDS
+    assert time.process_time() - began < SECONDS
 
 
 @pytest.mark.parametrize("suffix", [".ulg", ".bin"])
@@ -172,16 +124,16 @@ def test_noise_after_the_first_bytes(tmp_path, suffix):
     """A file that begins as a log and goes on as noise, however long."""
     head = {".ulg": b"ULog\x01\x12\x35\x01" + bytes(8), ".bin": b"\xa3\x95"}[suffix]
     (tmp_path / f"log{suffix}").write_bytes(head + np.random.default_rng(0).bytes(2_000_000))
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(FlightReadError):
         read_flight(tmp_path / f"log{suffix}")
-    assert time.monotonic() - began < 10
+    assert time.process_time() - began < 10
 
 
 @pytest.mark.parametrize("suffix", [".ulg", ".bin"])
 def test_memory_is_bounded_by_the_size_of_the_file(logs, tmp_path, suffix):
     rng = np.random.default_rng(0)
-    for damage in (scattered, in_the_definitions, moved):
+    for damage in fuzz.BYTES:
         content = damage(logs[suffix], rng).tobytes()
         (tmp_path / f"log{suffix}").write_bytes(content)
         tracemalloc.start()
@@ -280,7 +232,7 @@ BOMBS = {
 def test_small_files_take_little(tmp_path, name, content, message):
     content = content()
     (tmp_path / name).write_bytes(content)
-    before, began = pa.total_allocated_bytes(), time.monotonic()
+    before, began = pa.total_allocated_bytes(), time.process_time()
     tracemalloc.start()
     try:
         with pytest.raises(FlightReadError, match=message):
@@ -289,14 +241,14 @@ def test_small_files_take_little(tmp_path, name, content, message):
     finally:
         tracemalloc.stop()
     assert pa.total_allocated_bytes() - before < MEMORY
-    assert time.monotonic() - began < SECONDS
+    assert time.process_time() - began < SECONDS
 
 
 def test_wide_tables_are_read_soon(tmp_path):
     (tmp_path / "log.csv").write_bytes(wide(5000) + b"0" + b",1" * 4999 + b"\n.02" + b",1" * 4999)
-    began = time.monotonic()
+    began = time.process_time()
     assert read_flight(tmp_path / "log.csv").shape == (2, 5001)
-    assert time.monotonic() - began < SECONDS
+    assert time.process_time() - began < SECONDS
 
 
 @pytest.mark.shared
@@ -304,7 +256,7 @@ def test_damaged_shared_logs(shared_data, tmp_path):
     rng = np.random.default_rng(1)
     for path in sorted((shared_data / "logs").iterdir()):
         raw = np.frombuffer(path.read_bytes(), np.uint8)[:500_000]
-        for damage in DAMAGE:
+        for damage in fuzz.BYTES:
             copy = tmp_path / f"log{path.suffix.lower()}"
             content = damage(raw, rng).tobytes()
             copy.write_bytes(content)

@@ -1,6 +1,6 @@
 """Reading flights: tables come out in SI, and errors name the place and the remedy."""
 
-import builtins
+import sys
 
 import numpy as np
 import pandas as pd
@@ -191,14 +191,7 @@ class TestRefusals:
 
     def test_parquet_without_its_extra(self, write, monkeypatch):
         path = write("log.parquet", table())
-        real = builtins.__import__
-
-        def without_pyarrow(name, *args, **kwargs):
-            if name.startswith("pyarrow"):
-                raise ImportError(name)
-            return real(name, *args, **kwargs)
-
-        monkeypatch.setattr(builtins, "__import__", without_pyarrow)
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
         with pytest.raises(ImportError, match=r"pip install 'skdgp\[parquet\]'"):
             read_flight(path)
 

@@ -1,9 +1,5 @@
 """The display of a build-up draws effects with bands and maps with contours."""
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 import pandas as pd
 import pytest

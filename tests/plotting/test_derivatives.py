@@ -1,9 +1,5 @@
 """The display of derivatives draws what the table says, where it says."""
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure

@@ -1,9 +1,5 @@
 """The display of effects draws their curves, bands and what is joint."""
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,9 +1,5 @@
 """Where the data are, and where the model knows nothing: against the definitions."""
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 import pandas as pd
 import pytest

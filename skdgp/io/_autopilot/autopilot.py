@@ -138,15 +138,10 @@ def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed
     landed = _landed(table["time"].to_numpy(), log, topics)
     if landed is not None:
         fast &= ~landed
-    time = table["time"].to_numpy()
-    runs = _runs(fast, time)
-    joined = runs[:1]
-    for a, b in runs[1:]:
-        if time[a] - time[joined[-1][1] - 1] < LONGEST_DIP:
-            joined[-1][1] = b
-        else:
-            joined.append([a, b])
-    return [slice(a, b) for a, b in joined if time[b - 1] - time[a] >= SHORTEST_FLIGHT]
+    time, rows = table["time"].to_numpy(), np.flatnonzero(fast)
+    parts = np.split(rows, np.flatnonzero(np.diff(time[rows]) >= LONGEST_DIP) + 1)
+    ends = [(int(part[0]), int(part[-1])) for part in parts if len(part)]
+    return [slice(a, b + 1) for a, b in ends if time[b] - time[a] >= SHORTEST_FLIGHT]
 
 
 def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
@@ -190,13 +185,6 @@ def _landed(time, log, topics):
         return None
     last = np.searchsorted(topic.time, time, side="right") - 1
     return (topic[field] == value)[np.maximum(last, 0)]
-
-
-def _runs(fast, time):
-    """Return first and past-last rows of runs without a leap of time."""
-    begins = fast & ~np.r_[False, fast[:-1] & (np.diff(time) < LONGEST_DIP)]
-    ends = fast & np.r_[begins[1:] | ~fast[1:], True]
-    return [[int(a), int(b) + 1] for a, b in zip(np.flatnonzero(begins), np.flatnonzero(ends), strict=True)]
 
 
 def _gap_remarks(parts):

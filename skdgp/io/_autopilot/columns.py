@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import CHANNELS, EULER
 from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
 from skdgp.io._autopilot.clock import resample, sampling_rate, uniform_clock
-from skdgp.io._autopilot.formats import DENSITY, EQUIVALENT, PRESSURE, QUATERNION, Log, Rule, Topic, density_at
+from skdgp.io._autopilot.formats import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
 from skdgp.io._autopilot.servos import Servo
 from skdgp.io._errors import FlightReadError
 
@@ -117,8 +118,7 @@ def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.Data
 def _complete(columns, origin):
     """Add density and true airspeed where they were not logged."""
     if "density" not in columns and "altitude" in columns:
-        lapse = np.maximum(1 - 0.0065 * columns["altitude"] / 288.15, 0.0)  # of the temperature, ISO 2533
-        columns["density"] = density_at(PRESSURE * lapse**5.25588)
+        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
     if EQUIVALENT in columns:
         equivalent, (words, rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)

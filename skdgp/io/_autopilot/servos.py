@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
@@ -45,12 +46,9 @@ class Servo(NamedTuple):
         >>> Servo("RCOU.C2", (1100, 1500, 1900), (-0.4, 0.0, 0.3)).deflection(np.array([1500, 1700, 0.0])).round(3)
         array([0.  , 0.15,  nan])
         """
-        inputs, angles = np.array(self.inputs), np.array(self.angles)
-        if inputs[0] >= NO_PULSE:
+        if self.inputs[0] >= NO_PULSE:
             values = np.where(values < NO_PULSE, np.nan, values)
-        piece = np.clip(np.searchsorted(inputs, values) - 1, 0, len(inputs) - 2)
-        slope = np.diff(angles) / np.diff(inputs)
-        return angles[piece] + slope[piece] * (values - inputs[piece])
+        return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
 
 def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo]:

@@ -128,8 +128,6 @@ def test_what_is_no_model(path, tmp_path, capsys):
 def test_code_of_the_page_runs(fitted_of, flight, tmp_path, monkeypatch):
     """The Python of export.md, in one namespace with a flight."""
     page = Path(__file__).parents[3] / "docs" / "export.md"
-    if not page.is_file():
-        pytest.skip("the documentation is not beside the tests")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()
     save_model("results/model.joblib", **fitted_of("sparse"))

@@ -82,7 +82,7 @@ def _prefer_trend(chosen, run, alone, X, Z, n_inducing):
     if trend.interrupted:
         raise KeyboardInterrupt
     fits = {"trend": trend, chosen.structure: chosen.fit}
-    errors = {name: held_out_errors(fit, X, Z, n_inducing) for name, fit in fits.items()}
+    errors: dict[str, Any] = {name: held_out_errors(fit, X, Z, n_inducing) for name, fit in fits.items()}
     if any(values is None for values in errors.values()):
         return
     chosen.structure_errors = errors

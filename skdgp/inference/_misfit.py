@@ -61,7 +61,8 @@ def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vect
     rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
     rows = rows[:: -(-len(rows) // MISFIT_ROWS)]
     X, residual, (time, flight) = X[rows], Y[rows] - posterior.predict(X[rows]), clock[rows].T
-    _, near = KDTree(X / column_scale(X)).query(X / column_scale(X), k=min(CANDIDATES, len(X)))
+    scaled = X / column_scale(X)
+    near: Any = KDTree(scaled).query(scaled, k=min(CANDIDATES, len(X)))[1]
     apart = (np.abs(time[near] - time[:, None]) > LARGEST_LAG) | (flight[near] != flight[:, None])
     variance = np.zeros(Y.shape[1])
     for i, e in enumerate(residual.T):

@@ -164,6 +164,16 @@ def free(name, models, aircraft, flight, n_paths):
     return errors, rows
 
 
+def bands_table(rows):
+    """Return coverage and interval score of each method in each air, after all horizons side by side."""
+    table = pd.DataFrame(rows).pivot(
+        index=["flight", "method", "wind and gusts"], columns="horizon", values=["coverage %", "interval score"]
+    )
+    table = table.reindex(dict.fromkeys((row["flight"], row["method"], row["wind and gusts"]) for row in rows))
+    table.columns = [f"{name}, {horizon:g} s" for name, horizon in table.columns]
+    return table.reset_index().to_dict("records")
+
+
 def airs(aircraft, flight):
     """Return the options of `simulate` for what is known of the air: turbulence from the sensors of the flight."""
     turbulence = Turbulence.from_flight(flight, aircraft.span)
@@ -321,7 +331,9 @@ def main(words=None):
         refined += corrected(name, default, aircraft, log, flight)
         if short == "example":
             times = timed(default[0], aircraft, options.paths)
-    finish(options, "freeflight", errors=errors, air=air, output_error=refined, replay=replays, times=times)
+    finish(
+        options, "freeflight", errors=errors, bands=bands_table(air), output_error=refined, replay=replays, times=times
+    )
 
 
 def flights_of(folder, name, train, test):

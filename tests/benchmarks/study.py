@@ -57,10 +57,10 @@ CHAINS = {  # each case adds the cause that names it
     },
 }
 LOGGED, CLASSICAL = Case(), Case(slopes="own")
-GIVEN = {"alpha_dot given": Case(slopes="exact"), "rates of the air given": Case(rates="air", slopes="own")}
+GIVEN = Case(rates="air", slopes="own")
 AGITATED = Case(rows="agitated")
 ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical", AGITATED: "quasi-steady, agitated half of the rows"}
-ASKED |= {case: f"classical, {name}" for name, case in GIVEN.items()}
+ASKED |= {GIVEN: "classical, rates of the air given"}
 QUADRATIC = {"trend": PolynomialFeatures(2)}
 SYMMETRIC, OTHER_AIR = {"symmetric": True}, {"symmetric": True, "gusty": True}
 WIDE = {"length_scale_prior": "auto"}  # as gusty has it
@@ -77,7 +77,7 @@ COMPARED = [  # by processes: air, case, and what replaces parameters of the def
     *((air, AGITATED, {}) for air in ("light", "moderate")),
     ("light", CLASSICAL, QUADRATIC),
     ("light", CLASSICAL, {"structure": "additive"}),
-    ("light", GIVEN["rates of the air given"], {}),
+    ("light", GIVEN, {}),
 ]
 CHAINED = [("light", case, {}) for chain in CHAINS.values() for case in chain.values()]
 DERIVATIVES = [  # label, case, method
@@ -89,14 +89,13 @@ DERIVATIVES = [  # label, case, method
     ("IV surfaces", LOGGED, "IV surfaces"),
     ("IV commands", LOGGED, "IV commands"),
     ("IV commands, classical", CLASSICAL, "IV commands"),
-    ("weighted, classical", CLASSICAL, "weighted"),
-    ("least squares, classical, rates of the air given", GIVEN["rates of the air given"], "least squares"),
-    ("least squares, exact data", EXACT, "least squares"),
-    ("default, exact data", EXACT, "default"),
+    ("least squares, classical, rates of the air given", GIVEN, "least squares"),
 ]
+COVERED = DERIVATIVES[:4]  # of them, those whose deviations are compared with their errors
+LINEAR = ("least squares", "second order", "IV commands", "weighted")
 ALONG = 0.25  # of a rolling gust in the pitching of an aircraft that flies along the wind
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
-PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p", "Cn_r")
+PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p")
 SHOWN = (
     *("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cm_elevator", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r"),
     *("Cl_aileron", "Cn_beta", "Cn_p", "Cn_r", "Cn_rudder"),
@@ -106,15 +105,14 @@ SHOWN = (
 def linear_methods(subject, seen, spectra):
     """Return what linear methods find, by case and method."""
     found = {}
-    cases = dict.fromkeys([*CHAINS["quasi-steady"].values(), *CHAINS["classical"].values(), *GIVEN.values()])
-    for case in cases:
+    for case in [*CHAINS["quasi-steady"].values(), CLASSICAL, GIVEN]:
         X, Y = case.table(seen)
         found[case, "least squares"] = line(X, Y, subject, case)
+    X, Y = LOGGED.table(seen)
+    found[LOGGED, "second order"] = parabola(X, Y, subject, LOGGED)
+    found[LOGGED, "IV surfaces"] = line(X, Y, subject, LOGGED, lagged(seen.log.exact[:, -4:], 1.0))
     for case in (LOGGED, CLASSICAL):
         X, Y = case.table(seen)
-        found[case, "second order"] = parabola(X, Y, subject, case)
-        surfaces = lagged(seen.log.exact[:, -4:], 1.0)
-        found[case, "IV surfaces"] = line(X, Y, subject, case, surfaces)
         found[case, "IV commands"] = line(X, Y, subject, case, lagged(seen.log.command, 2.0))
     for case in (LOGGED, CLASSICAL, CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]):
         X, _ = case.table(seen)
@@ -194,7 +192,12 @@ def function_table(results):
     rows = []
     for air in flights.AIR:
         default = (air, LOGGED, "default")
-        keys = [key for key in results.found if key[0] == air and key[1] in ASKED]
+        keys = [
+            key
+            for key in results.found
+            if key[0] == air and key[1] in ASKED
+            if key[2].startswith("default") or (key[1] == LOGGED and key[2] in LINEAR)
+        ]
         for key in sorted(keys, key=lambda key: not key[2].startswith("default")):
             found = results.found[key]
             row = {"air": air, "method": key[2], "regressors": ASKED[key[1]]}
@@ -268,11 +271,11 @@ def _error_row(name, found, truth, slopes):
     return row | {"Cm_q": float(slopes[4, 3]), "Cl_p": float(slopes[3, 2]), "Cn_r": float(slopes[5, 4])}
 
 
-def parts_table(results, method, air="light"):
+def parts_table(results, method, chains=("quasi-steady", "classical"), air="light"):
     """Return what each cause adds to the squared error, in per cent of the variance of the truth, over equal seeds."""
     rows = []
-    for regressors, chain in CHAINS.items():
-        chain = {cause: (air, case, method) for cause, case in chain.items()}
+    for regressors in chains:
+        chain = {cause: (air, case, method) for cause, case in CHAINS[regressors].items()}
         seeds = min((len(results.found[key]) for key in chain.values() if key in results.found), default=0)
         before, causes, first = np.zeros((2, 6)), [], {"method": method, "regressors": regressors}
         for cause, key in chain.items():
@@ -324,9 +327,9 @@ def coverage_table(results):
     """Return how the errors of derivatives compare with stated deviations."""
     rows, subject = [], results.subject
     for air in flights.AIR:
-        for label, case, method in DERIVATIVES:
+        for label, case, method in COVERED:
             found = results.found.get((air, case, method))
-            if method.startswith(("IV", "weighted")) or found is None or not (found[0].slopes_std > 0).any():
+            if found is None:
                 continue
             matters = (np.abs(subject.known) > 0) & (found[0].slopes_std > 0)
             inside = np.array([np.abs(one.slopes - subject.known) < 2 * one.slopes_std for one in found])
@@ -486,7 +489,7 @@ def main(words=None):
     make = partial(getattr(flights, f"{name}_subject"), flown, options.duration)
     subject = kept(folder, f"{name}-{flown}", make)
     results, seen = study(subject, options, folder)
-    parts = [row for method in ("default", "least squares") for row in parts_table(results, method)]
+    parts = [*parts_table(results, "default"), *parts_table(results, "least squares", ["quasi-steady"])]
     finish(
         options,
         "study" if name == "example" else f"study_{name}",

@@ -57,6 +57,17 @@ def test_sizes_are_shares_of_the_slopes_by_rates():
     assert lag.missing.all()
 
 
+def test_slopes_by_rates_that_are_not_known_leave_those_by_lags_unknown():
+    """Cm_q and its deviation count in root mean square, so a Cm_q of zero has no sure Cm_alpha_dot."""
+    motion = Motion(LINEAR, BRUMBY, thrust=None)
+    now, std = motion.at(state_of(), CONTROLS), np.zeros_like(SLOPES)
+    std[4, 3], std[3, 3] = 0.16, 0.02
+    lag = lag_of(motion, now, SLOPES, std)
+    assert lag.slopes[4, 0] == pytest.approx(SHARES[0] * -0.2)
+    assert abs(lag.slopes[3, 0]) == pytest.approx(SHARES[0] * 0.02)
+    assert lag.slopes[:, 1] == pytest.approx(lag_of(motion, now, SLOPES).slopes[:, 1])
+
+
 def test_a_lag_acts_as_a_small_slope_by_alpha_dot_does():
     size = 1e-5
     column = size * np.array([0.0, 0, -1.0, 0, -2.0, 0])

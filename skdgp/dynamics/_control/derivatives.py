@@ -13,7 +13,7 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
-from skdgp.dynamics._control.slope_errors import LAGS, lag_of
+from skdgp.dynamics._control.slope_errors import LAGS, lag_of, slope_std
 from skdgp.dynamics._control.trim import Trim
 from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
@@ -139,13 +139,14 @@ def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, rando
     """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
     X, model = now.regressors, motion.aerodynamics
     drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
-    posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
+    slopes = drawn.gradient(each)
+    posterior = frame(drawn(each), slopes).std(axis=0, ddof=1)
     if model.slope_errors is None:
         return {"std_posterior": posterior}
-    lag = frame.errors(lag_of(motion, now, model.gradient(X)).errors, apart=True)
+    errors = model.slope_errors(X)
+    lag = frame.errors(lag_of(motion, now, model.gradient(X), slope_std(slopes, errors)).errors, apart=True)
     source = np.where(lag.any(axis=0), 1 + lag.argmax(axis=0), 0)
     parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
-    errors = model.slope_errors(X)
     if errors is None:
         return parts
     random, white = (frame.errors(part) for part in (errors.random, errors.white[..., None] * np.eye(6)[:, None]))

@@ -57,12 +57,12 @@ def test_sizes_are_shares_of_the_slopes_by_rates():
     assert lag.missing.all()
 
 
-def test_slopes_by_rates_that_are_not_known_leave_those_by_lags_unknown():
-    """Cm_q and its deviation count in root mean square, so a Cm_q of zero has no sure Cm_alpha_dot."""
+def test_scatter_of_slopes_by_rates_leaves_those_by_lags_unknown():
+    """A Cm_q of zero that methods disagree on does not mean that Cm_alpha_dot is zero."""
     motion = Motion(LINEAR, BRUMBY, thrust=None)
-    now, std = motion.at(state_of(), CONTROLS), np.zeros_like(SLOPES)
-    std[4, 3], std[3, 3] = 0.16, 0.02
-    lag = lag_of(motion, now, SLOPES, std)
+    now, scatter = motion.at(state_of(), CONTROLS), np.zeros_like(SLOPES)
+    scatter[4, 3], scatter[3, 3] = 0.16, 0.02
+    lag = lag_of(motion, now, SLOPES, scatter)
     assert lag.slopes[4, 0] == pytest.approx(SHARES[0] * -0.2)
     assert abs(lag.slopes[3, 0]) == pytest.approx(SHARES[0] * 0.02)
     assert lag.slopes[:, 1] == pytest.approx(lag_of(motion, now, SLOPES).slopes[:, 1])

@@ -13,7 +13,7 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
-from skdgp.dynamics._control.slope_errors import LAGS, lag_of, slope_std
+from skdgp.dynamics._control.slope_errors import LAGS, lag_of
 from skdgp.dynamics._control.trim import Trim
 from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
@@ -139,12 +139,12 @@ def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, rando
     """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
     X, model = now.regressors, motion.aerodynamics
     drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
-    slopes = drawn.gradient(each)
-    posterior = frame(drawn(each), slopes).std(axis=0, ddof=1)
+    posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
     if model.slope_errors is None:
         return {"std_posterior": posterior}
     errors = model.slope_errors(X)
-    lag = frame.errors(lag_of(motion, now, model.gradient(X), slope_std(slopes, errors)).errors, apart=True)
+    scatter = 0.0 if errors is None else np.linalg.norm(errors.method, axis=-1)
+    lag = frame.errors(lag_of(motion, now, model.gradient(X), scatter).errors, apart=True)
     source = np.where(lag.any(axis=0), 1 + lag.argmax(axis=0), 0)
     parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
     if errors is None:

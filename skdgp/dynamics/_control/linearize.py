@@ -18,7 +18,7 @@ from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import cross_matrix, euler_per_rotation, quaternion_rate, quaternion_to_euler
-from skdgp.dynamics._control.slope_errors import Lag, draw_errors, lag_of, slope_std
+from skdgp.dynamics._control.slope_errors import Lag, draw_errors, lag_of
 from skdgp.dynamics._equations.error_covariance import ERRORS
 from skdgp.dynamics._equations.motion import Air, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
@@ -437,10 +437,9 @@ def _drawn(
     drawn.aerodynamics = model.sample(n_paths, random_state)
     if model.slope_errors is not None:
         now = motion.at(state, controls)
-        X = now.regressors[None]
-        errors = model.slope_errors(X)
-        std = slope_std(drawn.aerodynamics.gradient(np.broadcast_to(X, (n_paths, *X.shape))), errors)[0]
-        lag = lag_of(motion, now, model.gradient(now.regressors), std)
+        errors = model.slope_errors(now.regressors[None])
+        scatter = 0.0 if errors is None else np.linalg.norm(errors.method[0], axis=-1)
+        lag = lag_of(motion, now, model.gradient(now.regressors), scatter)
         added, lag = draw_errors(errors, lag, n_paths, random_state)
         slopes: Any = drawn.aerodynamics._gradient
         drawn.aerodynamics._gradient = lambda X: slopes(X) + added[:, None]

@@ -4,9 +4,9 @@ Most flights do not tell alpha_dot from q and beta_dot from r (Klein & Morelli 2
 gives their effect to the regressors that they follow from. With :math:`\dot\alpha = S x` of the motion that the loads
 of the model cause without gravity, a slope by x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives
 :math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
-:math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of :math:`C_r` for beta_dot,
-in root mean square where these are not known exactly: a model whose :math:`C_q` vanishes in gusts does not know that
-:math:`C_{\dot\alpha}` does.
+:math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of :math:`C_r` for beta_dot.
+The square of :math:`C_q` is that of the model plus its scatter over methods: where gusts make it vanish in the model,
+:math:`C_{\dot\alpha}` need not vanish.
 """
 
 from __future__ import annotations
@@ -43,14 +43,17 @@ class Lag(NamedTuple):
         return -np.einsum("...ij,...jk->...ikj", self.slopes, self.relation)
 
 
-def lag_of(motion: Motion, now: Instant, slopes: Array, std: ArrayLike = 0.0) -> Lag:
-    """Return what alpha_dot and beta_dot may change at a flight, by slopes (..., 6, d) of the model and their std."""
+def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0) -> Lag:
+    """Return what alpha_dot and beta_dot may change at a flight, by the slopes (..., 6, d) of the model.
+
+    ``scatter`` is the standard deviation of these slopes over methods.
+    """
     velocity = air_velocity(now.airspeed, now.alpha, now.beta)
     pressure = 0.5 * now.density * now.airspeed**2 * motion.aircraft.wing_area / motion.aircraft.mass
     acceleration = np.asarray(pressure)[..., None, None] * slopes[..., :3, :]
     by_rate = np.zeros((*slopes.shape[:-1], 2))
     own = np.zeros((*slopes.shape[:-2], 2, slopes.shape[-1]))
-    size = np.copysign(np.hypot(slopes, std), slopes)  # root mean square of slopes that are not known exactly
+    size = np.copysign(np.hypot(slopes, scatter), slopes)
     for k, name in enumerate(motion.regressors):
         if name not in RATE_LENGTHS:
             continue
@@ -73,12 +76,6 @@ def _rate_unit(motion: Motion, k: int, airspeed: Array) -> Array:
     length = RATE_LENGTHS[name]
     own = getattr(motion.aerodynamics, length) or getattr(motion.aircraft, length)
     return 1.0 / rate_factor(name, own, airspeed)
-
-
-def slope_std(drawn: Array, errors: Any) -> Array:
-    """Return the standard deviation (n, 6, d) of slopes, drawn (n_paths, n, 6, d), with their `SlopeErrors`."""
-    parts = () if errors is None else (errors.random, errors.method)
-    return np.sqrt(drawn.var(axis=0, ddof=1) + sum(np.sum(part**2, axis=-1) for part in parts))
 
 
 def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tuple[Array, Lag]:

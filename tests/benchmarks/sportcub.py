@@ -135,11 +135,12 @@ class Task(NamedTuple):
 
 
 def constants(folder, name):
-    """Return the dict of constants in ``greybox.py`` that has this key."""
-    for node in ast.walk(ast.parse((folder / "greybox.py").read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Dict) and name in [getattr(key, "value", None) for key in node.keys]:
-            return ast.literal_eval(node)
-    raise ValueError(f"{folder / 'greybox.py'} holds no table with {name!r}; is this sysid_litreview_26?")
+    """Return the dict of constants in ``greybox.py``, wherever the repository keeps it, that has this key."""
+    for path in folder.rglob("greybox.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Dict) and name in [getattr(key, "value", None) for key in node.keys]:
+                return ast.literal_eval(node)
+    raise ValueError(f"{folder} holds no greybox.py with a table of {name!r}; is this sysid_litreview_26?")
 
 
 def aircraft_of(folder):

@@ -45,8 +45,12 @@ from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 ENTRIES = 12
 """Number of aircraft and entries drawn, over which the information of a manoeuvre is averaged."""
-SHRINK = 0.85
-"""Factor by which a manoeuvre is made smaller until it is safe."""
+LEAST_PAUSE = 3.0
+"""Between manoeuvres [s]."""
+SHRINK = 0.7
+"""Least factor by which a manoeuvre is made smaller after a check: large responses are not in proportion to it."""
+TRIES, NEAR = 6, 0.03
+"""Checks of a manoeuvre at most, and the part of its size by which the largest safe one may be missed."""
 VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
 
@@ -192,7 +196,7 @@ def plan(
 
 def pause_of(airspeed: float) -> float:
     """Return the time that an aircraft needs to be back at its trim: see `plan` [s]."""
-    return max(RESPONSE, np.pi * airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
+    return max(LEAST_PAUSE, np.pi * airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
 
 
 @dataclass(frozen=True, eq=False)
@@ -474,32 +478,30 @@ class Planner:
 
     def safe(self, one: Manoeuvre) -> tuple[Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
-        scale, best, causes = one.scale, 0.0, "steps smaller than a detent"
-        while scale >= LEAST * SHRINK:  # smaller until it is safe, or larger until it is not
+        scale, safe, unsafe, best, causes = one.scale, 0.0, np.inf, None, "steps smaller than a detent"
+        for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
             inputs = self._scaled(one.full, scale)
-            if not moves(inputs):
+            size = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())  # of whole detents
+            if size <= safe:
                 break
-            risk, causes, flight, paths = self.rehearsals[one.at].checked(inputs)
-            if risk <= self.envelope.risk:
-                best, best_risk, best_paths, best_flight = scale, risk, paths, flight
-                if scale < one.scale or scale == 1.0:
-                    break
-                scale = min(1.0, scale / SHRINK)
-            elif best:
-                break
+            checked = self.rehearsals[one.at].checked(inputs)
+            if checked.risk <= self.envelope.risk:
+                safe, best = size, (inputs, checked)
             else:
-                scale *= SHRINK
-        if not best:
+                unsafe, causes = size, checked.causes
+            most = np.sqrt(safe * unsafe) if best and np.isfinite(unsafe) else (1 - NEAR) * unsafe
+            scale = min(1.0, size * max(checked.factor, SHRINK), most)
+            scale = scale if best or unsafe <= LEAST else max(scale, LEAST)
+            if scale < max((1 + NEAR) * safe, LEAST):
+                break
+        if best is None:
             return None, causes
-        inputs, flight = self._scaled(one.full, best), best_flight
-        if self.detents:
-            best = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())
-        found = self._information(flight)
-        if not self.aerodynamics.is_uncertain:
-            best_risk = np.nan
-        else:
-            flight = with_band(flight, best_paths)
-        return replace(one, inputs=inputs, information=found, flight=flight, scale=best, risk=best_risk), causes
+        inputs, checked = best
+        flight, risk = checked.flight, np.nan
+        if self.aerodynamics.is_uncertain:
+            flight, risk = with_band(flight, checked.paths), checked.risk
+        found = self._information(checked.flight)
+        return replace(one, inputs=inputs, information=found, flight=flight, scale=safe, risk=risk), causes
 
     def _plan_of(self, chosen: list[Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres, those of one trim together."""

@@ -10,52 +10,68 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
-from skdgp.design._signals import Limits, Steps
+from skdgp.design._signals import ROUNDING, Limits, Steps
 from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate
 
 STEP = 0.04
 """Of simulations, and between the rows that count as independent measurements [s]."""
-SPREAD = 1.5
-"""Standard deviations, by gusts and posterior, that are left to the envelope where a scale is predicted."""
 ENTRY = {"phi": 0.035, "theta": 0.035}
 """Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
 """The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
 LEAST = 0.2
 """Part of the limits below which a manoeuvre is left out."""
-RESPONSE = 3.0
+RESPONSE = 1.0
 """After a manoeuvre, while the controls are still those of the trim, the response counts [s]; then the pilot acts."""
 
 
 class Hold(NamedTuple):
-    """Trimmed flight of the mean, and the room that the envelope leaves around it."""
+    """Trimmed flight of the mean and of aircraft that are drawn, and the envelope around it."""
 
     centre: Matrix
-    """Channels of the envelope, (n, c)."""
-    low: Matrix
-    """Below it, and above."""
-    high: Matrix
+    """Channels of the envelope by the mean, (n, c)."""
+    drawn: Array
+    """The same by each aircraft, (paths, n, c)."""
+    low: Vector
+    high: Vector
+    """Of the envelope, (c,)."""
     margin: Vector
     """Part of the response by which it may be larger, (c,)."""
-
-    def _rows(self, values: Matrix) -> Indices:
-        return np.minimum(np.arange(len(values)), len(self.centre) - 1)
+    allowed: int
+    """Paths that may leave."""
 
     def response(self, values: Matrix) -> Matrix:
         """Return the deviation of channels (n, c) from trimmed flight."""
         return values - self.centre[self._rows(values)]
 
-    def room(self, values: Matrix) -> float:
-        """Return the factor by which the response, with its margin, fits into the room."""
-        moved = (1 + self.margin) * self.response(values)
-        rows = self._rows(values)
+    def largest(self, responses: Array) -> float:
+        """Return by which factor responses (paths or 1, n, c) to inputs may grow, until more paths leave than may."""
+        still = self.drawn[:, self._rows(responses[0])]
         with np.errstate(divide="ignore", invalid="ignore"):
-            factors = np.where(moved > 0, self.high[rows], self.low[rows]) / np.abs(moved)
-        return float(np.nanmin(factors))
+            factors = (np.where(responses > 0, self.high, self.low) - still) / responses
+        factors = np.where(np.isfinite(factors), factors, np.inf).min(axis=(1, 2))
+        return max(0.0, float(np.partition(factors, self.allowed)[self.allowed]))
+
+    def _rows(self, values: Matrix) -> Indices:
+        return np.minimum(np.arange(len(values)), len(self.centre) - 1)
+
+
+class Checked(NamedTuple):
+    """What a manoeuvre risks."""
+
+    risk: float
+    causes: str
+    """The limits that it leaves."""
+    flight: pd.DataFrame
+    """By the mean."""
+    paths: pd.DataFrame
+    """By aircraft that are drawn."""
+    factor: float
+    """By which it may be larger, if responses grow with it."""
 
 
 @dataclass(eq=False)
@@ -141,31 +157,41 @@ class Rehearsal:
                 f"leaves in {risk:.0%} of cases within {self.response:g} s, by {causes}, but expected at most "
                 f"{self.envelope.risk:.0%}: widen this limit, choose another airspeed or altitude, or weaker gusts."
             )
-        centre = self.channels(self.still)
-        margin = np.zeros_like(centre)
-        if self.aerodynamics.is_uncertain:
-            drawn = np.stack([self.channels(one) for _, one in paths.groupby("flight", sort=False, observed=True)])
-            margin = SPREAD * np.nanstd(drawn, axis=0)
         limits = self.envelope.bounds(self.aerodynamics)
         is_set = [name.removeprefix(GROWTH) in self.limits for name in limits]  # a control has no response
-        bounds = np.array([*limits.values()]).T
-        low, high = (np.maximum(room - margin, LEAST * room) for room in np.abs(bounds[:, None] - centre))
-        return Hold(centre, low, high, np.where(is_set, 0.0, self.envelope.margin))
+        margin = np.where(is_set, 0.0, self.envelope.margin)
+        centre = self.channels(self.still)
+        return Hold(centre, self._by_path(paths, len(centre)), *np.array([*limits.values()]).T, margin, self._allowed)
+
+    @property
+    def _allowed(self) -> int:
+        """Number of aircraft drawn that may leave the envelope."""
+        if not self.aerodynamics.is_uncertain:
+            return 0
+        return int(np.floor(self.envelope.risk * (self.n_paths + 2) - 1 + ROUNDING))
 
     def room(self, flight: pd.DataFrame) -> float:
-        """Return the factor by which the response of a manoeuvre fits into the envelope."""
-        return self.hold.room(self.channels(flight))
+        """Return the factor by which the response of a manoeuvre fits into the envelope, by every aircraft drawn."""
+        response = self.hold.response(self.channels(flight))
+        return self.hold.largest((1 + self.hold.margin) * response[None])
+
+    def _by_path(self, paths: pd.DataFrame, n: int) -> Array:
+        """Return what the envelope limits along flights of n rows, (paths, n, c)."""
+        values = self.channels(paths)
+        return values.reshape(-1, n, values.shape[1])
 
     def channels(self, flight: pd.DataFrame) -> Matrix:
         """Return what the envelope limits along one flight, (n, c)."""
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
-    def checked(self, inputs: Inputs) -> tuple[float, str, pd.DataFrame, pd.DataFrame]:
-        """Return the risk of a manoeuvre, the limits that it leaves, its flight by the mean, and those drawn."""
+    def checked(self, inputs: Inputs) -> Checked:
+        """Return the risk of a manoeuvre and its flights, and how much larger it may be."""
         flight = self.flown([inputs])[0]
         paths = self.drawn(inputs, self.n_paths, self.gusts) if self.aerodynamics.is_uncertain else flight
         more = self.hold.margin * self.hold.response(self.channels(flight))
-        return *self.risk(paths, np.tile(more, (len(paths) // len(more), 1))), flight, paths
+        flown = self._by_path(paths, len(flight))
+        factor = self.hold.largest(flown + more - self.hold.drawn[:, self.hold._rows(more)])
+        return Checked(*self.risk(paths, np.tile(more, (len(flown), 1))), flight, paths, factor)
 
     def risk(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
         """Return the risk that flights leave the envelope, and the limits that they leave, with their options."""

@@ -42,6 +42,11 @@ class Sortie(NamedTuple):
         """Return when controls are held, (n,)."""
         return np.any([(time >= start - 1e-6) & (time < end) for start, end in self.busy], axis=0)
 
+    def pauses(self, seconds: float) -> list[tuple[float, float]]:
+        """Return beginnings and ends of the pauses after the manoeuvres [s]."""
+        starts = [start for start, _ in self.busy]
+        return list(zip((end for _, end in self.busy), [*starts[1:], seconds], strict=True))
+
 
 class Subject(NamedTuple):
     """An aircraft with known truth."""

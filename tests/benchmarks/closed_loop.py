@@ -40,12 +40,13 @@ from __future__ import annotations
 import itertools
 import time
 import warnings
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from _closed_loop_flights import AXES, SUBJECTS, Sortie, Subject, exploratory, sortie
+from _closed_loop_flights import AXES, SUBJECTS, Subject, exploratory, sortie
 from _common import finish, parser_of
 from _study_flights import NAMES, Log
 from sklearn.preprocessing import PolynomialFeatures
@@ -193,15 +194,15 @@ def _safe(planner: Any, inputs: dict) -> dict | None:
     return None if safe is None else safe.inputs
 
 
-def left(log: Log, one: Sortie, model: Any, subject: Subject) -> list[bool]:
-    """Return in which manoeuvres of a flight the motion left the envelope: the controls are the pilot's trim too."""
+def left(log: Log, parts: Sequence[tuple[float, float]], model: Any, subject: Subject) -> list[bool]:
+    """Return in which parts of a flight the motion left the envelope: the controls are the pilot's trim too."""
     true = log.table[[name for name in log.table if name.endswith("_true")]]
     table = true.rename(columns=lambda name: name.removesuffix("_true"))
     table = table.assign(ended="", **log.table[["time", "altitude", *AXES]])
     out = ENVELOPE.left(table, subject.aircraft, as_aerodynamics(model))
     out = out.drop(columns=[f"growth of {axis}" for axis in AXES]).any(axis=1).to_numpy()
     time = table["time"].to_numpy()
-    return [bool(out[(time >= start) & (time < end)].any()) for start, end in one.busy]
+    return [bool(out[(time >= start) & (time < end)].any()) for start, end in parts]
 
 
 def loop(subject: Subject, truth: Truth, seed: int, seconds: float, n_paths: int) -> dict[str, Any]:
@@ -226,7 +227,8 @@ def loop(subject: Subject, truth: Truth, seed: int, seconds: float, n_paths: int
     return {
         "rows": rows, "exact": exact, "took": took, "pause": planner.pauses[0],
         "manoeuvres": {name: one.manoeuvres for name, one in found.items()},
-        "left": {name: left(log, sorties[name], model, subject) for name, log in logs.items()},
+        "left": {name: left(log, sorties[name].busy, model, subject) for name, log in logs.items()},
+        "pauses left": {name: left(log, sorties[name].pauses(seconds), model, subject) for name, log in logs.items()},
         "scales": {name: [max(signal.peak / subject.limits[axis] for axis, signal in one.items()) for one in each]
                    for name, each in kinds.items()},
     }  # fmt: skip
@@ -318,10 +320,11 @@ def risk_rows(name: str, every: list[dict[str, Any]]) -> list[dict[str, Any]]:
     kinds = [kind for kind in GOALS if kind in every[0]["left"]]
     predicted = np.concatenate([found["manoeuvres"][kind]["risk"] for found in every for kind in kinds])
     left = np.concatenate([found["left"][kind] for found in every for kind in kinds])
+    pauses = np.concatenate([found["pauses left"][kind] for found in every for kind in kinds])
     others = np.concatenate([one for found in every for kind, one in found["left"].items() if kind in KINDS] or [[]])
     return [{
         "aircraft": name, "allowed %": 100.0 * ENVELOPE.risk, "predicted %": float(100.0 * predicted.mean()),
-        "found %": float(100.0 * left.mean()), "manoeuvres": len(left),
+        "found %": float(100.0 * left.mean()), "pauses, found %": float(100.0 * pauses.mean()), "manoeuvres": len(left),
         "of classical inputs, found %": float(100.0 * np.mean(others)) if len(others) else None,
         "their manoeuvres": len(others), "seeds": len(every),
         "median planning, CPU s": float(np.median([found["took"]["plan"] for found in every])),
@@ -393,7 +396,12 @@ def toy() -> tuple[Truth, list[dict[str, Any]]]:
     Y = X @ rng.standard_normal((8, 6))
     noisy = Y + 0.1 * rng.standard_normal(Y.shape)
     rows = {kind: (clock, *one) for kind, *one in zip(("explored", "plan", "multisine"), X[1:], noisy[1:], strict=True)}
-    risks = {"manoeuvres": {"plan": pd.DataFrame({"risk": [0.02]})}, "left": {"plan": [False]}, "took": {"plan": 1.0}}
+    risks = {
+        "manoeuvres": {"plan": pd.DataFrame({"risk": [0.02]})},
+        "left": {"plan": [False]},
+        "pauses left": {"plan": [False]},
+        "took": {"plan": 1.0},
+    }
     return Truth.known(X[0], Y[0]), [risks | {"rows": rows}]
 
 

@@ -178,12 +178,15 @@ def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
                                    alone.select_dtypes(float), atol=1e-9)  # fmt: skip
 
 
-def test_a_scale_fits_into_the_room_of_the_envelope():
-    low, high = np.full((3, 2), 0.2), np.array([[0.1, np.inf]] * 3)
-    for margin in (0.0, 0.25):
-        hold = Hold(np.zeros((3, 2)), low, high, np.full(2, margin))
-        assert (1 + margin) * hold.room(np.array([[0.0, 0.0], [0.05, 9.0]])) == pytest.approx(2.0)
-        assert (1 + margin) * hold.room(np.array([[-0.8, 0.0], [0.05, 0.0]])) == pytest.approx(0.25)
+def test_responses_may_grow_until_one_path_more_leaves_than_is_allowed():
+    drawn = np.zeros((3, 2, 2))
+    drawn[:, 1, 0] = [0.0, 0.05, 0.15]  # beside the trim at the second row
+    response = np.array([[0.0, -0.1], [0.05, 9.0]])
+    low, high = np.array([-1.0, -np.inf]), np.array([0.2, np.inf])
+    for allowed, up, down in ((0, 1.0, 20.0), (1, 3.0, 21.0), (2, 4.0, 23.0)):
+        hold = Hold(np.zeros((2, 2)), drawn, low, high, np.zeros(2), allowed)
+        assert hold.largest(response[None]) == pytest.approx(up)
+        assert hold.largest(np.stack([-2 * response] * 3)) == pytest.approx(down / 2)
 
 
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")

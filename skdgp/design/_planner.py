@@ -45,8 +45,6 @@ from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 ENTRIES = 12
 """Number of aircraft and entries drawn, over which the information of a manoeuvre is averaged."""
-LEAST_PAUSE = 3.0
-"""Between manoeuvres [s]."""
 SHRINK = 0.7
 """Least factor by which a manoeuvre is made smaller after a check: large responses are not in proportion to it."""
 TRIES, NEAR = 6, 0.03
@@ -91,8 +89,8 @@ def plan(
     response of the mean counts the ``margin`` of the envelope more: slopes learned in gusts err by more than the
     posterior says. If K of N leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of
     succession). A manoeuvre is as large as limits and allowed risk let it be, or left out, and the choice is made
-    again. Controls are open loop during a manoeuvre; the pilot or the autopilot returns to the trim in the pause after
-    it.
+    again. Controls are open loop during a manoeuvre and a second after it, for which the risk is predicted; the pilot
+    or the autopilot returns to the trim in the pause.
 
     Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
 
@@ -196,7 +194,7 @@ def plan(
 
 def pause_of(airspeed: float) -> float:
     """Return the time that an aircraft needs to be back at its trim: see `plan` [s]."""
-    return max(LEAST_PAUSE, np.pi * airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
+    return max(RESPONSE, np.pi * airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,8 @@ ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
 """The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
 LEAST = 0.2
 """Part of the limits below which a manoeuvre is left out."""
-RESPONSE = 1.0
-"""After a manoeuvre, while the controls are still those of the trim, the response counts [s]; then the pilot acts."""
+RESPONSE, REACTION = 3.0, 1.0
+"""How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s]."""
 
 
 class Hold(NamedTuple):
@@ -172,8 +172,12 @@ class Rehearsal:
 
     def room(self, flight: pd.DataFrame) -> float:
         """Return the factor by which the response of a manoeuvre fits into the envelope, by every aircraft drawn."""
-        response = self.hold.response(self.channels(flight))
+        response = self.hold.response(self.channels(self._unattended(flight)))
         return self.hold.largest((1 + self.hold.margin) * response[None])
+
+    def _unattended(self, flight: pd.DataFrame) -> pd.DataFrame:
+        """Return flights of a manoeuvre until the pilot acts."""
+        return flight[flight["time"] <= flight["time"].max() - max(0.0, self.response - REACTION) + 1e-6]
 
     def _by_path(self, paths: pd.DataFrame, n: int) -> Array:
         """Return what the envelope limits along flights of n rows, (paths, n, c)."""
@@ -188,10 +192,11 @@ class Rehearsal:
         """Return the risk of a manoeuvre and its flights, and how much larger it may be."""
         flight = self.flown([inputs])[0]
         paths = self.drawn(inputs, self.n_paths, self.gusts) if self.aerodynamics.is_uncertain else flight
-        more = self.hold.margin * self.hold.response(self.channels(flight))
-        flown = self._by_path(paths, len(flight))
+        more = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
+        counted = self._unattended(paths)
+        flown = self._by_path(counted, len(more))
         factor = self.hold.largest(flown + more - self.hold.drawn[:, self.hold._rows(more)])
-        return Checked(*self.risk(paths, np.tile(more, (len(flown), 1))), flight, paths, factor)
+        return Checked(*self.risk(counted, np.tile(more, (len(flown), 1))), flight, paths, factor)
 
     def risk(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
         """Return the risk that flights leave the envelope, and the limits that they leave, with their options."""

@@ -139,7 +139,7 @@ def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
     assert (found.manoeuvres["scale"] < 1).any()  # alpha was the limit
     for _, one in found.manoeuvres.drop_duplicates("name").iterrows():
         table = found.trains[0].table(50.0, trim=found.trims[0].controls, pause=3.0)
-        table = table[table["time"].between(one["start"], one["start"] + one["duration"] + 3.0)]
+        table = table[table["time"].between(one["start"], one["start"] + one["duration"] + 1.0)]
         paths = simulate(
             model, uav, found.trims[0], table, 0.04, n_paths=200, random_state=7,
             gusts=Turbulence.low_altitude(100.0, 1.5),
@@ -301,7 +301,7 @@ def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch,
     monkeypatch.setattr(_library, "MULTISINES", ())  # for time
     narrow = copy(model)
     narrow.flown = FLOWN | {channel: flown}
-    options = AXES | {"axes": [axis], "limits": {axis: 0.12}, "bands": BANDS.set_axis([axis])}
+    options = AXES | {"axes": [axis], "limits": {axis: 0.09}, "bands": BANDS.set_axis([axis])}
     inside = []
     for words in ({}, given):
         found = plan(narrow, uav, **options, seconds=8.0, goal=[f"Cm_{axis}"], envelope=Envelope(**words))

@@ -29,7 +29,7 @@ from skdgp.design._information import (
 )
 from skdgp.design._library import Inputs, duration_of, library, moves, scaled
 from skdgp.design._plan import Plan
-from skdgp.design._rehearsal import LEAST, RESPONSE, Rehearsal
+from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
 from skdgp.design._signals import Limits
 from skdgp.design._wavetrain import wavetrain
 from skdgp.dynamics import (
@@ -476,7 +476,8 @@ class Planner:
 
     def safe(self, one: Manoeuvre) -> tuple[Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
-        scale, safe, unsafe, best, causes = one.scale, 0.0, np.inf, None, "steps smaller than a detent"
+        scale, safe, unsafe, causes = one.scale, 0.0, np.inf, "steps smaller than a detent"
+        best: tuple[Inputs, Checked] | None = None
         for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
             inputs = self._scaled(one.full, scale)
             size = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())  # of whole detents
@@ -489,7 +490,8 @@ class Planner:
                 unsafe, causes = size, checked.causes
             most = np.sqrt(safe * unsafe) if best and np.isfinite(unsafe) else (1 - NEAR) * unsafe
             scale = min(1.0, size * max(checked.factor, SHRINK), most)
-            scale = scale if best or unsafe <= LEAST else max(scale, LEAST)
+            if best is None and unsafe > (1 + NEAR) * LEAST:
+                scale = max(scale, LEAST)
             if scale < max((1 + NEAR) * safe, LEAST):
                 break
         if best is None:

@@ -160,8 +160,9 @@ class Rehearsal:
         limits = self.envelope.bounds(self.aerodynamics)
         is_set = [name.removeprefix(GROWTH) in self.limits for name in limits]  # a control has no response
         margin = np.where(is_set, 0.0, self.envelope.margin)
+        low, high = np.array([*limits.values()]).T
         centre = self.channels(self.still)
-        return Hold(centre, self._by_path(paths, len(centre)), *np.array([*limits.values()]).T, margin, self._allowed)
+        return Hold(centre, self._by_path(paths, len(centre)), low, high, margin, self._allowed)
 
     @property
     def _allowed(self) -> int:

@@ -209,7 +209,7 @@ PLAN = Command(
                 default=0.15,
             ),
             opt.choice("--gusts", ["as-flown", "none"], "of the check (default: as-flown)"),
-            opt.option("--paths N", "aircraft drawn for each check (default: 60)", opt.at_least(2), default=60),
+            opt.option("--paths N", "aircraft drawn for each check (default: 200)", opt.at_least(2), default=200),
         ],
     },
 )

@@ -57,6 +57,9 @@ def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
         if flight is not None:
             raise ValueError("Got flight without time, but expected both: the drift depends on time. Give time too.")
         return None
+    kind = np.asarray(time).dtype
+    if kind.kind in "mM":
+        raise ValueError(f"Got time of type {kind}, but expected seconds: (time - time[0]) / np.timedelta64(1, 's').")
     time = check_array(time, dtype=np.float64, ensure_2d=False, input_name="time")
     codes = np.zeros(n_samples) if flight is None else pd.factorize(np.asarray(flight))[0].astype(float)
     for name, values in (("time", time), ("flight", codes)):

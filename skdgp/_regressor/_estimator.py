@@ -133,10 +133,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     kernel_ : MultiOutputKernel
         Fitted covariance of the normalised outputs.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, drift included and misfit excluded, in squared units of the outputs.
+        Variance of the measurement noise, without misfit, in squared units of the outputs.
     drift_variance_, drift_memory_ : ndarray (P,)
-        Variance tau^2 of the drift, and its memory T in the unit of ``time``; zero without ``time``. With
-        ``drift="residuals"`` it holds the effect of errors of the regressors, too.
+        Variance tau^2 of the drift, and its memory T [s]; zero without ``time``. With ``drift="residuals"`` it holds
+        the effect of errors of the regressors and the misfit, too.
     misfit_variance_ : ndarray (P,)
         Variance of what the function misses where flights come back to the same regressors, in squared units of the
         outputs: part of the function's band. Zero without ``time``. See :func:`skdgp.inference.misfit_variance`.
@@ -275,7 +275,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time : array (n,) or None
-            Time of each sample, in any unit, of rows in the order of the log. Use it if errors of neighbouring samples
+            Time of each sample [s], of rows in the order of the log. Use it if errors of neighbouring samples
             are correlated: without it bands are too narrow. ``drift`` describes its effect. In a pipeline, pass it as
             ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;
             ``skdgp.identification.FlightPipeline`` does it itself. None: white noise.
@@ -329,18 +329,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         found = task.run(choose, self, X, Z, modelled)
         posterior, learned = found.fit.posterior, found.fit.learned
         _checks.warn_of_search(learned, self.max_iter)
-        self.structure_, self.structure_errors_ = found.structure, found.structure_errors
-        self.n_latent_, self.n_latent_scores_ = found.n_latent, found.n_latent_scores
-        self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
-        self.posterior_, self.kernel_ = posterior, posterior.kernel
-        self.noise_variance_ = learned.total_noise * self._scale**2
-        variance, memory, self.misfit_variance_ = np.zeros((3, len(self._scale)))
+        misfit, variance, memory = np.zeros((3, len(self._scale)))
         if learned.drift is not None:
             variance, memory = learned.drift
         elif clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
         if clock is not None:
-            self._part_misfit(X, Z, clock)
+            misfit = misfit_variance(posterior, X, Z, clock)
+        self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
+        self.posterior_, self.kernel_ = posterior, posterior.kernel
+        self.structure_, self.structure_errors_ = found.structure, found.structure_errors
+        self.n_latent_, self.n_latent_scores_ = found.n_latent, found.n_latent_scores
+        self._divide_noise(learned.total_noise * self._scale**2, misfit * self._scale**2)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
         self._n_flights = 0 if modelled is None else int(modelled[:, 1].max()) + 1
         self._root = learned.root
@@ -356,10 +356,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def partial_fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
         """Update the posterior with further samples, at the hyperparameters of ``fit``.
 
-        Kernel, noise, centre and scale do not change. The posterior becomes that of all samples so far. An exact
-        posterior appends rows to its Cholesky factor, O(N^2) for each new value. A sparse or compact posterior adds to
-        its sums, in constant time; a compact model does not store the samples. If the model is not fitted, this is
-        ``fit``.
+        Kernel, noise, misfit, centre and scale do not change. The posterior becomes that of all samples so far. An
+        exact posterior appends rows to its Cholesky factor, O(N^2) for each new value. A sparse or compact posterior
+        adds to its sums, in constant time; a compact model does not store the samples. If the model is not fitted, this
+        is ``fit``.
 
         Parameters
         ----------
@@ -520,7 +520,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return_std : bool
             Also return the standard deviation of each output, in the shape of the mean.
         return_cov : bool
-            Also return the joint covariance of all outputs at all samples, (P n, P n), output-major.
+            Also return the joint covariance of all outputs at all samples, (P n, P n), output-major. That of the
+            function has no misfit: how its errors at several samples depend on each other is not known.
         include_noise : bool
             Return the uncertainty of a new measurement instead of that of the function.
         include_input_noise : bool, float or array (n,)
@@ -544,14 +545,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         mean = self.posterior_.predict(X, return_variance=return_std)
         if return_std:
             mean, variance = mean
-            variance = variance + self._independent(include_noise)
+            noise = self.noise_variance_ if include_noise else 0.0
+            variance = variance + (self.misfit_variance_ + noise) / self._scale**2
             variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
             return self._squeeze(mean * self._scale + self._center), self._squeeze(np.sqrt(variance) * self._scale)
         mean = self._squeeze(mean * self._scale + self._center)
         if not return_cov:
             return mean
         check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
-        cov = self._covariance(X, include_noise)
+        cov = self.posterior_.covariance(X)
+        if include_noise:
+            noise = (self.misfit_variance_ + self.noise_variance_) / self._scale**2
+            cov[np.diag_indices_from(cov)] += np.repeat(noise, len(X))
         loading = self._loading(X, include_input_noise)
         blocks = cov.reshape(len(self._scale), len(X), len(self._scale), len(X))
         np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
@@ -637,7 +642,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return None if errors is None else errors._replace(weights=errors.weights * self._scale)
 
     def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
-        """Return samples of the joint posterior of all outputs at X.
+        """Return samples of the joint posterior of all outputs at X, without misfit.
 
         Parameters
         ----------
@@ -652,7 +657,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         X = self._check_regressors(X)
         mean = self.posterior_.predict(X)
         check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
-        cov = self._covariance(X)
+        cov = self.posterior_.covariance(X)
         white = check_random_state(random_state).standard_normal((len(cov), n_samples))
         draws = eigen_root(cov) @ white  # a posterior covariance may be singular
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
@@ -664,7 +669,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         ``sample_y`` draws values at given points. A path can be evaluated and differentiated at any points, repeatedly,
         as a simulation needs it. A path is a random function of the prior, a sum of waves, plus a correction by the
         data (Matheron's rule: Wilson et al. 2020, "Efficiently sampling functions from Gaussian process posteriors").
-        Mean and covariance over many paths are those of ``predict``.
+        Mean and covariance over many paths are those of ``predict(X, return_cov=True, include_input_noise=False)``.
 
         Parameters
         ----------
@@ -770,21 +775,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
-    def _covariance(self, X, include_noise=False):
-        """Return the joint covariance of the normalised outputs, (P n, P n)."""
-        cov = self.posterior_.covariance(X)
-        cov[np.diag_indices_from(cov)] += np.repeat(self._independent(include_noise), len(X))
-        return cov
-
-    def _independent(self, include_noise):
-        """Return the variance of errors of normalised outputs that are independent between samples, (P,)."""
-        noise = self.noise_variance_ if include_noise else 0.0
-        return (self.misfit_variance_ + noise) / self._scale**2
-
-    def _part_misfit(self, X, Z, clock):
-        """Tell misfit and noise apart: the search took both for noise."""
-        total = self.noise_variance_ + self.misfit_variance_
-        misfit = misfit_variance(self.posterior_, X, Z, clock) * self._scale**2
+    def _divide_noise(self, total, misfit):
+        """Divide variances of what the search took for noise, (P,), into misfit and noise."""
         self.misfit_variance_ = np.minimum(misfit, LARGEST_MISFIT * total)
         self.noise_variance_ = total - self.misfit_variance_
 

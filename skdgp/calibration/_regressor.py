@@ -238,7 +238,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         """Draw functions from the posterior, with their deviations from the mean scaled.
 
         A path f of a posterior with mean m becomes m + s (f - m), with s the output's ``std_scale_``. Mean and
-        covariance over paths are those of ``predict(..., include_noise=False)``. The result is as of
+        covariance over paths are those of the posterior, scaled. The result is as of
         :meth:`skdgp.DependentGPRegressor.sample_paths`.
         """
         check_is_fitted(self)

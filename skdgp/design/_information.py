@@ -236,9 +236,10 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
             f"Got a {type(regressor).__name__} without noise_variance_, but expected a fitted DependentGPRegressor."
         )
     drift, memory = regressor.drift_variance_, regressor.drift_memory_
+    total = regressor.noise_variance_ + regressor.misfit_variance_  # the drift contains misfit
     return pd.DataFrame(
         {
-            "white": np.sqrt(np.maximum(regressor.noise_variance_ - drift, 0.0)),
+            "white": np.sqrt(np.maximum(total - drift, 0.0)),
             "drift": np.sqrt(drift),
             "memory": np.where(drift > 0, memory, 1.0),
         },

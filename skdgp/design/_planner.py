@@ -72,7 +72,7 @@ def plan(
     curvature: bool = False,
     pause: float | Literal["auto"] = "auto",
     rate: float = 50.0,
-    n_paths: int = 60,
+    n_paths: int = 200,
     thrust: Any = "auto",
     detents: Mapping[str, float] | None = None,
     random_state: Seed = 0,
@@ -137,8 +137,8 @@ def plan(
         airspeed alone: :math:`\sqrt{2} \pi V / g`.
     rate : float, default=50.0
         Of the autopilot [Hz].
-    n_paths : int, default=60
-        Aircraft drawn for each check.
+    n_paths : int, default=200
+        Aircraft drawn for each check. A risk of 5 % is then known to 1.5 %.
     thrust
         As for :func:`skdgp.dynamics.simulate`.
     detents : mapping of str to float, optional
@@ -224,7 +224,7 @@ class Planner:
 
     def __init__(
         self, model, aircraft, *, airspeeds, seconds, axes, limits=None, envelope=None, altitude=None, banks=(0.0,),
-        gusts="as flown", known=None, noise=None, bands=None, curvature=False, pause="auto", rate=50.0, n_paths=60,
+        gusts="as flown", known=None, noise=None, bands=None, curvature=False, pause="auto", rate=50.0, n_paths=200,
         thrust="auto", detents=None, seed=0, goal=None,
     ) -> None:  # fmt: skip
         self.model, self.aircraft, self.thrust, self.seed = model, aircraft, thrust, seed

@@ -483,7 +483,6 @@ class Posterior:
     def deviation(self, X: Matrix) -> Vector:
         """Return the standard deviations of the coefficients at X, (n, 6)."""
         variance = self.regressor.posterior_.predict(self._scaled(X), return_variance=True)[1]
-        variance += self.regressor.misfit_variance_ / self.regressor._scale**2
         return (np.sqrt(variance) * self.factors)[:, self.order]
 
     def root(self, i: int, X: Matrix) -> Matrix:

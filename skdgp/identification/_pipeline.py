@@ -22,7 +22,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
 from skdgp.identification._other_air import mirrored, named_targets, without_gusts
-from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, residual_drift
+from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, misfit_variance, residual_drift
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -350,9 +350,10 @@ class FlightPipeline(Pipeline):
         words |= {key: value for key, value in clock.items() if key in words}
         last.fit(Z, learned, **words)
         if isinstance(last, DependentGPRegressor):
-            if self.symmetric:  # the noise of a mirrored sample is not independent of that of the sample
+            if self.symmetric:  # the noise of a mirrored sample is that of the sample
                 n, own = len(targets), np.column_stack([time, numbers])
-                last._part_misfit(Z[:n], (learned.to_numpy(float)[:n] - last._center) / last._scale, own)
+                misfit = misfit_variance(last, Z[:n], learned.to_numpy(float)[:n], own)
+                last._divide_noise(last.noise_variance_ + last.misfit_variance_, misfit)
             factor = np.full(Y.shape[1], float(len(samples)))
             if self.gusty:
                 factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)
@@ -386,7 +387,8 @@ def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, 
         errors = [(targets - mean)[np.isfinite(targets[:, i]), i] for targets in (measured, learned)]
         before, after = (np.array([e.var(), e.var() * autocorrelation_time(e)]) for e in errors)
         more[i], factor[i] = np.maximum(before / after, 1.0)
-    regressor.noise_variance_ = regressor.noise_variance_ * more
+    misfit = regressor.misfit_variance_
+    regressor._divide_noise((regressor.noise_variance_ + misfit) * more, misfit)
     clock = np.column_stack([time, flight])
     _, regressor.drift_variance_, regressor.drift_memory_ = residual_drift(regressor, X, measured, clock)
     return factor

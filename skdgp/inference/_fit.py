@@ -92,8 +92,9 @@ def fit_exact(
     if learned is None:
         random_state = check_random_state(random_state)
         rows, held = held_out_rows(Y, random_state) if early_stopping else (slice(None), None)
-        options = optimizer, max_iter, random_state, input_noise, spread, held
-        learned = search(kernel.prepared(X), X, Y, clock, rows, *options, exact=True)
+        options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise, "spread": spread}
+        options |= {"random_state": random_state, "held": held}
+        learned = search(kernel.prepared(X), X, Y, clock, rows, **options, exact=True)
     return _fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y, clock)), learned)
 
 
@@ -144,8 +145,9 @@ def fit_sparse(
     learned = found
     if learned is None:
         rows, held = held_out_rows(Y, random_state) if early_stopping else (some_rows(Y, random_state), None)
-        options = optimizer, max_iter, random_state, input_noise, spread, held
-        learned = search(kernel, X, Y, clock, rows, *options)
+        options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise, "spread": spread}
+        options |= {"random_state": random_state, "held": held}
+        learned = search(kernel, X, Y, clock, rows, **options)
     kernel, features = learned.kernel, learned.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):

@@ -12,7 +12,7 @@ from skdgp._compute.typing import Matrix, Vector
 
 LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have independent noise [s]
 CANDIDATES, NEIGHBOURS = 40, 8  # nearest samples that are looked at, and largest number of them that is used
-MISFIT_ROWS = 20000  # largest number of samples
+MISFIT_ROWS = 15000  # largest number of samples
 PARTS = 16  # parts of the log whose means show the standard error of the whole
 
 
@@ -21,15 +21,16 @@ def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vect
 
     Residuals e of two samples with near regressors share the error of the function, but no noise if they are from
     different flights or 10 s apart. So their products have the mean square of this error as their mean. With the mean m
-    of n products and its standard error s from 16 parts of the log, what is beyond chance is
+    of n products and its standard error s, the least that they show is
 
     .. math:: v_i = \max(0, m_i - s_i), \quad
               m_i = \frac{1}{n} \sum_a e_{ia} \frac{1}{|N_a|} \sum_{b \in N_a} e_{ib}.
 
     :math:`N_a` are at most 8 of the 40 samples nearest to a, by regressors over their standard deviations; a sample
-    without such neighbours does not count. For the right model the mean product is the negative posterior covariance,
-    so v is zero. It is positive where the function has kinks or jumps that the kernel's widths smooth away. Errors that
-    change their sign within the distance of neighbours do not show.
+    without such neighbours does not count. s is the scatter over 16 parts of the log; it is multiplied by
+    :math:`\sqrt 2`, since two parts share the products of their samples. For the right model the mean product is the
+    negative posterior covariance, so v is zero but by chance. It is positive where the function has kinks or jumps that
+    the kernel's widths smooth away. Errors that change their sign within the distance of neighbours do not show.
 
     Parameters
     ----------
@@ -73,5 +74,5 @@ def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vect
         if some.sum() >= PARTS:
             products = e[some] * np.mean(e[near[some]], axis=1, where=used[some])
             parts = [part.mean() for part in np.array_split(products, PARTS)]
-            variance[i] = max(0.0, products.mean() - np.std(parts, ddof=1) / np.sqrt(PARTS))
+            variance[i] = max(0.0, products.mean() - np.sqrt(2 / PARTS) * np.std(parts, ddof=1))
     return variance

@@ -130,6 +130,7 @@ def search(
     Y: Matrix,
     clock: Matrix | None,
     rows: Any,
+    *,
     optimizer: Any,
     max_iter: int,
     random_state: Any,

@@ -366,7 +366,7 @@ def main(words: Any = None) -> None:
     parser.add_argument("--aircraft", nargs="+", default=["example"], choices=SUBJECTS)
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the second flight")
-    parser.add_argument("--paths", type=int, default=60, help="aircraft drawn for each check of a manoeuvre")
+    parser.add_argument("--paths", type=int, default=200, help="aircraft drawn for each check of a manoeuvre")
     options = parser.parse_args(words)
     folder = options.out / "closed_loop" if options.out else None
     subjects = {} if options.smoke else {name: SUBJECTS[name]() for name in options.aircraft}

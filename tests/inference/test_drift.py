@@ -297,3 +297,5 @@ class TestRegressor:
             self.model().fit(x[:50], y[:50], time=time[:50], flight=["a"] * 48 + [None, None])
         with pytest.raises(ValueError, match="NaN"):
             self.model().fit(x[:50], y[:50], time=np.full(50, np.nan))
+        with pytest.raises(ValueError, match=r"datetime64.*expected seconds"):
+            self.model().fit(x[:50], y[:50], time=np.datetime64("2026-01-01", "ms") + np.arange(50))

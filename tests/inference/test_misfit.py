@@ -88,12 +88,22 @@ class TestBand:
             x, y, time=np.arange(len(x))
         )
         assert model.misfit_variance_[0] > 0.01
-        std, cov = (model.predict(x[:4], **{name: True})[1] for name in ("return_std", "return_cov"))
-        np.testing.assert_allclose(np.sqrt(np.diag(cov)), std[:, 0])
-        draws = model.sample_y(x[:4], 4000, random_state=0)[:, 0]
-        np.testing.assert_allclose(draws.std(axis=1), std[:, 0], rtol=0.05)
+        std = model.predict(x[:4], return_std=True)[1]
         small = model.compact(n_inducing=1)
         np.testing.assert_allclose(small.predict(x[:4], return_std=True)[1], std, rtol=1e-6)
+
+    def test_joint_covariance_paths_and_slopes_are_those_of_the_posterior(self):
+        x, y, _ = log_of(np.abs, 300)
+        model = DependentGPRegressor(structure="trend", random_state=0)
+        found = []
+        for time in (None, np.arange(len(x))):
+            model.fit(x, y, time=time)
+            cov, slope = model.predict(x[:4], return_cov=True)[1], model.predict_gradient(x[:4], return_std=True)[1]
+            paths = model.sample_paths(3, random_state=0)(x[:4])
+            found.append([cov, slope, paths, model.sample_y(x[:4], 3)])
+        assert model.misfit_variance_[0] > 0.01
+        for without, with_misfit in zip(*found, strict=True):
+            np.testing.assert_array_equal(without, with_misfit)
 
     def test_of_measurements_is_that_of_the_function_and_noise(self):
         x, y, _ = log_of(np.abs)

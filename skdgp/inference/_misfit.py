@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Matrix, Vector
 
 LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have independent noise [s]
-CANDIDATES, NEIGHBOURS = 40, 8  # nearest samples that are looked at, and largest number of them that is used
+CANDIDATES, NEIGHBOURS = 40, 8  # nearest samples that are looked at, and largest number of those far in time
 MISFIT_ROWS = 15000  # largest number of samples
 PARTS = 16  # parts of the log whose means show the standard error of the whole
 
@@ -65,14 +66,16 @@ def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vect
     scaled = X / column_scale(X)
     near: Any = KDTree(scaled).query(scaled, k=min(CANDIDATES, len(X)))[1]
     apart = (np.abs(time[near] - time[:, None]) > LARGEST_LAG) | (flight[near] != flight[:, None])
+    sample, place = np.nonzero(apart & (np.cumsum(apart, axis=1) <= NEIGHBOURS))
+    neighbours = csr_array((np.ones(len(sample)), (sample, near[sample, place])), shape=(len(X), len(X)))
+    observed = np.isfinite(residual)
+    error = np.where(observed, residual, 0.0)
+    total, count = neighbours @ error, neighbours @ observed.astype(float)
     variance = np.zeros(Y.shape[1])
-    for i, e in enumerate(residual.T):
-        used = apart & np.isfinite(e)[near]
-        used &= np.cumsum(used, axis=1) <= NEIGHBOURS
-        used[~np.isfinite(e)] = False
-        some = used.any(axis=1)
+    for i in range(Y.shape[1]):
+        some = observed[:, i] & (count[:, i] > 0)
         if some.sum() >= PARTS:
-            products = e[some] * np.mean(e[near[some]], axis=1, where=used[some])
+            products = error[some, i] * total[some, i] / count[some, i]
             parts = [part.mean() for part in np.array_split(products, PARTS)]
             variance[i] = max(0.0, products.mean() - np.sqrt(2 / PARTS) * np.std(parts, ddof=1))
     return variance

@@ -167,9 +167,9 @@ class TestResiduals:
             assert found == pytest.approx(integral_variance(self.tau2, self.memory, horizon), rel=0.4)
         after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
         assert after_a_second[1] < 0.05 * 0.3**2
-        for found, expected in zip(model.predict(X[:9], True), white.predict(X[:9], True), strict=True):
+        for found, expected in zip(*(m.posterior_.predict(X[:9], True) for m in (model, white)), strict=True):
             np.testing.assert_array_equal(found, expected)
-        np.testing.assert_array_equal(model.noise_variance_, white.noise_variance_)
+        np.testing.assert_allclose(model.noise_variance_ + model.misfit_variance_, white.noise_variance_)
         np.testing.assert_array_equal(white.drift_variance_, 0.0)
 
     def test_flights_are_independent(self, log):

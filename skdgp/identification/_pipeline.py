@@ -350,7 +350,7 @@ class FlightPipeline(Pipeline):
         words |= {key: value for key, value in clock.items() if key in words}
         last.fit(Z, learned, **words)
         if isinstance(last, DependentGPRegressor):
-            if self.symmetric:  # the noise of a mirrored sample is that of the sample
+            if self.symmetric and "time" in words:  # the noise of a mirrored sample is that of the sample
                 n, own = len(targets), np.column_stack([time, numbers])
                 misfit = misfit_variance(last, Z[:n], learned.to_numpy(float)[:n], own)
                 last._divide_noise(last.noise_variance_ + last.misfit_variance_, misfit)

@@ -114,6 +114,16 @@ def symmetric_flight(seed, n=400):
 
 
 class TestSymmetry:
+    def test_a_sample_and_its_image_show_no_misfit(self):
+        """Near the plane of symmetry a sample is the nearest neighbour of its image, with the same noise."""
+        table, Y = symmetric_flight(0, 2000)
+        lateral = ["beta", "p_hat", "aileron"]
+        table.loc[table.index % 20 > 0, lateral] *= 0.001  # mostly straight flight
+        table["flight"] = "first"
+        last = DependentGPRegressor(structure="trend", inference="sparse", n_inducing=5, max_iter=5, random_state=0)
+        model = pipeline_of(NAMES, last, symmetric=True).fit(table, Y[["CZ"]])[-1]
+        assert model.misfit_variance_[0] < 0.05 * model.noise_variance_[0]
+
     def test_the_mirror_of_the_mirror_is_the_flight(self):
         table, Y = symmetric_flight(0)
         image = mirrored(table[NAMES], Y)

@@ -117,8 +117,8 @@ def _map_on_one_core(function, state, shares):
 def fit_map(fit: Callable, starts: Sequence[dict], n_jobs: int | None = None) -> list:
     """Return ``[fit(**start) for start in starts]``, side by side where joblib has workers.
 
-    What ``fit`` returns is a ``Fit``: it has ``interrupted`` and ``marked``. After Ctrl-C the list holds the best so
-    far of every fit that had begun; a second Ctrl-C raises KeyboardInterrupt.
+    What ``fit`` returns has ``interrupted`` and ``marked``, as :class:`skdgp.inference.Fit`. After Ctrl-C the list
+    holds the best so far of every fit that had begun; a second Ctrl-C raises KeyboardInterrupt.
     """
     invited, client = _workers(n_jobs, threads=True) if len(starts) > 1 else (False, None)
     results = _fit_elsewhere(fit, starts, n_jobs, client) if invited else {}

@@ -25,7 +25,7 @@ MAX_LATENT = 3  # largest number of shared latents that n_latent="auto" tries
 
 @dataclass
 class Chosen:
-    """What ``choose`` found: the attributes of the same names, with an underscore at the end, of the regressor."""
+    """The fit and what was chosen for it: ``structure_``, ``n_latent_``, ... of the regressor."""
 
     structure: str
     n_latent: int | str | None

@@ -27,7 +27,6 @@ import pandas as pd
 from _common import finish, parser_of
 from _comparison_methods import INPUTS, METHODS, regressors
 from _comparison_tables import tables
-from flights import ampyx_ap2
 from heldout import has_gpytorch
 from jura import error as jura_error
 
@@ -77,6 +76,16 @@ def task_of(name, folder):
     truth = [f"{column}_true" for column in targets]
     truth = test[truth].to_numpy() if set(truth) <= set(test) else None
     return Task(aircraft, train, test, targets, measured.to_numpy(), truth, SAMPLES)
+
+
+def ampyx_ap2(folder):
+    """Return aircraft, training and test blocks, and the keywords of the inverse dynamics."""
+    table = read_flight(folder / "ampyx_ap2" / "ampyx_ap2.parquet")
+    block = np.arange(len(table)) * 10 // len(table)
+    table["flight"] = [f"block {b + 1}" for b in block]
+    parts = (table[block % 2 == k].reset_index(drop=True) for k in (0, 1))
+    loads = {"thrust": None, "external_forces": ["tether"]}
+    return Aircraft.from_json(folder / "ampyx_ap2" / "ampyx_ap2.json"), *parts, loads
 
 
 def toy(n=300):

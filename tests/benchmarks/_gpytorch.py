@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from gpytorch.variational import (
     CholeskyVariationalDistribution,
-    IndependentMultitaskVariationalStrategy,
     LMCVariationalStrategy,
     NaturalVariationalDistribution,
     VariationalStrategy,
@@ -71,18 +70,14 @@ def gradient(model, likelihood):
 
 
 class Variational(gpytorch.models.ApproximateGP):
-    """Latent processes with inducing points of their own, mixed linearly (``mixed``) or one for each output."""
+    """Latent processes with inducing points of their own, mixed linearly."""
 
-    def __init__(self, Z, n_outputs, *, mixed, natural):
+    def __init__(self, Z, n_outputs, *, natural):
         L, m, d = Z.shape
         batch = torch.Size([L])
         distribution = NaturalVariationalDistribution if natural else CholeskyVariationalDistribution
         strategy = VariationalStrategy(self, Z, distribution(m, batch_shape=batch), learn_inducing_locations=True)
-        if mixed:
-            strategy = LMCVariationalStrategy(strategy, num_tasks=n_outputs, num_latents=L, latent_dim=-1)
-        else:
-            strategy = IndependentMultitaskVariationalStrategy(strategy, num_tasks=n_outputs)
-        super().__init__(strategy)
+        super().__init__(LMCVariationalStrategy(strategy, num_tasks=n_outputs, num_latents=L, latent_dim=-1))
         self.mean_module = gpytorch.means.ConstantMean(batch_shape=batch)
         rbf = gpytorch.kernels.RBFKernel(ard_num_dims=d, batch_shape=batch)
         self.covar_module = gpytorch.kernels.ScaleKernel(rbf, batch_shape=batch)
@@ -96,7 +91,6 @@ def train_variational(
     Y,
     *,
     n_latent=6,
-    mixed=True,
     n_inducing=150,
     batch=512,
     rate=0.02,
@@ -110,8 +104,8 @@ def train_variational(
 
     Parameters
     ----------
-    mixed : bool
-        Linear model of coregionalisation of ``n_latent`` latents; else a process for each output.
+    n_latent : int
+        Latents of the linear model of coregionalisation.
     rate, decay : float
         Of Adam; after ``decay`` steps the rate is a tenth.
     natural : float
@@ -119,12 +113,11 @@ def train_variational(
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    L = n_latent if mixed else Y.shape[1]
     centres = MiniBatchKMeans(n_inducing, n_init=1, random_state=seed).fit(X).cluster_centers_ if kmeans else None
-    starts = [centres if kmeans else X[rng.choice(len(X), n_inducing, replace=False)] for _ in range(L)]
+    starts = [centres if kmeans else X[rng.choice(len(X), n_inducing, replace=False)] for _ in range(n_latent)]
     X, Y = torch.as_tensor(X, dtype=torch.float32), torch.as_tensor(Y, dtype=torch.float32)
     Z = torch.as_tensor(np.stack(starts), dtype=torch.float32)
-    model = Variational(Z, Y.shape[1], mixed=mixed, natural=natural > 0)
+    model = Variational(Z, Y.shape[1], natural=natural > 0)
     likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(num_tasks=Y.shape[1])
     if length_scale is not None:
         model.covar_module.base_kernel.lengthscale = length_scale

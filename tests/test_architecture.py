@@ -22,7 +22,8 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Every file or folder of the package is a room, which stands on one floor and imports from floors below it alone.
 FLOORS = [
-    ["_flight", "_compute"],
+    ["_compute"],
+    ["_flight"],
     ["kernels", "metrics", "io", "preprocessing", "dynamics"],
     ["inference", "design"],
     ["_regressor", "model_selection", "datasets"],

@@ -22,6 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.correlation import autocorrelation_time
+from skdgp._flight.atmosphere import GRAVITY as G
 from skdgp._flight.channels import (
     ALL_SURFACES,
     BODY_VELOCITY,
@@ -39,7 +41,6 @@ from skdgp._flight.channels import (
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.frames import air_velocity, euler_to_matrix
 
-G = 9.80665
 RATE = 20.0
 """Rows are averaged to about this rate [Hz]."""
 LONG, SHORT = 1.0, 0.1
@@ -406,21 +407,8 @@ def _slope_sign(words: str, y: np.ndarray, X: np.ndarray, sign: int) -> Relation
 
 def _t_value(total: float, products: np.ndarray) -> float:
     """Return the t value of a slope: the sum of regressor times response, and the products regressor times residual."""
-    error = np.sqrt(_correlation_time(products) * (products @ products))
+    error = np.sqrt(autocorrelation_time(products) * (products @ products))
     return float(total / max(error, 1e-9 * abs(total), 1e-300))
-
-
-def _correlation_time(values: np.ndarray) -> float:
-    """Return the integrated autocorrelation time, in samples, at least 1 (Sokal 1997, section 3)."""
-    centred = values - values.mean()
-    n = len(centred)
-    power = np.abs(np.fft.rfft(centred, 1 << (2 * n - 1).bit_length())) ** 2
-    covariance = np.fft.irfft(power)[:n]
-    if not covariance[0] > 0:
-        return 1.0
-    times = 2 * np.cumsum(covariance / covariance[0]) - 1
-    enough = np.arange(n) >= 5 * times
-    return float(max(1.0, times[np.argmax(enough)] if enough.any() else times[-1]))
 
 
 # -- causes -------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ misfit    the error of the function that residuals show where flights come back 
 ========  =============================================================================================================
 """
 
+from skdgp._compute.correlation import autocorrelation_time
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
@@ -20,7 +21,6 @@ from skdgp.inference._fit import Fit, fit_exact, fit_sparse, residual_drift
 from skdgp.inference._kernel_selection import Choice, choose_kernel, held_out_errors
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._misfit import misfit_variance
-from skdgp.inference._noise import autocorrelation_time
 from skdgp.inference._optimize import Optimum, maximize
 from skdgp.inference._search import input_noise_loading
 from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, slope_errors

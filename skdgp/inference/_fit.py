@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
+from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.parallel import sharing
 from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
-from skdgp.inference._noise import autocorrelation_time, fit_drift, fit_drift_to_integrals
+from skdgp.inference._noise import fit_drift, fit_drift_to_integrals
 from skdgp.inference._rows import held_out_rows, some_rows
 from skdgp.inference._search import NOISE_BOUNDS, NOISE_STEPS, Hyperparameters, input_noise_loading, search
 from skdgp.inference._sparse import SparsePosterior, maximize_features

@@ -16,10 +16,10 @@ from itertools import combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.optimize import minimize
 
+from skdgp._compute.correlation import autocorrelation_time as autocorrelation_time
 from skdgp._compute.linalg import eigen_root
 from skdgp._compute.typing import Matrix, Vector
 
@@ -266,49 +266,3 @@ def _mean_squared_integrals(residual, time, records, horizons):
             change = np.interp(elapsed[inside] + horizon, elapsed, integral) - integral[inside]
             total[k], count[k] = total[k] + change @ change, count[k] + len(change)
     return np.divide(total, count, out=np.full(len(horizons), np.nan), where=count > 0)
-
-
-# -- correlation of neighbouring residuals ------------------------------------------------------------------
-
-
-WINDOW = 5.0  # autocorrelation times over which correlations are summed
-
-
-def autocorrelation_time(residuals: Vector) -> float:
-    r"""Return the integrated autocorrelation time, in samples, at least 1.
-
-    The mean of n values with autocorrelation rho has the variance of the mean of n / tau independent values, with
-
-    .. math:: \tau = 1 + 2 \sum_{k=1}^{K} \rho_k,
-
-    summed up to the first K of at least 5 tau, since later terms add only noise (Sokal 1997, section 3).
-
-    Parameters
-    ----------
-    residuals : ndarray (n,)
-        In the order of recording. Shuffled residuals are uncorrelated: tau is about 1.
-
-    Returns
-    -------
-    float
-        tau, in samples.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skdgp.inference import autocorrelation_time
-    >>> white = np.random.default_rng(0).normal(size=5000)
-    >>> round(autocorrelation_time(white))
-    1
-    >>> round(autocorrelation_time(np.repeat(white, 8)))
-    8
-    """
-    centred = residuals - np.mean(residuals)
-    n = len(centred)
-    power = np.abs(rfft(centred, next_fast_len(2 * n))) ** 2
-    covariance = irfft(power)[:n]
-    if not covariance[0] > 0:
-        return 1.0
-    tau = 2 * np.cumsum(covariance / covariance[0]) - 1
-    enough = np.arange(n) >= WINDOW * tau
-    return float(max(1.0, tau[np.argmax(enough)] if enough.any() else tau[-1]))

@@ -355,11 +355,15 @@ class PortableModel:
             basis, readout = self._basis(Z, i), self.readouts[k]
             mean[:, i] = trend @ self.trend_weights[i] + basis @ readout.weights
             if return_std:
-                prior = self.prior_variance[i] + ((trend * self.trend_scale[i]) ** 2).sum(axis=1)
-                half = trend @ self.trend_roots[i]
-                half[:, half.shape[1] - readout.size :] += basis @ readout.root
-                std[:, i] = np.sqrt(np.maximum(prior - np.einsum("nr,nr->n", half, half), ROUNDING * prior))
+                std[:, i] = self.deviation(i, trend, basis @ readout.root)
         return self.center + self.output_scale * mean, self.deviation_scale * std
+
+    def deviation(self, i: int, trend: Matrix, half: Matrix) -> Vector:
+        """Return the scaled deviation (n,) of output i, of the trend's basis p (n, d + 1) and of U^T g, (n, k)."""
+        prior = self.prior_variance[i] + ((trend * self.trend_scale[i]) ** 2).sum(axis=1)
+        whole = trend @ self.trend_roots[i]
+        whole[:, whole.shape[1] - half.shape[1] :] += half
+        return np.sqrt(np.maximum(prior - np.einsum("nr,nr->n", whole, whole), ROUNDING * prior))
 
     def _gradient(self, Z):
         slopes = np.repeat(self.trend_weights[None, :, 1:], len(Z), axis=0)

@@ -118,14 +118,13 @@ class _Output:
 
     def __init__(self, model: PortableModel, i: int, Z: Matrix, check: Matrix) -> None:
         readout = model.readouts[model.readout_of[i]]
+        self.model, self.i = model, i
         self.v, self.T = model.trend_weights[i], model.trend_roots[i]
-        self.prior, self.tau = model.prior_variance[i], model.trend_scale[i]
         self.p = model._trend(check)
         self.truth = self._predicted(*_readout(readout, model._basis(check, i)))
         p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, i))
-        weight = 1 / self._predicted(mean, half, p)[1][:, None]
+        weight = 1 / model.deviation(i, p, half)[:, None]
         self.blocks = [block for block in model.blocks if block.output == i]
-        self.model = model
         candidates = self._candidates()
         g = weight * self._functions(Z, candidates)
         trend, _ = qr(weight * p, mode="economic")
@@ -167,14 +166,9 @@ class _Output:
             found[:, columns] = block.functions(Z, centres)
         return found
 
-    def _predicted(self, mean: Any, half: Any, p: Any = None) -> Any:
-        """Return mean and deviation, normalised, from what the functions add to mean and root."""
-        p = self.p if p is None else p
-        prior = self.prior + ((p * self.tau) ** 2).sum(axis=1)
-        whole = p @ self.T
-        whole[:, whole.shape[1] - half.shape[1] :] += half
-        explained = np.einsum("nr,nr->n", whole, whole)
-        return p @ self.v + mean, np.sqrt(np.maximum(prior - explained, np.finfo(float).eps * prior))
+    def _predicted(self, mean: Vector, half: Matrix) -> tuple[Vector, Vector]:
+        """Return scaled mean and deviation at the points to check at, from what the functions add to mean and root."""
+        return self.p @ self.v + mean, self.model.deviation(self.i, self.p, half)
 
     def _fit(self, number: int) -> _Fit:
         n, size = self.p.shape[1], self.sizes[number]

@@ -45,8 +45,8 @@ def listening(listener: Listener) -> Iterator[None]:
         _listener.reset(token)
 
 
-def notify(stage: str, n_evaluations: int, log_likelihood: float) -> None:
-    """Call the listener, if there is one."""
+def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("nan")) -> None:
+    """Call the listener, if there is one; of a stage that has no evaluations, with 0 and NaN."""
     listener = _listener.get()
     if listener is not None:
         listener(stage, n_evaluations, log_likelihood)

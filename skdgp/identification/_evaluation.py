@@ -220,7 +220,7 @@ def evaluate_flights(flights, pipeline, aircraft, settings, fit) -> list[Evaluat
     loads, linear = {name: settings[name] for name in ("thrust", "external_forces")}, fit.get("least_squares")
     evaluations = []
     for name, table in flights.items():
-        notify(f"evaluating {name}", 0, np.nan)
+        notify(f"evaluating {name}")
         evaluations.append(evaluate_flight(pipeline, aircraft, name, table, settings["horizons"], loads, linear))
     return evaluations
 

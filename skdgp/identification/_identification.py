@@ -178,7 +178,7 @@ class Identification:
 
     def writers(self) -> dict[str, Callable[[Path], object]]:
         """Return by file name what writes report, metrics and, of a model that was learned here, the model."""
-        notify("report", 0, np.nan)
+        notify("report")
         if find_spec("matplotlib") is None:
             warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2)
         found = {

@@ -145,7 +145,7 @@ def identify(
         )
     loads: dict[str, Any] = {"thrust": thrust, "external_forces": list(external_forces)}
     with recorded_warnings() as messages:
-        _announce("reading")
+        notify("reading")
         aircraft = read_aircraft(aircraft)
         reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
         train = _flights.named_flights(flights, **reading)
@@ -161,13 +161,13 @@ def identify(
         # The steps of the pipeline meet the same faults again.
         warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
 
-        _announce("coefficients")
+        notify("coefficients")
         table = pd.concat(train.values(), ignore_index=True)
         Y = aerodynamic_coefficients(table, aircraft, **loads)
         _flights.check_known(Y, table)
         targets = thin_targets(Y, _n_samples(samples, regressor, len(Y)))
 
-        _announce("transforming")
+        notify("transforming")
         pipeline = make_identification_pipeline(
             aircraft,
             regressors=regressors,
@@ -252,7 +252,7 @@ def validate(
     settings = {"thrust": "auto", "external_forces": []} | model.get("options", {}) | loads
     settings["horizons"] = list(horizons)
     with recorded_warnings() as messages:
-        _announce("reading")
+        notify("reading")
         named = _flights.named_flights(flights, servos=servos, airborne=airborne)
         flights = usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
@@ -313,10 +313,6 @@ def recorded_warnings() -> Iterator[list[str]]:
 
         warnings.showwarning = record
         yield messages
-
-
-def _announce(stage):
-    notify(stage, 0, np.nan)
 
 
 def _warn(message):

@@ -156,11 +156,11 @@ def quantities(flight: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found, index=flight.index)[list(QUANTITIES)]
 
 
-def with_band(flight: pd.DataFrame, paths: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
-    """Return a flight with the central share of others at its times: columns such as ``alpha_low``, ``alpha_high``."""
+def with_band(flight: pd.DataFrame, paths: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight with the central 95 % of others at its times: columns such as ``alpha_low``, ``alpha_high``."""
     others = quantities(paths).to_numpy().reshape(-1, len(flight), len(QUANTITIES))
     flown = np.isfinite(others).any(axis=0).all(axis=-1)
     bounds = np.full((2, *others.shape[1:]), np.nan)
-    bounds[:, flown] = np.nanquantile(others[:, flown], [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+    bounds[:, flown] = np.nanquantile(others[:, flown], [0.025, 0.975], axis=0)
     names = [[f"{name}_{end}" for name in QUANTITIES] for end in ("low", "high")]
     return pd.concat([flight, *(pd.DataFrame(b, flight.index, n) for b, n in zip(bounds, names, strict=True))], axis=1)

@@ -138,9 +138,6 @@ class FlightCheck(TableTransformer):
             warnings.warn(faults_message(faults, f"Faulty values are NaN{then}."), FlightDataWarning, stacklevel=4)
         return self._interpolate_gaps(without_faults(table, findings))
 
-    def _columns_out(self, names):
-        return names
-
     def _interpolate_gaps(self, table):
         """Return the table with short gaps of its measured channels interpolated."""
         names = [name for name in POSSIBLE if name in table and name not in self.ignore]

@@ -137,9 +137,6 @@ class LagCorrector(TableTransformer):
                         new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
 
-    def _columns_out(self, names):
-        return names
-
 
 def _shifted(time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bool) -> Vector:
     """Return a channel without its lag, on the rows where it was sampled."""

@@ -82,9 +82,9 @@ class TableTransformer(  # type: ignore[call-arg]
     def _transform_table(self, table: pd.DataFrame) -> pd.DataFrame:
         """Return the new table, without changing the given one."""
 
-    @abstractmethod
     def _columns_out(self, names: list[str]) -> list[str]:
-        """Return the columns of the transformed table for those of the input."""
+        """Return the columns of the transformed table for those of the input; the default is the same columns."""
+        return names
 
     def _has_known_column(self, X: Any) -> bool:
         return any(isinstance(name, str) and name in self._known for name in getattr(X, "columns", ()))

@@ -26,6 +26,14 @@ def parser_of(description):
     return parser
 
 
+def parsed(parser, words):
+    """Return the options, of which ``data``, the folder of the shared data, is needed but for ``--smoke``."""
+    options = parser.parse_args(words)
+    if options.data is None and not options.smoke:
+        parser.error("the folder of the shared data is needed")
+    return options
+
+
 SLOW = 15.0  # s, after which a function has had turns enough
 PAUSE = 0.1  # s: threads of BLAS go on waiting for work for a while, on cores that the next in turn needs
 

@@ -12,7 +12,7 @@ import sys
 import time
 
 import numpy as np
-from _common import finish
+from _common import finish, parsed
 from _comparison_methods import Identification
 from comparison import FLIGHTS, Kept, runs_parser, scores, task_of, toy
 
@@ -78,9 +78,7 @@ def held(run, kind):
 def main(words=None):
     parser = runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     parameters = {"dependentgpregressor__max_iter": 2} if options.smoke else {}
     kept = Kept(options.out, "ablation")
     asked = ["defaults", "reconstruction", "processes__the_trend_alone"] if options.smoke else options.parts

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from _common import finish, parser_of
+from _common import finish, parsed, parser_of
 from _comparison_methods import INPUTS, METHODS, regressors
 from _comparison_tables import tables
 from heldout import has_gpytorch
@@ -193,9 +193,7 @@ def main(words=None):
     parser = runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--inputs", nargs="+", choices=INPUTS, default=list(INPUTS))
     parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours", "jura"], default=[*METHODS, "jura"])
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     if options.smoke:
         options.flights, options.inputs = ["toy"], [kind for kind in ("filtered", OWN) if kind in options.inputs]
         options.methods = [name for name in options.methods if name != "jura"]

@@ -29,7 +29,7 @@ from pathlib import Path
 import joblib
 import numpy as np
 import pandas as pd
-from _common import finish, parser_of
+from _common import finish, parsed, parser_of
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
@@ -294,9 +294,7 @@ def main(words=None):
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
     parser.add_argument("--seeds", type=int, default=3, help="of the search: models of each training flight")
     parser.add_argument("--paths", type=int, default=100, help="of the ensembles")
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     example = load_example_flights()
     test = example.test.assign(gravity_true=STANDARD_GRAVITY)
     if options.smoke:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from _common import finish, parser_of, use_torch_threads
+from _common import finish, parsed, parser_of, use_torch_threads
 from _peers import IndependentProcesses, OnTrend
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
@@ -197,9 +197,7 @@ def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
     parser.add_argument("--tried", action="store_true", help="the configurations of GPyTorch instead of the curves")
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     task = toy() if options.smoke else flights(options.data)
     peers = not options.no_peers and has_gpytorch()
     if options.tried:

@@ -19,7 +19,7 @@ import warnings
 
 import comparison
 import numpy as np
-from _common import finish
+from _common import finish, parsed
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
@@ -146,11 +146,9 @@ def curve_of(log, seed, structure):
 def main(words=None):
     parser = comparison.runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    options = parser.parse_args(words)
+    options = parsed(parser, words)
     if options.smoke:
         options.flights, options.seeds = ["toy"], [0]
-    elif options.data is None:
-        parser.error("the folder of the shared data is needed")
     kept = comparison.Kept(options.out, "information")
     for flight in options.flights:
         log = None

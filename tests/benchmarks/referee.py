@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from _common import finish, parser_of
+from _common import finish, parsed, parser_of
 
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import (
@@ -149,9 +149,7 @@ def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
     parser.add_argument("--live", action="store_true", help="fly JSBSim too")
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     if options.live and importlib.util.find_spec("jsbsim") is None:
         parser.error("--live needs JSBSim, which is not installed: pip install jsbsim")
     cases = [("toy", *toy())] if options.smoke else flights(options.data / "flights")

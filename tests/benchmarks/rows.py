@@ -19,7 +19,7 @@ import comparison
 import numpy as np
 import pandas as pd
 import sportcub
-from _common import finish
+from _common import finish, parsed
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
@@ -115,11 +115,9 @@ def main(words=None):
     parser = comparison.runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--sportcub", type=Path, help="unpacked copy of jgoppert/sysid_litreview_26")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    options = parser.parse_args(words)
+    options = parsed(parser, words)
     if options.smoke:
         options.flights, options.seeds = ["toy"], [0]
-    elif options.data is None:
-        parser.error("the folder of the shared data is needed")
     elif options.sportcub is None:
         options.flights = [name for name in options.flights if name != "sportcub"]
     kept, parameters = comparison.Kept(options.out, "rows"), {"max_iter": 2} if options.smoke else {}

@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from _common import finish
+from _common import finish, parsed
 from _comparison_methods import Identification
 from comparison import FLIGHTS, Kept, runs_parser, scores, task_of, toy
 
@@ -41,9 +41,7 @@ def _range(values):
 def main(words=None):
     parser = runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     kept = Kept(options.out, "seeds")
     for flight in ["toy"] if options.smoke else options.flights:
         task = toy() if options.smoke else task_of(flight, options.data)

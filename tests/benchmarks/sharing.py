@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from _common import finish, parser_of
+from _common import finish, parsed, parser_of
 from jura import load
 from sklearn.exceptions import ConvergenceWarning
 
@@ -139,9 +139,7 @@ def main(words=None):
     parser.add_argument("--samples", type=int, default=150, help="of the flight, learned from (default: 150)")
     parser.add_argument("--trend", choices=("linear", "constant"), default="linear")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     warnings.simplefilter("ignore", ConvergenceWarning)
     rows = []
     for name in OTHERS[-1:] if options.smoke else options.cases:

@@ -15,7 +15,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from _common import finish, parser_of
+from _common import finish, parsed, parser_of
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.preprocessing import PolynomialFeatures
 
@@ -100,9 +100,7 @@ def main(words=None):
     parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--samples", type=int, help="to learn from")
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("the folder of the shared data is needed")
+    options = parsed(parser, words)
     tables = {}
     for part in options.parts:
         n_samples, regressors, variants = PARTS[part]

@@ -82,23 +82,7 @@ HEADS = {
     ".ulg": [b"ULog\x01\x12\x35\x01" + bytes(8)],
     ".bin": [b"\xa3\x95\x80\x80\x59"],
 }
-LETTERS = [
-    b"time",
-    b"flight",
-    b"alpha",
-    b"[deg]",
-    b",",
-    b";",
-    b"\t",
-    b'"',
-    b"\n",
-    b"\r\n",
-    b"0",
-    b"1",
-    b".",
-    b"#",
-    b"\xff",
-]
+LETTERS = [*b"time flight alpha [deg] , ; 0 1 . # \xff".split(), b"\t", b'"', b"\n", b"\r\n"]
 WORDS = st.one_of(st.binary(max_size=300), st.lists(st.sampled_from(LETTERS), max_size=60).map(b"".join))
 
 

@@ -3,6 +3,8 @@
 import copy
 import json
 import pickle
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,6 +44,15 @@ def test_toml_says_the_same_as_json(tmp_path):
         lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in GOOD[table].items())]
     (tmp_path / "a.toml").write_text("\n".join(lines))
     assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.from_dict(GOOD)
+
+
+def test_the_aircraft_file_of_the_page_is_one(tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "dynamics.md"
+    (text,) = re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    (tmp_path / "delta.toml").write_text(text)
+    aircraft = Aircraft.from_toml(tmp_path / "delta.toml")
+    assert aircraft.propeller.thrust(600.0, 0.0) > 0
+    assert aircraft.mass == pytest.approx(12.0)
 
 
 def test_equality_is_of_every_value():

@@ -99,35 +99,19 @@ API int fmi2SetReal(void *c, const unsigned int vr[], size_t n, const double val
     return set_values(c, __func__, vr, n, value);
 }
 
-API int fmi2GetInteger(void *c, const unsigned int vr[], size_t n, int value[])
-{
-    return none(c, __func__, n, vr, value);
-}
+#define NO_VARIABLES(type, number)                                                                                     \
+    API int fmi2Get##type(void *c, const unsigned int vr[], size_t n, number value[])                                  \
+    {                                                                                                                  \
+        return none(c, __func__, n, vr, value);                                                                        \
+    }                                                                                                                  \
+    API int fmi2Set##type(void *c, const unsigned int vr[], size_t n, number const value[])                            \
+    {                                                                                                                  \
+        return none(c, __func__, n, vr, value);                                                                        \
+    }
 
-API int fmi2SetInteger(void *c, const unsigned int vr[], size_t n, const int value[])
-{
-    return none(c, __func__, n, vr, value);
-}
-
-API int fmi2GetBoolean(void *c, const unsigned int vr[], size_t n, int value[])
-{
-    return none(c, __func__, n, vr, value);
-}
-
-API int fmi2SetBoolean(void *c, const unsigned int vr[], size_t n, const int value[])
-{
-    return none(c, __func__, n, vr, value);
-}
-
-API int fmi2GetString(void *c, const unsigned int vr[], size_t n, const char *value[])
-{
-    return none(c, __func__, n, vr, value);
-}
-
-API int fmi2SetString(void *c, const unsigned int vr[], size_t n, const char *const value[])
-{
-    return none(c, __func__, n, vr, value);
-}
+NO_VARIABLES(Integer, int)
+NO_VARIABLES(Boolean, int)
+NO_VARIABLES(String, const char *)
 
 /* First derivatives of inputs, for the next step. */
 API int fmi2SetRealInputDerivatives(void *c, const unsigned int vr[], size_t n, const int order[], const double value[])

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.optimize import minimize
 
-from skdgp._compute.correlation import autocorrelation_time as autocorrelation_time
 from skdgp._compute.linalg import eigen_root
 from skdgp._compute.typing import Matrix, Vector
 

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
+from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._compact import observed_values
 from skdgp.inference._likelihood import Data
-from skdgp.inference._noise import autocorrelation_time
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block

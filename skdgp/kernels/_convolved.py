@@ -216,7 +216,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
             if params[name] is not None:
                 params[name] = as_shape(name, params[name], shape)
-        start = starting_values(feeds, X, Y, random_state, width_factor)
+        start = starting_values(feeds, X, Y, random_state, width_factor, int(np.sum(~others)))
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
         if coarse:

@@ -106,6 +106,16 @@ class TestGivenValues:
         found = ConvolvedGaussian(1, length_scale_bounds=(1e-9, 1e9)).initialize(*data, 0)
         assert found.length_scale_bounds == (1e-9, 1e9)
 
+    def test_smallest_width_is_the_spacing_of_as_many_samples_on_a_grid(self, data):
+        """60 samples, of which each output has at most 47: 47^(1/3) on each axis; of a single regressor more."""
+        X, Y = data
+        most = np.isfinite(Y).sum(axis=0).max()
+        for kernel, n_axes in ((ConvolvedGaussian(1), 3), (ConvolvedGaussian(1, regressors=[0, 2]), 2)):
+            bounds = kernel.initialize(X, Y, 0).length_scale_bounds[0, 0, 0]
+            assert bounds[0] == pytest.approx(X[:, 0].std() * most ** (-1 / n_axes))
+        alone = ConvolvedGaussian(1, regressors=[0]).initialize(X, Y, 0).length_scale_bounds[0, 0, 0]
+        assert alone[0] == pytest.approx(0.05 * X[:, 0].std())  # never less
+
     @pytest.mark.parametrize(
         ("kernel", "message"),
         [

@@ -69,8 +69,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     ----------
     kernel : MultiOutputKernel or None
         Covariance of the processes. None: ``ConvolvedGaussian(n_latent, private_latents=private_latents,
-        covariance_type=covariance_type, length_scale_prior=length_scale_prior)``. Missing values are estimated from
-        the data.
+        covariance_type=covariance_type, length_scale_bounds=length_scale_bounds,
+        length_scale_prior=length_scale_prior)``. Missing values are estimated from the data.
     n_latent : int, "auto" or None
         Number of latent processes that all outputs share. "auto" adds latents, up to 3, as long as the Bayesian
         information criterion improves. None: 2, but none where ``structure="auto"`` learns from outputs of which
@@ -79,6 +79,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Whether each output also has a private latent process.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
+    length_scale_bounds : None, "spacing" or pair
+        Bounds on the widths, see ``ConvolvedGaussian``. None: .05 to 1000 standard deviations of the regressor.
+        "spacing", the default of identification: at least n^(-1/d) standard deviations, for n samples, at most 400, in
+        d regressors. In many regressors, a process of smaller width is noise to the samples (docs/inference.md).
     length_scale_prior : None, "auto", pair or array (d, 2)
         Prior median of the widths and standard deviation of their logarithms, see ``ConvolvedGaussian``. None: no
         prior.
@@ -191,6 +195,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "n_latent": [Interval(Integral, 0, None, closed="left"), StrOptions({"auto"}), None],
         "private_latents": ["boolean"],
         "covariance_type": [StrOptions(set(COVARIANCE_TYPES))],
+        "length_scale_bounds": [StrOptions({"spacing"}), "array-like", None],
         "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
         "structure": [StrOptions({"joint", "additive", "trend", "auto"})],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
@@ -214,6 +219,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         n_latent: Any = None,
         private_latents: bool = True,
         covariance_type: str = "diag",
+        length_scale_bounds: Any = None,
         length_scale_prior: Any = None,
         structure: str = "joint",
         trend: Any = "linear",
@@ -233,6 +239,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.n_latent = n_latent
         self.private_latents = private_latents
         self.covariance_type = covariance_type
+        self.length_scale_bounds = length_scale_bounds
         self.length_scale_prior = length_scale_prior
         self.structure = structure
         self.trend = trend
@@ -255,7 +262,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     def __setstate__(self, state):
         """Restore a model; one of version 0.1 has white noise and no choice of structure."""
-        state = {"structure": "joint", "drift": "residuals", "early_stopping": False} | state
+        absent = {"structure": "joint", "drift": "residuals", "early_stopping": False, "length_scale_bounds": None}
+        state = absent | state
         if "_scale" in state:
             white = np.zeros(len(state["_scale"]))
             fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0, "misfit_variance_": white}

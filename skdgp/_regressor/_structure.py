@@ -134,13 +134,12 @@ def _choose_kernel(model, X, Z, options):
 
 
 def _make_kernel(model, structure, d, n_latent):
-    prior = model.length_scale_prior
-    options = {"private_latents": model.private_latents, "covariance_type": model.covariance_type}
-    given = model.kernel is not None
-    kernel: Any = clone(model.kernel) if given else ConvolvedGaussian(n_latent, **options, length_scale_prior=prior)
+    widths = {"length_scale_bounds": model.length_scale_bounds, "length_scale_prior": model.length_scale_prior}
+    options = {"private_latents": model.private_latents, "covariance_type": model.covariance_type, **widths}
+    kernel: Any = ConvolvedGaussian(n_latent, **options) if model.kernel is None else clone(model.kernel)
     if structure == "additive":
         for k in range(d):
-            kernel = ConvolvedGaussian(0, regressors=[k], length_scale_prior=prior) + kernel
+            kernel = ConvolvedGaussian(0, regressors=[k], **widths) + kernel
     return kernel if model.trend in ("constant", None) else _make_trend(model) + kernel
 
 

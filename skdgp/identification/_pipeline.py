@@ -36,8 +36,10 @@ from skdgp.preprocessing import (
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 LEAST_ROWS, MOST_ROWS = 5, 20000
 """For each term of a polynomial, and for all of them."""
+LEARNS = {"structure": "auto", "input_noise": "learned", "early_stopping": True, "length_scale_bounds": "spacing"}
+"""What the default regressor has."""
 SMOOTH = {"length_scale_prior": "auto", "n_latent": 2}
-"""What the default regressor of gusty flights has; the other one has None."""
+"""What it also has for gusty flights; else None."""
 
 
 def make_identification_pipeline(
@@ -142,8 +144,8 @@ def make_identification_pipeline(
 def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPRegressor:
     """Return the regressor that pipelines and the command line learn with, with some parameters changed.
 
-    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure. ``parameters`` are
-    those of :class:`skdgp.DependentGPRegressor`.
+    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure. No width is smaller
+    than the spacing of the samples. ``parameters`` are those of :class:`skdgp.DependentGPRegressor`.
 
     What gusts leave in the targets looks like a function of very small width. So with ``gusty``, as of
     :class:`FlightPipeline`, a prior stands against these (``length_scale_prior="auto"``), and outputs share two
@@ -153,11 +155,11 @@ def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPR
     --------
     >>> from skdgp.identification import default_regressor
     >>> default_regressor(n_latent=2, random_state=0)
-    DependentGPRegressor(early_stopping=True, input_noise='learned', n_latent=2,
-                         random_state=0, structure='auto')
+    DependentGPRegressor(early_stopping=True, input_noise='learned',
+                         length_scale_bounds='spacing', n_latent=2, random_state=0,
+                         structure='auto')
     """
-    defaults: dict[str, Any] = {"structure": "auto", "input_noise": "learned", "early_stopping": True}
-    return DependentGPRegressor(**{**defaults, **(SMOOTH if gusty else {}), **parameters})
+    return DependentGPRegressor(**{**LEARNS, **(SMOOTH if gusty else {}), **parameters})
 
 
 def check_aircraft(aircraft) -> Aircraft:

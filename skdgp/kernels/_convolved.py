@@ -15,7 +15,7 @@ from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_d
 from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._prior_paths import PathBundle, ValuePaths, convolved_paths
-from skdgp.kernels._start import log_normal, resolve_prior, starting_values
+from skdgp.kernels._start import log_normal, resolve_prior, spacing, starting_values
 from skdgp.kernels._strips import Exponent, exponential_times, signed_sum, weighted_sums
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
@@ -24,6 +24,7 @@ CONSTANT_LENGTH = 1e6  # length scale over the standard deviation of a regressor
 ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regressors
 ADDITIVE_AMPLITUDE = 0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
+SPACING = "spacing"  # of length_scale_bounds
 NOISE_AMPLITUDE = 0.1  # below this fraction of its starting amplitude an output was explained as noise
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")  # also those of DependentGPRegressor
 
@@ -69,7 +70,9 @@ class ConvolvedGaussian(MultiOutputKernel):
     shift : array (M, P, d) or float
         mu, in the units of the regressors. Only differences between outputs matter, so the first output has zero.
     amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array (..., 2), "fixed" or None
-        Bounds on the values. None: from the data.
+        Bounds on the values. None: from the data, widths of .05 to 1000 standard deviations of the regressor.
+        ``length_scale_bounds="spacing"``: widths of at least n^(-1/d) standard deviations, for n samples, at most 400,
+        in d regressors. In many regressors, a process of smaller width is noise to the samples.
     length_scale_prior : pair, array (d, 2), "auto" or None
         Log-normal prior, added to the log likelihood during ``fit``: median of the length scales, in the units of the
         regressors, and standard deviation of their logarithms. "auto": e^sqrt(2) sqrt(12 d) standard deviations of the
@@ -198,6 +201,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Number of regressors d."""
         return self._value("length_scale").shape[2]
 
+    def _widths_from_data(self):
+        given = self.length_scale_bounds
+        return given is None or (isinstance(given, str) and given == SPACING)
+
     def has_values(self) -> bool:
         return self.amplitude is not None and self.length_scale is not None
 
@@ -216,7 +223,12 @@ class ConvolvedGaussian(MultiOutputKernel):
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
             if params[name] is not None:
                 params[name] = as_shape(name, params[name], shape)
-        start = starting_values(feeds, X, Y, random_state, width_factor, int(np.sum(~others)))
+        start = starting_values(feeds, X, Y, random_state, width_factor)
+        if self._widths_from_data():
+            if params["length_scale_bounds"] is not None:
+                smallest = start["length_scale_bounds"][..., 0]
+                np.maximum(smallest, spacing(X, Y, ~others) * column_scale(X), out=smallest)
+            params["length_scale_bounds"] = None
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
         if coarse:
@@ -269,7 +281,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return (value, self.theta_gradient(by_entry)) if eval_gradient else value
 
     def coarse(self) -> MultiOutputKernel:
-        if self.covariance_type in ("diag", "full") and self.length_scale is None and self.length_scale_bounds is None:
+        if self.covariance_type in ("diag", "full") and self.length_scale is None and self._widths_from_data():
             return ConvolvedGaussian(
                 self.n_latent,
                 private_latents=self.private_latents,
@@ -278,6 +290,7 @@ class ConvolvedGaussian(MultiOutputKernel):
                 feeds=self.feeds,
                 amplitude=self.amplitude,
                 amplitude_bounds=self.amplitude_bounds,
+                length_scale_bounds=self.length_scale_bounds,
                 length_scale_prior=self.length_scale_prior,
             )
         return self
@@ -285,7 +298,11 @@ class ConvolvedGaussian(MultiOutputKernel):
     def single_output(self) -> MultiOutputKernel:
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
         return ConvolvedGaussian(
-            0, covariance_type=kind, regressors=self.regressors, length_scale_prior=self.length_scale_prior
+            0,
+            covariance_type=kind,
+            regressors=self.regressors,
+            length_scale_bounds=self.length_scale_bounds if self._widths_from_data() else None,
+            length_scale_prior=self.length_scale_prior,
         )
 
     def paths(self, X: Matrix, coefficients: Any) -> Any:
@@ -362,7 +379,7 @@ class ConvolvedGaussian(MultiOutputKernel):
                 "length_scale",
                 renumber(width[..., None] * d + per_feature, feeds[..., None] & matters),
                 True,
-                or_default(self.length_scale_bounds, (1e-3, 1e3)),
+                (1e-3, 1e3) if self._widths_from_data() else self.length_scale_bounds,
             ),
             FreeParameter(
                 "shift",

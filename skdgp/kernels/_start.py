@@ -5,26 +5,27 @@ from __future__ import annotations
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import column_scale, output_scale
+from skdgp._compute.linalg import column_scale, constant_columns, output_scale
 
 TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
 SHARED_VARIANCE = 0.1  # part of an output's variance that starts in the shared latents, if it has a private latent
 WIDTHS = 0.05, 1e3  # bounds, over the standard deviation of the regressor
-SEARCHED = 400  # samples of an output from which its widths are learned, at most
+MOST_COUNTED = 400  # samples: searches learn widths from a few hundred, however long the log
 
 
-def shortest_width(n, d):
-    """Return the smallest width of a function of d regressors that n samples show, over the regressors' deviations.
+def spacing(X, Y, matters):
+    """Return n^(-1/d), d of the columns of X that matter and are not constant, n of the samples of Y (n, P).
 
-    A grid of n points has n^(1/d) on each axis. A function that changes between neighbouring samples is noise to them.
+    n is that of the most observed output, at most ``MOST_COUNTED``: samples that are spread evenly over d regressors
+    are 3.5 times as far apart, in standard deviations.
     """
-    return max(WIDTHS[0], np.clip(n, 1, SEARCHED) ** (-1.0 / max(d, 1)))
+    n_axes = max(1, int(np.sum(matters & ~constant_columns(X))))
+    n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, MOST_COUNTED)
+    return float(n) ** (-1.0 / n_axes)
 
 
-def starting_values(feeds, X, Y, random_state, width_factor=1.0, n_regressors=None):
+def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
-
-    ``n_regressors`` of the d columns have an effect, by default all.
 
     ``feeds`` (M, P) is one where a latent contributes to an output. Shared latents start along the principal directions
     of the correlation matrix of the outputs, so correlated outputs share a latent from the start. Latents start with
@@ -45,10 +46,8 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0, n_regressors=No
     spread = np.full(M, 1.2)
     spread[shared] = np.geomspace(2.0, 0.8, n_shared)
     lengths = width_factor * np.sqrt(d) * spread[:, None, None] * x_scale
-    n_values = int(np.isfinite(Y).sum(axis=0).max())
-    shortest = shortest_width(n_values, d if n_regressors is None else n_regressors)
     lengths = lengths * np.exp(0.1 * shared[:, None, None] * rng.normal(size=(M, 1, d)))
-    bounds = np.stack([shortest * x_scale, WIDTHS[1] * x_scale], axis=-1)
+    bounds = np.stack([WIDTHS[0] * x_scale, WIDTHS[1] * x_scale], axis=-1)
     return {
         "amplitude": amplitude,
         "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),

@@ -106,16 +106,6 @@ class TestGivenValues:
         found = ConvolvedGaussian(1, length_scale_bounds=(1e-9, 1e9)).initialize(*data, 0)
         assert found.length_scale_bounds == (1e-9, 1e9)
 
-    def test_smallest_width_is_the_spacing_of_as_many_samples_on_a_grid(self, data):
-        """60 samples, of which each output has at most 47: 47^(1/3) on each axis; of a single regressor more."""
-        X, Y = data
-        most = np.isfinite(Y).sum(axis=0).max()
-        for kernel, n_axes in ((ConvolvedGaussian(1), 3), (ConvolvedGaussian(1, regressors=[0, 2]), 2)):
-            bounds = kernel.initialize(X, Y, 0).length_scale_bounds[0, 0, 0]
-            assert bounds[0] == pytest.approx(X[:, 0].std() * most ** (-1 / n_axes))
-        alone = ConvolvedGaussian(1, regressors=[0]).initialize(X, Y, 0).length_scale_bounds[0, 0, 0]
-        assert alone[0] == pytest.approx(0.05 * X[:, 0].std())  # never less
-
     @pytest.mark.parametrize(
         ("kernel", "message"),
         [
@@ -131,6 +121,49 @@ class TestGivenValues:
     def test_of_another_shape_are_refused(self, kernel, message, data):
         with pytest.raises(ValueError, match=message):
             kernel.initialize(*data, 0)
+
+
+class TestSpacing:
+    """length_scale_bounds="spacing": no width below n^(-1/d) deviations, of the samples and regressors that count."""
+
+    @staticmethod
+    def smallest(X, Y, **parameters):
+        """Return the smallest widths (M, P, d), over the deviations of the regressors."""
+        kernel = ConvolvedGaussian(0, length_scale_bounds="spacing", **parameters).initialize(X, Y, 0)
+        return kernel.length_scale_bounds[..., 0] / np.where(X.std(axis=0) > 0, X.std(axis=0), 1.0)
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_is_of_the_output_that_is_observed_most(self, data, kind):
+        X, Y = data
+        X = X / X.std(axis=0)  # "spherical" has one width for all
+        most = np.isfinite(Y).sum(axis=0).max()
+        np.testing.assert_allclose(self.smallest(X, Y, covariance_type=kind), most ** (-1 / 3))
+
+    def test_only_regressors_with_an_effect_count(self, data):
+        X, Y = data
+        most = np.isfinite(Y).sum(axis=0).max()
+        np.testing.assert_allclose(self.smallest(X, Y, regressors=[0, 2])[..., [0, 2]], most ** (-1 / 2))
+        still = np.column_stack([X, np.full(len(X), 3.0)])
+        np.testing.assert_allclose(self.smallest(still, Y)[..., :3], most ** (-1 / 3))
+
+    def test_is_never_below_the_bound_of_other_kernels(self, data):
+        X, Y = data
+        other = ConvolvedGaussian(0).initialize(X, Y, 0).length_scale_bounds[..., 0] / X.std(axis=0)
+        np.testing.assert_allclose(other, 0.05)
+        np.testing.assert_allclose(self.smallest(X, Y, regressors=[0])[..., 0], 0.05)
+
+    def test_counts_at_most_400_samples(self):
+        X = np.random.default_rng(0).normal(size=(900, 9))
+        np.testing.assert_allclose(self.smallest(X, X[:, :2]), 400 ** (-1 / 9))
+
+    def test_single_fits_and_the_tied_start_keep_to_it(self, data):
+        kernel = ConvolvedGaussian(1, length_scale_bounds="spacing")
+        assert kernel.single_output().length_scale_bounds == kernel.coarse().length_scale_bounds == "spacing"
+
+    def test_a_kernel_with_values_has_the_bounds_of_one_without_data(self):
+        values = {"amplitude": [[1.0]], "length_scale": [[[2.0]]]}
+        free, spaced = (ConvolvedGaussian(0, **values, length_scale_bounds=given) for given in (None, "spacing"))
+        np.testing.assert_array_equal(spaced.bounds, free.bounds)
 
 
 class TestRefused:

@@ -355,10 +355,10 @@ class PortableModel:
             basis, readout = self._basis(Z, i), self.readouts[k]
             mean[:, i] = trend @ self.trend_weights[i] + basis @ readout.weights
             if return_std:
-                std[:, i] = self.deviation(i, trend, basis @ readout.root)
+                std[:, i] = self._deviation(i, trend, basis @ readout.root)
         return self.center + self.output_scale * mean, self.deviation_scale * std
 
-    def deviation(self, i: int, trend: Matrix, half: Matrix) -> Vector:
+    def _deviation(self, i: int, trend: Matrix, half: Matrix) -> Vector:
         """Return the scaled deviation (n,) of output i, of the trend's basis p (n, d + 1) and of U^T g, (n, k)."""
         prior = self.prior_variance[i] + ((trend * self.trend_scale[i]) ** 2).sum(axis=1)
         whole = trend @ self.trend_roots[i]

@@ -123,7 +123,7 @@ class _Output:
         self.p = model._trend(check)
         self.truth = self._predicted(*_readout(readout, model._basis(check, i)))
         p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, i))
-        weight = 1 / model.deviation(i, p, half)[:, None]
+        weight = 1 / model._deviation(i, p, half)[:, None]
         self.blocks = [block for block in model.blocks if block.output == i]
         candidates = self._candidates()
         g = weight * self._functions(Z, candidates)
@@ -168,7 +168,7 @@ class _Output:
 
     def _predicted(self, mean: Vector, half: Matrix) -> tuple[Vector, Vector]:
         """Return scaled mean and deviation at the points to check at, from what the functions add to mean and root."""
-        return self.p @ self.v + mean, self.model.deviation(self.i, self.p, half)
+        return self.p @ self.v + mean, self.model._deviation(self.i, self.p, half)
 
     def _fit(self, number: int) -> _Fit:
         n, size = self.p.shape[1], self.sizes[number]

@@ -194,7 +194,7 @@ class TestValidate:
 
 class TestSimulate:
     def test_a_trim_stays(self, run, tmp_path):
-        said = run("simulate", "--trim", "35", "--altitude", "200", "--duration", "1", "--paths", "5")
+        said = run("simulate", "--trim", "35", "--altitude", "200", "--duration", "1", "--paths", "30")
         expected = {"trajectory.csv", "bands.csv", "trajectory.png", "simulation.json", "config.toml"}
         assert files(tmp_path / "out") == expected
         assert (tmp_path / "out" / "trajectory.png").read_bytes().startswith(b"\x89PNG")

@@ -147,7 +147,8 @@ class TestIdentify:
         train = ["lateral.csv", "latlon.csv"]
         assert identify("--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
         printed = capsys.readouterr().out.splitlines()
-        regressor = DependentGPRegressor(n_latent=1, max_iter=3, input_noise="learned", random_state=0)
+        learns = {"input_noise": "learned", "length_scale_bounds": "spacing"}
+        regressor = DependentGPRegressor(n_latent=1, max_iter=3, random_state=0, **learns)
         options = {"samples": 40, "horizons": [1.0], "regressor": regressor}
         with warnings.catch_warnings():
             warnings.simplefilter("default")

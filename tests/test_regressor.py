@@ -389,6 +389,22 @@ def test_sharing_helps_where_an_output_is_rarely_observed():
     assert np.median(ratios) < 0.5
 
 
+def test_smallest_widths_reach_the_fit():
+    """White noise in six regressors: a free search takes it for a process of tiny widths, a bounded one cannot."""
+    rng = np.random.default_rng(0)
+    X, Y = rng.normal(size=(200, 6)), rng.normal(size=(200, 2))
+    found = {}
+    for bounds in (None, "spacing", (0.7, 10.0)):
+        model = DependentGPRegressor(
+            n_latent=0, trend="constant", length_scale_bounds=bounds, max_iter=30, random_state=0
+        )
+        own = np.einsum("kkd->kd", model.fit(X, Y).kernel_.length_scale)  # of each output, by its own process
+        found[bounds] = (own / X.std(axis=0)).min() if bounds != (0.7, 10.0) else own.min()
+    assert found[None] < 0.3
+    assert found["spacing"] >= 200 ** (-1 / 6) * (1 - 1e-9)
+    assert found[0.7, 10.0] >= 0.7 * (1 - 1e-9)
+
+
 class TestInterrupted:
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     @pytest.mark.parametrize("restarts", [0, 2])

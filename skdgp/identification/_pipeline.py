@@ -39,7 +39,7 @@ LEAST_ROWS, MOST_ROWS = 5, 20000
 LEARNS = {"structure": "auto", "input_noise": "learned", "early_stopping": True, "length_scale_bounds": "spacing"}
 """What the default regressor has."""
 SMOOTH = {"length_scale_prior": "auto", "n_latent": 2}
-"""What it also has for gusty flights; else None."""
+"""What it also has for gusty flights; for others these are None."""
 
 
 def make_identification_pipeline(
@@ -144,8 +144,9 @@ def make_identification_pipeline(
 def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPRegressor:
     """Return the regressor that pipelines and the command line learn with, with some parameters changed.
 
-    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure. No width is smaller
-    than the spacing of the samples. ``parameters`` are those of :class:`skdgp.DependentGPRegressor`.
+    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure. Its smallest width
+    follows from the number of samples (``length_scale_bounds="spacing"``). ``parameters`` are those of
+    :class:`skdgp.DependentGPRegressor`.
 
     What gusts leave in the targets looks like a function of very small width. So with ``gusty``, as of
     :class:`FlightPipeline`, a prior stands against these (``length_scale_prior="auto"``), and outputs share two

@@ -202,6 +202,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self._value("length_scale").shape[2]
 
     def _widths_from_data(self):
+        """Return whether the bounds on the widths are to be found, not given."""
         given = self.length_scale_bounds
         return given is None or (isinstance(given, str) and given == SPACING)
 
@@ -224,10 +225,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             if params[name] is not None:
                 params[name] = as_shape(name, params[name], shape)
         start = starting_values(feeds, X, Y, random_state, width_factor)
-        if self._widths_from_data():
-            if params["length_scale_bounds"] is not None:
-                smallest = start["length_scale_bounds"][..., 0]
-                np.maximum(smallest, spacing(X, Y, ~others) * column_scale(X), out=smallest)
+        if params["length_scale_bounds"] is not None and self._widths_from_data():  # "spacing"
+            smallest = start["length_scale_bounds"][..., 0]
+            np.maximum(smallest, spacing(X, Y, ~others) * column_scale(X), out=smallest)
             params["length_scale_bounds"] = None
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)

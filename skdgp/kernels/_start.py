@@ -10,14 +10,14 @@ from skdgp._compute.linalg import column_scale, constant_columns, output_scale
 TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
 SHARED_VARIANCE = 0.1  # part of an output's variance that starts in the shared latents, if it has a private latent
 WIDTHS = 0.05, 1e3  # bounds, over the standard deviation of the regressor
-MOST_COUNTED = 400  # samples: searches learn widths from a few hundred, however long the log
+MOST_COUNTED = 400  # samples for the smallest width: searches learn from a few hundred, however long the log
 
 
 def spacing(X, Y, matters):
-    """Return n^(-1/d), d of the columns of X that matter and are not constant, n of the samples of Y (n, P).
+    """Return the smallest width n^(-1/d) for samples X (rows, columns) and targets Y (rows, P), NaN allowed.
 
-    n is that of the most observed output, at most ``MOST_COUNTED``: samples that are spread evenly over d regressors
-    are 3.5 times as far apart, in standard deviations.
+    n are the samples of the most observed output, at most ``MOST_COUNTED``, d the regressors that ``matters`` marks and
+    that are not constant. n samples spread evenly over d regressors are 3.5 times as far apart, in their deviations.
     """
     n_axes = max(1, int(np.sum(matters & ~constant_columns(X))))
     n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, MOST_COUNTED)
@@ -47,7 +47,7 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     spread[shared] = np.geomspace(2.0, 0.8, n_shared)
     lengths = width_factor * np.sqrt(d) * spread[:, None, None] * x_scale
     lengths = lengths * np.exp(0.1 * shared[:, None, None] * rng.normal(size=(M, 1, d)))
-    bounds = np.stack([WIDTHS[0] * x_scale, WIDTHS[1] * x_scale], axis=-1)
+    bounds = np.multiply.outer(x_scale, WIDTHS)
     return {
         "amplitude": amplitude,
         "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),

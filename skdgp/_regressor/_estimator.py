@@ -595,10 +595,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         r"""Return errors of the slopes that the posterior does not contain, from the samples of the fit.
 
         ``random``: errors correlated between neighbouring samples and between outputs, of a polynomial of second order,
-        :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the scatter of the slopes
-        of this model and of two polynomials: of the half of the samples that move least, and of all of them with past
-        regressors as instruments; and what third powers change. Polynomials are of second order where the half has 5
-        samples for each term, else of first. Rows must be in the order of the log.
+        :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the difference d of the
+        slopes of this model to those of a polynomial with past regressors as instruments, which the noise of now cannot
+        have moved, counted as :math:`d^2 / \sqrt{d^2 + s^2}`, s being the standard deviation of the latter; and what
+        third powers change. Polynomials are of second order where there are 10 samples for each term,
+        else of first. Rows must be in the order of the log.
 
         Parameters
         ----------

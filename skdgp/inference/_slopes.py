@@ -2,10 +2,9 @@
 
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
-the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: of
-the half of the samples with the smallest motion, where slopes are flattest; of all samples with past regressors as
-instruments, which do not correlate with the present error; and with third powers, since a smooth prior takes the mean
-slope of what saturates on both sides, as polynomials of second order do.
+the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: with
+past regressors as instruments, which do not correlate with the present error; and with third powers, since a smooth
+prior takes the mean slope of what saturates on both sides, as polynomials of second order do.
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ from skdgp.inference._likelihood import Data
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
-FEWEST = 5  # smallest number of samples for each weight of a polynomial
-QUIET = 0.5  # share of the samples, those nearest to the mean, of the quiet polynomial
+FEWEST = 10  # smallest number of samples for each weight of a polynomial
 DELAYS = (2, 4, 6)  # of the regressors that are instruments, in autocorrelation times of the errors
 SINGULAR = 1e-10  # share of the largest eigenvalue below which instruments count as equal
 
@@ -35,7 +33,7 @@ class SlopeErrors(NamedTuple):
     random: Array
     """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks)."""
     method: Array
-    """Differences of the posterior and two polynomials from their mean, and that by third powers, (n, P, d, 4)."""
+    """Difference to a polynomial with instruments, as far as it is no chance, and by third powers, (n, P, d, 2)."""
     white: Array
     """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
     n_samples: int
@@ -92,7 +90,7 @@ def function_errors(posterior: Any) -> FunctionErrors | None:
     centre, scale = data.X[0].mean(axis=0), column_scale(data.X[0])
     weights = np.zeros((BLOCKS, _parabola(data.X[0][:1]).shape[1], len(data.y)))
     for k, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
-        basis = _basis_for(QUIET * len(x), x.shape[1])
+        basis = _basis_for(len(x), x.shape[1])
         if basis is None:
             return None
         errors = _Polynomial(basis, (x - centre) / scale, y).errors  # a line has the first terms of a parabola
@@ -112,8 +110,10 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
 
     The polynomial of all samples has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
     and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
-    whatever the correlation within a block and between outputs (Liang & Zeger 1986). Where a posterior has learned
-    from other samples than those ``measured``, such as mirrored ones, polynomials are of the measured ones.
+    whatever the correlation within a block and between outputs (Liang & Zeger 1986). A difference d to the polynomial
+    with instruments, whose slope has the standard deviation s, counts as :math:`d^2 / \sqrt{d^2 + s^2}`: of its square,
+    the share :math:`d^2 / (d^2 + s^2)` is more than chance. Where a posterior has learned from other samples than those
+    ``measured``, such as mirrored ones, polynomials are of the measured ones.
     """
     data = _measured(posterior)
     if data is None:
@@ -124,30 +124,28 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     polynomials, errors, white = zip(*parts, strict=True)
     n_blocks = max(error.shape[-1] for error in errors)
     random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
-    *others, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
-    slopes = np.stack([posterior.gradient(X), *others], axis=-1)
-    scatter = (slopes - slopes.mean(axis=-1, keepdims=True)) / np.sqrt(slopes.shape[-1] - 1)
-    method = np.concatenate([scatter, third[..., None] / np.sqrt(2)], axis=-1)
+    instrumented, std, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
+    flat = posterior.gradient(X) - instrumented
+    flat = np.divide(flat**2, np.hypot(flat, std), out=np.zeros_like(flat), where=flat != 0)
+    method = np.stack([flat, third / np.sqrt(2)], axis=-1)
     return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))
 
 
 def _of_output(x, y, X):
     """Return slopes by polynomials (n, d, 3), the error (n, d, n_blocks) of that of all samples, its white std.
 
-    The slopes are those of the quiet half, those by instruments, and what third powers change of those of all samples.
+    The slopes are those by instruments, their standard deviation, and what third powers change of those of all samples.
     """
-    basis = _basis_for(QUIET * len(x), x.shape[1])
+    basis = _basis_for(len(x), x.shape[1])
     if basis is None:
         return None
     centre, scale = x.mean(axis=0), column_scale(x)
     z, at = (x - centre) / scale, (X - centre) / scale
-    distance = np.einsum("ni,ij,nj->n", z, np.linalg.pinv(np.cov(z.T).reshape(2 * z.shape[1:]), hermitian=True), z)
-    quiet = distance <= np.quantile(distance, QUIET)
     every, Q = _Polynomial(basis, z, y), basis(z)
-    rest = y - Q @ every.weights  # so that slopes are those of all samples where the others do not determine them
-    changes = _Polynomial(basis, z[quiet], rest[quiet]).weights, _instrumented(Q, rest)
-    slopes = _slopes_of(basis, at) @ (every.weights[:, None] + np.stack(changes, axis=-1))
-    slopes = np.concatenate([slopes, _third(basis, z, rest, at)[..., None]], axis=-1)
+    rest = y - Q @ every.weights  # so that slopes are those of all samples where instruments do not determine them
+    (change, scatter), slopes_of = _instrumented(Q, rest), _slopes_of(basis, at)
+    std = np.linalg.norm(slopes_of @ scatter.T, axis=-1)
+    slopes = np.stack([slopes_of @ (every.weights + change), std, _third(basis, z, rest, at)], axis=-1)
     error, white = every.error(at)
     return slopes / scale[:, None], error / scale[:, None], white / scale
 
@@ -166,19 +164,33 @@ def _basis_for(n, d):
 
 
 def _instrumented(Q, y):
-    """Return weights of y (n,) by two-stage least squares, instruments being earlier rows of the terms Q (n, m).
+    """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
 
-    They are earlier by more than the errors ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1): an
-    error that causes motion, such as that of a gust, correlates with present regressors, and so biases least squares.
+    Instruments are earlier rows of the terms Q (n, m), by more than the errors ``y`` of least squares last (Soderstrom
+    & Stoica 1989, section 8.1): an error that causes motion, such as that of a gust, correlates with present
+    regressors, and so biases least squares.
     """
     lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]
-    past, now = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS], Q[first:]
+    past, now, y = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS], Q[first:], y[first:]
     between = np.block([[one.T @ other for other in past] for one in past])
-    with_now = np.vstack([one.T @ now for one in past])
-    projected = with_now.T @ np.linalg.pinv(between, rcond=SINGULAR, hermitian=True)
-    right = projected @ np.concatenate([one.T @ y[first:] for one in past])
-    return np.linalg.pinv(projected @ with_now, rcond=SINGULAR, hermitian=True) @ right
+    by_past = np.linalg.pinv(between, rcond=SINGULAR, hermitian=True) @ np.vstack([one.T @ now for one in past])
+    expected = sum(one @ part for one, part in zip(past, np.split(by_past, len(past)), strict=True))
+    inverse = np.linalg.pinv(expected.T @ now, rcond=SINGULAR, hermitian=True)
+    weights = inverse @ (expected.T @ y)
+    rest = y - now @ weights
+    scores = np.array([expected[rows].T @ rest[rows] for rows in _blocks(len(y))])
+    return weights, _errors(scores, inverse)
+
+
+def _blocks(n):
+    """Return the rows of blocks of consecutive samples."""
+    return np.array_split(np.arange(n), int(np.clip(n // BLOCK_ROWS, 2, BLOCKS)))
+
+
+def _errors(scores, inverse):
+    """Return the errors of weights by block (n_blocks, m), from sums over its terms times residuals."""
+    return scores @ inverse * np.sqrt(len(scores) / (len(scores) - 1))
 
 
 class _Polynomial:
@@ -186,15 +198,13 @@ class _Polynomial:
 
     def __init__(self, basis: Any, z: Matrix, y: Array) -> None:
         self.basis = basis
-        blocks = np.array_split(np.arange(len(y)), int(np.clip(len(y) // BLOCK_ROWS, 2, BLOCKS)))
-        sums = [(Q.T @ Q, Q.T @ y[rows], y[rows] @ y[rows]) for rows in blocks for Q in [basis(z[rows])]]
+        sums = [(Q.T @ Q, Q.T @ y[rows], y[rows] @ y[rows]) for rows in _blocks(len(y)) for Q in [basis(z[rows])]]
         self.outer, self.inner, square = (np.array(part) for part in zip(*sums, strict=True))
         self.inverse = np.linalg.pinv(self.outer.sum(axis=0), hermitian=True)
         self.weights = self.inverse @ self.inner.sum(axis=0)
         left = square.sum() - self.weights @ self.inner.sum(axis=0)
         self.variance = max(float(left), 0.0) / max(len(y) - len(self.weights), 1)
-        scores = self.inner - self.outer @ self.weights
-        self.errors = scores @ self.inverse * np.sqrt(len(scores) / (len(scores) - 1))  # of the weights, by block
+        self.errors = _errors(self.inner - self.outer @ self.weights, self.inverse)  # of the weights, by block
 
     def error(self, at: Matrix) -> tuple[Array, Array]:
         """Return the error of the slopes (n, d, n_blocks), and its deviation (n, d) if samples were independent."""

@@ -15,6 +15,13 @@ def slopes_at(fit):
     return _slopes_of(fit.basis, AT) @ fit.weights
 
 
+def instrumented(x, y):
+    """Return weights of a parabola by least squares and with instruments, and errors of the latter by block."""
+    weights = _Polynomial(_parabola, x, y).weights
+    change, errors = _instrumented(_parabola(x), y - _parabola(x) @ weights)
+    return weights, weights + change, errors
+
+
 def wandering(rng, shape, memory):
     rho = np.exp(-1 / memory) if memory else 0.0
     return lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(size=shape), axis=0)
@@ -72,14 +79,20 @@ def test_of_a_straight_line_all_methods_agree(log):
     assert np.abs(model.slope_errors(log[0][:1]).method).max() < 1e-5
 
 
-def test_a_control_that_rests_in_the_quiet_half_keeps_its_slope(log):
-    """Doublets from trim: the quiet half says nothing about the control, not that it has no effect."""
-    rng, n = np.random.default_rng(4), 600
+def test_what_instruments_hardly_know_counts_less_than_they_scatter():
+    """Short doublets in white noise, whose past says little: least squares is right, instruments scatter widely."""
+    rng, n, counted, found, stated = np.random.default_rng(4), 600, [], [], []
     step = np.arange(n) % 60 // 3
-    x = np.column_stack([wandering(rng, n, 5), 0.1 * (step == 0) - 0.1 * (step == 1)])
-    model = DependentGPRegressor(structure="trend").fit(x, x @ [0.05, -0.3] + 0.01 * rng.normal(size=n))
-    errors = model.slope_errors(x[:1])
-    assert np.abs(errors.method[0, 0, 1]).max() < 2 * np.sqrt(np.sum(errors.random[0, 0, 1] ** 2)) < 0.1
+    for _ in range(20):
+        x = np.column_stack([wandering(rng, n, 5), 0.1 * (step == 0) - 0.1 * (step == 1)])
+        y = x @ [0.05, -0.3] + 0.01 * rng.normal(size=n)
+        model = DependentGPRegressor(structure="trend", optimizer=None).fit(x, y)
+        counted.append(model.slope_errors(np.zeros((1, 2))).method[0, 0, 1, 0])
+        _, weights, errors = instrumented(x, y)
+        found.append(weights[2])
+        stated.append(np.sum(errors[:, 2] ** 2))
+    assert np.sqrt(np.mean(stated)) == pytest.approx(np.std(found), rel=0.4)
+    assert np.sqrt(np.mean(np.square(counted))) < 0.85 * np.std(found)
 
 
 def test_third_powers_tell_the_slope_of_what_saturates():
@@ -104,17 +117,32 @@ def test_none_without_samples_enough(log, model):
     assert slope_errors(compact.posterior_, AT) is None
 
 
-@pytest.mark.parametrize("every", [1, 2])
-def test_past_regressors_tell_the_damping_that_gusts_flatten(every):
-    """A load turns the rate, so its lasting error, as of a gust, is in the rate: least squares finds too little."""
+def flown_in_gusts():
+    """Return rate and stick, and a load of -1 times the rate, the stick and a gust, (9000, 2) and (9000,).
+
+    The load turns the rate, so its lasting error is in the rate, and least squares finds too little damping.
+    """
     rng = np.random.default_rng(3)
     gust, stick, rate = wandering(rng, 9000, 1.5), wandering(rng, 9000, 20), np.zeros(9000)
     for t in range(1, 9000):
         rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
-    x, load = np.column_stack([rate, stick])[::every], (-rate + stick + gust)[::every]
-    flat = _Polynomial(_parabola, x, load).weights
-    found = flat + _instrumented(_parabola(x), load - _parabola(x) @ flat)
+    return np.column_stack([rate, stick]), -rate + stick + gust
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_past_regressors_tell_the_damping_that_gusts_flatten(every):
+    x, load = flown_in_gusts()
+    flat, found, _ = instrumented(x[::every], load[::every])
     assert abs(found[1] + 1) < 0.5 * abs(flat[1] + 1)
+
+
+def test_deviation_by_method_holds_what_gusts_take_from_the_damping():
+    x, load = flown_in_gusts()
+    model = DependentGPRegressor(structure="trend").fit(x, load)
+    missing = abs(model.predict_gradient(x[:1] * 0)[0, 0] + 1)
+    posterior_alone = model.predict_gradient(x[:1] * 0, return_std=True)[1][0, 0]
+    assert missing > 4 * posterior_alone
+    assert 0.5 * missing < model.slope_errors(x[:1] * 0).method[0, 0, 0, 0] < 1.5 * missing
 
 
 class TestFunctionErrors:

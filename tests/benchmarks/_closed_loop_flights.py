@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from _jsbsim_flight import FOOT, aircraft_of, started
-from _study_flights import SOURCES, SURFACES, Log, _c172p_table, _example_log
+from _study_flights import SOURCES, SURFACES, Log, _example_log, jsbsim_table
 
 from skdgp.datasets._brumby import BRUMBY
 from skdgp.datasets._example_flights import _columns
@@ -194,7 +194,7 @@ def _flown_jsbsim(
     log = time >= 0
     table = pd.DataFrame(rows, columns=[*SOURCES])[log]
     name = "-".join(map(str, seed))
-    return _c172p_table(table, time[log], name, command[log], aircraft_of(fdm, model))
+    return jsbsim_table(table, time[log], name, command[log], aircraft_of(fdm, model))
 
 
 @lru_cache

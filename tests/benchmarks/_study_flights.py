@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,7 +122,9 @@ def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
 
 WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
 """[kt], MIL-F-8785C as JSBSim flies it."""
-HEIGHT, SPEED = 274.0, 100.0  # above the ground [m], calibrated [kt]
+HEIGHT = 274.0  # above the ground [m]
+KNOTS = {"c172p": 100.0, "c182": 100.0, "t6texan2": 150.0, "T37": 200.0}
+"""Calibrated airspeed of aircraft of JSBSim. On the last two nothing was chosen."""
 FRAMES = 6  # of JSBSim per row; controls change at each of them: held longer, they would lag behind the logged loads
 SETTLING = 10.0  # s before the log
 SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
@@ -145,18 +148,12 @@ SOURCES = {  # property and factor to SI; forces and moments in newtons
 }
 
 
-def c182_subject(seeds: int, duration: float) -> Subject:
-    """Return JSBSim's Cessna 182, for judging what was chosen on the other two."""
-    return c172p_subject(seeds, duration, "c182")
-
-
-def c172p_subject(seeds: int, duration: float, name: str = "c172p") -> Subject:
-    """Return JSBSim's Cessna 172; its derivatives are those of third order on exact regressors of all flights."""
-    test, aircraft = _c172p_log(2, "calm", 0, duration, name)
+def jsbsim_subject(name: str, seeds: int, duration: float) -> Subject:
+    """Return an aircraft of JSBSim; its derivatives are those of third order on exact regressors of all flights."""
+    fly = partial(_jsbsim_log, name, duration)
+    test, aircraft = fly(2, "calm", 0)
     seeded = {air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()}
-    flown = {
-        (air, seed): _c172p_log(1, air, seed, duration, name)[0] for air, all_of in seeded.items() for seed in {*all_of}
-    }
+    flown = {(air, seed): fly(1, air, seed)[0] for air, all_of in seeded.items() for seed in {*all_of}}
     logs = {air: [flown[air, seed] for seed in all_of] for air, all_of in seeded.items()}
     felt = np.concatenate([log.exact for log in flown.values()])
     felt[:, ROTATION] -= np.concatenate([log.gust for log in flown.values()])
@@ -175,10 +172,10 @@ def slopes_of_third_order(X: np.ndarray, Y: np.ndarray, at: np.ndarray) -> np.nd
     return np.linalg.lstsq(outer, inner, rcond=1e-13)[0][1 : X.shape[1] + 1].T / scale
 
 
-def _c172p_log(number: int, air: str, seed: int, duration: float, model: str) -> tuple[Log, Aircraft]:
+def _jsbsim_log(model: str, duration: float, number: int, air: str, seed: int) -> tuple[Log, Aircraft]:
     """Return a flight with the manoeuvres of a plan of the example flights, held level or in slow turns."""
     plan, fdm = FLIGHT_PLANS[number], started(model, 40 * FRAMES)
-    fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, SPEED
+    fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, KNOTS[model]
     fdm.run_ic()
     fdm["propulsion/set-running"] = -1
     fdm["simulation/do_simple_trim"] = 1
@@ -210,10 +207,10 @@ def _c172p_log(number: int, air: str, seed: int, duration: float, model: str) ->
     time, command = time[FRAMES - 1 :: FRAMES], command[FRAMES - 1 :: FRAMES]
     aircraft, log = aircraft_of(fdm, model), time >= 0
     table = pd.DataFrame(rows, columns=[*SOURCES])[log]
-    return _c172p_table(table, time[log], plan.name, command[log], aircraft), aircraft
+    return jsbsim_table(table, time[log], plan.name, command[log], aircraft), aircraft
 
 
-def _c172p_table(table: pd.DataFrame, time: np.ndarray, name: str, command: np.ndarray, aircraft: Aircraft) -> Log:
+def jsbsim_table(table: pd.DataFrame, time: np.ndarray, name: str, command: np.ndarray, aircraft: Aircraft) -> Log:
     table = table.reset_index(drop=True)
     table[[f"a{axis}_true" for axis in "xyz"]] /= aircraft.mass
     scale = 0.5 * table["density"].to_numpy() * table["airspeed_true"].to_numpy() ** 2 * aircraft.wing_area

@@ -16,7 +16,7 @@ another path, derivatives at a trim. A case says which causes of error the train
 From one case to the next of a chain one cause is added; the rise of the squared error, split into squared bias and
 variance over the seeds, is that cause's part. ``--processes`` seeds are learned by the default and the model for
 other air, ``--others`` by other dependent processes, all ``--seeds`` by linear methods. Each fit is kept under
-OUT/study and not done again. The c172p and the c182 need the jsbsim wheel.
+OUT/study and not done again. Aircraft of JSBSim need the jsbsim wheel.
 """
 
 from __future__ import annotations
@@ -464,7 +464,7 @@ def study(subject, options, folder):
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", default="example", choices=["example", "c172p", "c182", "viggen"])
+    parser.add_argument("--aircraft", default="example", choices=["example", *flights.KNOTS, "viggen"])
     parser.add_argument("--data", help="folder of the shared flights, for the viggen")
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
     parser.add_argument("--processes", type=int, default=3, help="of them, for the default and gusty=True")
@@ -486,8 +486,8 @@ def main(words=None):
     folder = options.out / "study" if options.out and not options.smoke else None
     name = options.aircraft
     flown = max(options.seeds, options.trends)
-    make = partial(getattr(flights, f"{name}_subject"), flown, options.duration)
-    subject = kept(folder, f"{name}-{flown}", make)
+    subject_of = flights.example_subject if name == "example" else partial(flights.jsbsim_subject, name)
+    subject = kept(folder, f"{name}-{flown}", partial(subject_of, flown, options.duration))
     results, seen = study(subject, options, folder)
     parts = [*parts_table(results, "default"), *parts_table(results, "least squares", ["quasi-steady"])]
     finish(

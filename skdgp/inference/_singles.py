@@ -18,6 +18,7 @@ from skdgp.inference._rows import stratified
 SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
 WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
 TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
+TOLERANCE = 1e-4  # rise of the likelihood, as a fraction, below which an iteration is the last: only a start is sought
 
 
 class Singles(NamedTuple):
@@ -80,7 +81,7 @@ def fit_singles(
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
     long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
     """
-    search = partial(maximize, optimizer=optimizer, stop=stop)
+    search = partial(maximize, optimizer=optimizer, stop=stop, tolerance=TOLERANCE)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
     outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
     trials = [output.try_widths(kernel, max_iter) for output in outputs]

@@ -3,8 +3,8 @@
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
 the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: with
-past regressors as instruments, which do not correlate with the present error; and with third powers, since a smooth
-prior takes the mean slope of what saturates on both sides, as polynomials of second order do.
+past regressors as instruments, which correlate less with the present error; and with third powers, since a smooth prior
+takes the mean slope of what saturates on both sides, as polynomials of second order do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from skdgp.inference._likelihood import Data
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
-FEWEST = 10  # smallest number of samples for each weight of a polynomial
+FEWEST, FEWEST_INSTRUMENTED = 10, 50  # smallest number of samples for each weight of a polynomial, with instruments
 DELAYS = (2, 4, 6)  # of the regressors that are instruments, in autocorrelation times of the errors
 SINGULAR = 1e-10  # share of the largest eigenvalue below which instruments count as equal
 
@@ -33,7 +33,7 @@ class SlopeErrors(NamedTuple):
     random: Array
     """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks)."""
     method: Array
-    """Difference to a polynomial with instruments, as far as it is no chance, and by third powers, (n, P, d, 2)."""
+    """Difference to a polynomial with instruments, less where these scatter, and by third powers, (n, P, d, 2)."""
     white: Array
     """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
     n_samples: int
@@ -110,10 +110,12 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
 
     The polynomial of all samples has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
     and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
-    whatever the correlation within a block and between outputs (Liang & Zeger 1986). A difference d to the polynomial
-    with instruments, whose slope has the standard deviation s, counts as :math:`d^2 / \sqrt{d^2 + s^2}`: of its square,
-    the share :math:`d^2 / (d^2 + s^2)` is more than chance. Where a posterior has learned from other samples than those
-    ``measured``, such as mirrored ones, polynomials are of the measured ones.
+    whatever the correlation within a block and between outputs (Liang & Zeger 1986).
+
+    A slope by instruments, of standard deviation s, differs by d, which counts as :math:`d |d| / \sqrt{d^2 + s^2}`: as d
+    where it is much larger than s, and as .8 s in root mean square where it is only chance. What instruments do not
+    determine, least squares does. Where a posterior has learned from other samples than those ``measured``, such as
+    mirrored ones, polynomials are of the measured ones.
     """
     data = _measured(posterior)
     if data is None:
@@ -126,8 +128,8 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
     instrumented, std, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
     flat = posterior.gradient(X) - instrumented
-    flat = np.divide(flat**2, np.hypot(flat, std), out=np.zeros_like(flat), where=flat != 0)
-    method = np.stack([flat, third / np.sqrt(2)], axis=-1)
+    share = np.divide(np.abs(flat), np.hypot(flat, std), out=np.zeros_like(flat), where=flat != 0)
+    method = np.stack([flat * share, third / np.sqrt(2)], axis=-1)
     return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))
 
 
@@ -143,9 +145,11 @@ def _of_output(x, y, X):
     z, at = (x - centre) / scale, (X - centre) / scale
     every, Q = _Polynomial(basis, z, y), basis(z)
     rest = y - Q @ every.weights  # so that slopes are those of all samples where instruments do not determine them
-    (change, scatter), slopes_of = _instrumented(Q, rest), _slopes_of(basis, at)
-    std = np.linalg.norm(slopes_of @ scatter.T, axis=-1)
-    slopes = np.stack([slopes_of @ (every.weights + change), std, _third(basis, z, rest, at)], axis=-1)
+    few = _basis_for(len(x), x.shape[1], FEWEST_INSTRUMENTED) or _line
+    change, scatter = _instrumented(few(z), rest)
+    std = np.linalg.norm(_slopes_of(few, at) @ scatter.T, axis=-1)
+    instrumented = _slopes_of(basis, at) @ every.weights + _slopes_of(few, at) @ change
+    slopes = np.stack([instrumented, std, _third(basis, z, rest, at)], axis=-1)
     error, white = every.error(at)
     return slopes / scale[:, None], error / scale[:, None], white / scale
 
@@ -157,10 +161,10 @@ def _third(basis, z, rest, at):
     return _slopes_of(basis, at) @ weights[:-d] + 3 * at**2 * weights[-d:]
 
 
-def _basis_for(n, d):
-    """Return the highest order of polynomials of d regressors that n samples determine, or None."""
+def _basis_for(n, d, fewest=FEWEST):
+    """Return the highest order of polynomials of d regressors with ``fewest`` samples for each weight, or None."""
     sizes = {_parabola: 1 + d + d * (d + 1) // 2, _line: 1 + d}
-    return next((basis for basis, size in sizes.items() if n >= FEWEST * size), None)
+    return next((basis for basis, size in sizes.items() if n >= fewest * size), None)
 
 
 def _instrumented(Q, y):
@@ -168,7 +172,8 @@ def _instrumented(Q, y):
 
     Instruments are earlier rows of the terms Q (n, m), by more than the errors ``y`` of least squares last (Soderstrom
     & Stoica 1989, section 8.1): an error that causes motion, such as that of a gust, correlates with present
-    regressors, and so biases least squares.
+    regressors, and so biases least squares. Part of the bias remains, the more the longer gusts last: least squares
+    hides some of them, and past gusts have moved the instruments.
     """
     lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]

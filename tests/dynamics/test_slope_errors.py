@@ -58,7 +58,7 @@ def test_sizes_are_shares_of_the_slopes_by_rates():
 
 
 def test_scatter_of_slopes_by_rates_leaves_those_by_lags_unknown():
-    """A Cm_q of zero that methods disagree on does not mean that Cm_alpha_dot is zero."""
+    """A Cm_q of zero with a deviation by method does not mean that Cm_alpha_dot is zero."""
     motion = Motion(LINEAR, BRUMBY, thrust=None)
     now, scatter = motion.at(state_of(), CONTROLS), np.zeros_like(SLOPES)
     scatter[4, 3], scatter[3, 3] = 0.16, 0.02

@@ -79,6 +79,29 @@ def test_of_a_straight_line_all_methods_agree(log):
     assert np.abs(model.slope_errors(log[0][:1]).method).max() < 1e-5
 
 
+def test_errors_by_method_have_a_sign(log, model):
+    """An output and its negative err to opposite sides, as their sum has no error; so does a reversed regressor."""
+    x, y = log[0], log[1][:, :1] + log[0][:, :1] ** 2
+    both = DependentGPRegressor(structure="trend").fit(x, np.hstack([y, -y])).slope_errors(x[:3]).method
+    assert np.abs(both).min() > 1e-6
+    assert both[:, 0] == pytest.approx(-both[:, 1], rel=1e-6)
+    alone, turned = (
+        DependentGPRegressor(structure="trend").fit(x * sign, y).slope_errors(x[:3] * sign).method
+        for sign in ([1.0, 1.0], [-1.0, 1.0])
+    )
+    assert turned == pytest.approx(alone * np.array([[-1.0], [1.0]]), rel=1e-6)
+
+
+def test_difference_to_instruments_counts_by_how_well_they_know(log):
+    """d |d| / sqrt(d^2 + s^2), at a point off the middle and of regressors of different sizes."""
+    x, y = log[0], log[0][:, 0] ** 2 + log[1][:, 0]
+    model, at = DependentGPRegressor(structure="trend").fit(x, y), np.array([[0.7, 12.0]])
+    _, weights, errors = instrumented(x, y)
+    d = model.predict_gradient(at)[0] - (_slopes_of(_parabola, at) @ weights)[0]
+    s = np.sqrt(np.sum((_slopes_of(_parabola, at) @ errors.T) ** 2, axis=-1))[0]
+    assert model.slope_errors(at).method[0, 0, :, 0] == pytest.approx(d * np.abs(d) / np.hypot(d, s), rel=1e-4)
+
+
 def test_what_instruments_hardly_know_counts_less_than_they_scatter():
     """Short doublets in white noise, whose past says little: least squares is right, instruments scatter widely."""
     rng, n, counted, found, stated = np.random.default_rng(4), 600, [], [], []
@@ -117,23 +140,24 @@ def test_none_without_samples_enough(log, model):
     assert slope_errors(compact.posterior_, AT) is None
 
 
-def flown_in_gusts():
+def flown_in_gusts(memory=1.5):
     """Return rate and stick, and a load of -1 times the rate, the stick and a gust, (9000, 2) and (9000,).
 
     The load turns the rate, so its lasting error is in the rate, and least squares finds too little damping.
     """
     rng = np.random.default_rng(3)
-    gust, stick, rate = wandering(rng, 9000, 1.5), wandering(rng, 9000, 20), np.zeros(9000)
+    gust, stick, rate = wandering(rng, 9000, memory), wandering(rng, 9000, 20), np.zeros(9000)
     for t in range(1, 9000):
         rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
     return np.column_stack([rate, stick]), -rate + stick + gust
 
 
-@pytest.mark.parametrize("every", [1, 2])
-def test_past_regressors_tell_the_damping_that_gusts_flatten(every):
-    x, load = flown_in_gusts()
+@pytest.mark.parametrize(("memory", "every", "left"), [(1.5, 1, 0.5), (1.5, 2, 0.5), (3.0, 1, 0.65)])
+def test_past_regressors_tell_the_damping_that_gusts_flatten(memory, every, left):
+    """Of gusts that last longer, more of the bias is left; instruments one row earlier would leave .76 of the last."""
+    x, load = flown_in_gusts(memory)
     flat, found, _ = instrumented(x[::every], load[::every])
-    assert abs(found[1] + 1) < 0.5 * abs(flat[1] + 1)
+    assert abs(found[1] + 1) < left * abs(flat[1] + 1)
 
 
 def test_deviation_by_method_holds_what_gusts_take_from_the_damping():

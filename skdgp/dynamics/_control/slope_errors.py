@@ -5,7 +5,7 @@ gives their effect to the regressors that they follow from. With :math:`\dot\alp
 of the model cause without gravity, a slope by x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives
 :math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
 :math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of :math:`C_r` for beta_dot.
-The square of :math:`C_q` is that of the model plus its scatter over methods: where gusts make it vanish in the model,
+The square of :math:`C_q` is that of the model plus that of its deviation by method: where gusts make it vanish,
 :math:`C_{\dot\alpha}` need not vanish.
 """
 
@@ -46,7 +46,7 @@ class Lag(NamedTuple):
 def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0) -> Lag:
     """Return what alpha_dot and beta_dot may change at a flight, by the slopes (..., 6, d) of the model.
 
-    ``scatter`` is the standard deviation of these slopes over methods.
+    ``scatter`` is the standard deviation of these slopes by method.
     """
     velocity = air_velocity(now.airspeed, now.alpha, now.beta)
     pressure = 0.5 * now.density * now.airspeed**2 * motion.aircraft.wing_area / motion.aircraft.mass

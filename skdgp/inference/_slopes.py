@@ -112,7 +112,7 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
     whatever the correlation within a block and between outputs (Liang & Zeger 1986).
 
-    A slope by instruments, of standard deviation s, differs by d, which counts as :math:`d |d| / \sqrt{d^2 + s^2}`: as d
+    A slope by instruments, of standard deviation s, differs by d. It counts as :math:`d |d| / \sqrt{d^2 + s^2}`: as d
     where it is much larger than s, and as .8 s in root mean square where it is only chance. What instruments do not
     determine, least squares does. Where a posterior has learned from other samples than those ``measured``, such as
     mirrored ones, polynomials are of the measured ones.

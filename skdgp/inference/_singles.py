@@ -14,7 +14,6 @@ from skdgp.inference._likelihood import Data
 from skdgp.inference._objective import Objective, theta_bounds
 from skdgp.inference._optimize import maximize
 from skdgp.inference._rows import stratified
-from skdgp.kernels import Sum, Trend
 
 SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
 WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
@@ -82,7 +81,7 @@ def fit_singles(
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
     long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
     """
-    tolerance = TOLERANCE * max(1, _n_processes(kernel))
+    tolerance = TOLERANCE * max(1, kernel.n_processes)
     search = partial(maximize, optimizer=optimizer, stop=stop, tolerance=tolerance)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
     outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
@@ -98,10 +97,3 @@ def fit_singles(
         np.array([np.exp(optimum.theta[-k:]) for _, optimum in refined]).T.ravel(),
         sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
     )
-
-
-def _n_processes(kernel):
-    """Return the number of terms of a kernel that are no trends: many trade variance to the end, at little gain."""
-    if isinstance(kernel, Sum):
-        return _n_processes(kernel.k1) + _n_processes(kernel.k2)
-    return int(not isinstance(kernel, Trend))

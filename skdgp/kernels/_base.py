@@ -74,6 +74,11 @@ class MultiOutputKernel(Kernel):
     def n_features(self) -> int:
         """Number of regressors d."""
 
+    @property
+    def n_processes(self) -> int:
+        """Number of terms that are no trends, by default one."""
+        return 1
+
     # -- required methods ------------------------------------------------------------------------------
 
     @abstractmethod
@@ -410,6 +415,10 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def couples(self, i: int, j: int) -> bool:
         return self.k1.couples(i, j) or self.k2.couples(i, j)
+
+    @property
+    def n_processes(self) -> int:
+        return self.k1.n_processes + self.k2.n_processes
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         if not (self.k1.couples(i, j) and self.k2.couples(i, j)):

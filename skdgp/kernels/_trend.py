@@ -111,6 +111,10 @@ class Trend(MultiOutputKernel):
         return self._value("slope_scale").shape[0]
 
     @property
+    def n_processes(self) -> int:
+        return 0
+
+    @property
     def n_weights(self) -> int:
         """Number of weights of each output, K + 1."""
         return self._value("slope_scale").shape[1] + 1

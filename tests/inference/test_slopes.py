@@ -79,7 +79,7 @@ def test_of_a_straight_line_all_methods_agree(log):
     assert np.abs(model.slope_errors(log[0][:1]).method).max() < 1e-5
 
 
-def test_errors_by_method_have_a_sign(log, model):
+def test_errors_by_method_have_a_sign(log):
     """An output and its negative err to opposite sides, as their sum has no error; so does a reversed regressor."""
     x, y = log[0], log[1][:, :1] + log[0][:, :1] ** 2
     both = DependentGPRegressor(structure="trend").fit(x, np.hstack([y, -y])).slope_errors(x[:3]).method

@@ -48,9 +48,8 @@ def derivatives(run: Run) -> None:
     numbers = {"model": options.model, "axes": options.axes, "altitude": options.altitude}
     numbers["points"] = [_point(*point) for point in points]
     blocks = [_text(*point) for point in points]
-    if run.folder is not None:
-        run.write(_writers(trims, table, modes, numbers))
-        blocks.append(f"tables and pictures are in {run.folder.path}")
+    if written := run.write(_writers(trims, table, modes, numbers)):
+        blocks.append("wrote " + ", ".join(map(str, written)))
     run.print("\n\n".join(blocks), numbers)
 
 

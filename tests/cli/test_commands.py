@@ -368,7 +368,12 @@ class TestDerivatives:
         monkeypatch.setattr(_output, "find_spec", lambda name: None)
         words = ["--airspeed", "34", "35", "--paths", "0", "-o", str(tmp_path / "out")]
         assert main(["derivatives", path, *words]) == 0
-        assert "No picture: it needs pip install" in capsys.readouterr().err
+        said = capsys.readouterr()
+        assert "No picture: it needs pip install" in said.err
+        assert said.out.splitlines()[-1] == "wrote " + ", ".join(
+            str(tmp_path / "out" / name)
+            for name in ("derivatives.csv", "modes.csv", "trims.csv", "derivatives.json", "config.toml")
+        )
         assert "derivatives.png" not in files(tmp_path / "out")
 
 

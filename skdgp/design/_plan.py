@@ -36,10 +36,10 @@ class Plan:
         About the derivatives, without and with the plan.
     manoeuvres : DataFrame
         In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim, ``start`` [s],
-        ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (its amplitude relative to the limits), ``risk``
-        (predicted probability of leaving the envelope; NaN of a model without posterior), ``gain`` (by which part it
-        reduces the errors of the goal, on geometric average) and ``gain_per_second`` (of the logarithm of these
-        errors).
+        ``name``, ``duration`` [s], ``pause`` [s] after it (at most 3 s after the last one), ``scale`` (its amplitude
+        relative to the limits), ``risk`` (predicted probability of leaving the envelope; NaN of a model without
+        posterior), ``gain`` (by which part it reduces the errors of the goal, on geometric average) and
+        ``gain_per_second`` (of the logarithm of these errors).
     alone : DataFrame
         What each manoeuvre of the library would teach if it were repeated for the whole time: ``name``, ``scale``,
         ``risk`` (NaN: not simulated), ``gain``.
@@ -73,7 +73,7 @@ class Plan:
     @property
     def seconds(self) -> float:
         """Of all flights together, pauses included [s]."""
-        first = self.manoeuvres.groupby("train")["pause"].first()
+        first = self.manoeuvres.groupby("train")["start"].first()
         return float(first.sum() + self.manoeuvres[["duration", "pause"]].to_numpy().sum())
 
     @property

@@ -102,7 +102,7 @@ def plan(
     airspeeds : float or array-like
         Of the trims [m/s].
     seconds : float
-        Of all flights together, pauses included.
+        Of all flights together, pauses included; a flight ends 3 s after its last manoeuvre.
     axes : sequence of str
         Controls to move, such as ``["elevator", "aileron", "rudder"]``.
     goal : sequence of str, optional
@@ -215,7 +215,7 @@ class Manoeuvre:
 
     @property
     def seconds(self) -> float:
-        """Of the manoeuvre and the pause after it [s]."""
+        """Of the manoeuvre and a pause beside it [s]."""
         return duration_of(self.full) + self.pause
 
 
@@ -387,7 +387,7 @@ class Planner:
     def made(self, at: int, named: Mapping[str, Inputs]) -> list[Manoeuvre]:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
         pause = self.pauses[at]
-        named = {name: one for name, one in named.items() if duration_of(one) + 2 * pause <= self.seconds}
+        named = {name: one for name, one in named.items() if duration_of(one) + pause + min(pause, RESPONSE) <= self.seconds}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
             rest = {name: self._scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
@@ -422,8 +422,8 @@ class Planner:
         return float(-0.5 * np.mean(np.log(self.goal @ covariance.ravel())))
 
     def _fits(self, chosen: Sequence[Manoeuvre]) -> bool:
-        first = sum(self.pauses[at] for at in {one.at for one in chosen})
-        return first + sum(one.seconds for one in chosen) <= self.seconds + 1e-9
+        last = sum(min(self.pauses[at], RESPONSE) for at in {one.at for one in chosen})
+        return sum(one.seconds for one in chosen) + last <= self.seconds + 1e-9
 
     def _filled(self, chosen: list[Manoeuvre], library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
         """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
@@ -513,15 +513,15 @@ class Planner:
         flights: list[pd.DataFrame] = []
         for at in sorted({one.at for one in chosen}):
             here = [one for one in chosen if one.at == at]
-            start = pause = self.pauses[at]
-            trains.append(wavetrain([one.inputs for one in here], pause=pause, limits=self.limits))
-            for one in here:
+            start, pauses = self.pauses[at], [self.pauses[at]] * (len(here) - 1) + [min(self.pauses[at], RESPONSE)]
+            trains.append(wavetrain([one.inputs for one in here], pause=start, limits=self.limits))
+            for one, pause in zip(here, pauses, strict=True):
                 flights.append(one.flight.assign(flight=len(flights)))
                 gain = self._gain(chosen[: len(flights)]) - gained
                 gained += gain
                 rows.append({
                     "train": len(trains) - 1, "airspeed": self.trims[at].airspeed, "start": start, "name": one.name,
-                    "duration": one.seconds - pause, "pause": pause, "scale": one.scale, "risk": one.risk,
+                    "duration": duration_of(one.full), "pause": pause, "scale": one.scale, "risk": one.risk,
                     "gain": -np.expm1(-gain), "gain_per_second": gain / one.seconds,
                 })  # fmt: skip
                 start += one.seconds

@@ -171,7 +171,7 @@ def _headline(plan: Plan) -> str:
 def _entry(plan: Plan) -> str:
     axes = list(dict.fromkeys(name for one in plan.trims for name in one.controls))
     head = ["", *map(_heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes)), "pause<br>[s]"]
-    pauses = plan.manoeuvres.groupby("train")["pause"].first()
+    pauses = plan.manoeuvres.groupby("train")["start"].first()
     rows = [
         [
             _train(plan, k),

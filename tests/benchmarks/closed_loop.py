@@ -66,6 +66,7 @@ from skdgp.design import (
     three_two_one_one,
 )
 from skdgp.design._planner import Planner
+from skdgp.design._rehearsal import RESPONSE
 from skdgp.dynamics import Aerodynamics, SimulationWarning, aerodynamic_coefficients, as_aerodynamics, linearize
 
 KEPT = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
@@ -180,7 +181,7 @@ def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
     found = {}
     for name, manoeuvres in kinds.items():
         safe = [one for one in (_safe(planner, each) for each in manoeuvres) if one]
-        found[name], used = [], pause
+        found[name], used = [], min(pause, RESPONSE)
         for one in itertools.cycle(safe) if safe else ():
             used += max(signal.duration for signal in one.values()) + pause
             if used > seconds:

@@ -9,8 +9,9 @@ noise of the sensors. From each flight derivatives at its trim are estimated by 
 squares; predicted is their standard error, found their standard deviation. Columns:
 
     residuals of the model, noise of the motion
-                  the share of the 48 derivatives with predicted / found of .75 to 1.25, and the median of predicted /
-                  found, by the noise of the model's residuals, and by that at the frequencies of the motion
+                  the share of the 48 derivatives with predicted / found of .75 to 1.25, and predicted / found of the
+                  plan's goal, their geometric mean, by the noise of the model's residuals, and by that at the
+                  frequencies of the motion
     and curvature, and entries (plan)
                   unknown curvature too; and aircraft and entries that are drawn: errors after the plan
     regressors as flown
@@ -138,11 +139,11 @@ def toy() -> dict[str, Any]:
 
 
 def summary(name: str, air: str, found: dict[str, Any]) -> dict[str, Any]:
-    """Return for each way of predicting the share of ratios within 25 %, and their median."""
+    """Return for each way of predicting the share of ratios within 25 %, and their geometric mean."""
     row = {"aircraft": name, "air": air}
     for how, errors in found["predicted"].items():
         ratio = errors / found["found"]
-        row[how] = f"{100 * np.mean(np.abs(ratio - 1) <= 0.25):.0f} % ({np.median(ratio):.2f})"
+        row[how] = f"{100 * np.mean(np.abs(ratio - 1) <= 0.25):.0f} % ({np.exp(np.log(ratio).mean()):.2f})"
     return row
 
 

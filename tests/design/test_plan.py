@@ -123,13 +123,14 @@ def test_the_pause_is_a_quarter_of_the_phugoid(uav, airspeed):
     assert pause_of(10.0) == 3.0
 
 
-def test_the_response_counts_for_three_seconds_of_a_longer_pause(model, uav, monkeypatch):
+def test_of_a_longer_pause_three_seconds_are_response_and_end_the_flight(model, uav, monkeypatch):
     monkeypatch.setattr(_library, "MULTISINES", ())  # for time
     found = plan(model, uav, seconds=22.0, bands=BANDS, pause=8.0, goal=["Cm_q"], **AXES)
-    row = found.manoeuvres.iloc[0]
-    assert (row["start"], row["pause"]) == (8.0, 8.0)
+    first, last = found.manoeuvres.iloc[0], found.manoeuvres.iloc[-1]
+    assert (first["start"], first["pause"], last["pause"]) == (8.0, 8.0, 3.0)
     assert found.flight["time"].max() == pytest.approx(found.manoeuvres["duration"].max() + 3.0, abs=0.04)
-    assert found.seconds <= 22.0
+    assert found.seconds == pytest.approx(last["start"] + last["duration"] + 3.0)
+    assert 22.0 - 8.0 < found.seconds <= 22.0
 
 
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")

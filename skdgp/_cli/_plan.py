@@ -81,10 +81,15 @@ def _envelope(options: argparse.Namespace) -> Envelope:
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:
-    amplitudes, rates = _by_axis(options.limits), _by_axis(options.rates)
-    if lacking := sorted({*rates} - {*amplitudes}):
-        raise ValueError(f"Got --rates of {', '.join(lacking)} without --limits, but expected both: add --limits.")
-    return {axis: Limits(value, rates.get(axis, np.inf)) for axis, value in amplitudes.items()}
+    amplitudes = _by_axis(options.limits)
+    more = {"rate": _by_axis(options.rates), "lag": _by_axis(options.servo_lags)}
+    for option, values in zip(("--rates", "--servo-lags"), more.values(), strict=True):
+        if lacking := sorted({*values} - {*amplitudes}):
+            raise ValueError(f"Got {option} of {', '.join(lacking)} without --limits, but expected both: add --limits.")
+    return {
+        axis: Limits(amplitude, **{name: values[axis] for name, values in more.items() if axis in values})
+        for axis, amplitude in amplitudes.items()
+    }
 
 
 def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[str, Writer]:
@@ -184,6 +189,7 @@ PLAN = Command(
         "limits": [
             _axis_values("--limits", "largest deviations from trim [rad] (default: what was flown)"),
             _axis_values("--rates", "largest rates of change [rad/s] of axes with --limits (default: none)"),
+            _axis_values("--servo-lags", "time constants [s] of servos of axes with --limits (default: none)"),
             _ends("--alpha", "[rad]"),
             _ends("--beta", "[rad]"),
             _ends("--load-factor", "of -az / g"),

@@ -322,7 +322,7 @@ class Planner:
         given = {axis: one if isinstance(one, Limits) else Limits(one) for axis, one in (limits or {}).items()}
         if self.detents:  # a pilot's ramps are his own
             check_names(axes, self.detents, "axes with detents")
-            given = {axis: Limits(one.amplitude) for axis, one in given.items()}
+            given = {axis: replace(one, rate=np.inf, rms=np.inf) for axis, one in given.items()}
         return {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in axes}
 
     def _flown(self, axis: str) -> float:
@@ -387,7 +387,8 @@ class Planner:
     def made(self, at: int, named: Mapping[str, Inputs]) -> list[Manoeuvre]:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
         pause = self.pauses[at]
-        named = {name: one for name, one in named.items() if duration_of(one) + pause + min(pause, RESPONSE) <= self.seconds}
+        most = self.seconds - pause - min(pause, RESPONSE)
+        named = {name: one for name, one in named.items() if duration_of(one) <= most}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
             rest = {name: self._scaled(inputs, factor) for name, inputs in named.items() if name not in scales}

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.design._envelope import GROWTH, Envelope, option_of
@@ -135,7 +136,16 @@ class Rehearsal:
         trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
         longest = max(train.duration for train in trains) + self.response
         trimmed = self.point.controls
-        return trains, [train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains]
+        tables = [train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains]
+        return trains, [self._followed(table) for table in tables]
+
+    def _followed(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Return what the surfaces do: they follow what the autopilot sets with the lags of their servos."""
+        slow = {axis: limit.lag for axis, limit in self.limits.items() if limit.lag}
+        for axis, lag in slow.items():
+            kept, trimmed = np.exp(-1.0 / (self.rate * lag)), self.point.controls[axis]
+            table[axis] = trimmed + lfilter([0.0, 1.0 - kept], [1.0, -kept], table[axis] - trimmed)
+        return table
 
     def _simulated(self, starts: list, controls: Any, tables: list[pd.DataFrame], **options: Any) -> pd.DataFrame:
         duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)

@@ -73,11 +73,13 @@ class Limits:
         Largest rate of change [1/s]. Steps become ramps of this rate.
     rms : float
         Largest root mean square of one input, the limit of its power.
+    lag : float
+        Time constant of the servo [s]: `plan` flies surfaces that follow the inputs with a first-order lag.
 
     Raises
     ------
     ValueError
-        If a limit is not > 0: it would forbid every input.
+        If a limit is not > 0, it would forbid every input; if the lag is negative or infinite.
 
     Examples
     --------
@@ -92,11 +94,14 @@ class Limits:
     amplitude: float
     rate: float = np.inf
     rms: float = np.inf
+    lag: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
+        for name, value in (("amplitude", self.amplitude), ("rate", self.rate), ("rms", self.rms)):
             if not value > 0:
                 raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected one > 0.")
+        if not 0 <= self.lag < np.inf:
+            raise ValueError(f"Got lag={self.lag!r}, but expected the time constant of the servo [s], 0 or more.")
 
     def check(self, signal: Signal, axis: str = "") -> None:
         """Raise ValueError if an input exceeds a limit; ``axis`` is its name in the error."""

@@ -13,10 +13,10 @@ from _study_flights import SOURCES, SURFACES, Log, _example_log, jsbsim_table
 
 from skdgp.datasets._brumby import BRUMBY
 from skdgp.datasets._example_flights import _columns
-from skdgp.datasets._flight_controls import FlightControls
+from skdgp.datasets._flight_controls import TIME_CONSTANTS, FlightControls
 from skdgp.datasets._flight_plans import FlightPlan
 from skdgp.datasets._simulation import fly_plans
-from skdgp.design import Wavetrain, doublet, orthogonal_multisines, three_two_one_one, wavetrain
+from skdgp.design import Limits, Wavetrain, doublet, orthogonal_multisines, three_two_one_one, wavetrain
 from skdgp.dynamics import Aircraft
 
 AXES = ("elevator", "aileron", "rudder")
@@ -60,6 +60,13 @@ class Subject(NamedTuple):
     """Of the doublets of its first flight [s]."""
     fly: Any
     """Sorties, seconds, air and seed to logs."""
+    lag: float = 0.0
+    """Time constant of its servos [s]."""
+
+    @property
+    def allowed(self) -> dict[str, Limits]:
+        """Limits of the axes, as a planner knows them."""
+        return {axis: Limits(size, lag=self.lag) for axis, size in self.limits.items()}
 
 
 def sortie(manoeuvres: Sequence[dict], pause: float = PAUSE) -> Sortie:
@@ -214,7 +221,14 @@ def _linkage(model: str, knots: float, height: float) -> dict[str, np.ndarray]:
 
 SUBJECTS = {
     "example": lambda: Subject(
-        "example", BRUMBY, 35.0, 200.0, {"elevator": 0.08, "aileron": 0.12, "rudder": 0.16}, 0.5, fly_example
+        "example",
+        BRUMBY,
+        35.0,
+        200.0,
+        {"elevator": 0.08, "aileron": 0.12, "rudder": 0.16},
+        0.5,
+        fly_example,
+        TIME_CONSTANTS[0],
     ),
     "c172p": lambda: jsbsim_subject("c172p", 100.0, 274.0, {"elevator": 0.07, "aileron": 0.15, "rudder": 0.12}, 0.7),
     "t6texan2": lambda: jsbsim_subject(

@@ -156,7 +156,7 @@ def planned(
 ) -> tuple[dict[str, Any], Any]:
     """Return the plan for each goal, and their planner, which knows what is safe."""
     planner = Planner(
-        model, subject.aircraft, airspeeds=subject.airspeed, seconds=seconds, axes=AXES, limits=subject.limits,
+        model, subject.aircraft, airspeeds=subject.airspeed, seconds=seconds, axes=AXES, limits=subject.allowed,
         envelope=ENVELOPE, altitude=subject.altitude, known=known, noise=noise, rate=40.0, n_paths=n_paths, seed=seed,
     )  # fmt: skip
     return {name: planner.search(goal) for name, goal in GOALS.items()}, planner

@@ -61,7 +61,7 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     nothing = Information(np.zeros((6, size, size)), COEFFICIENTS, tuple(REGRESSORS))
     make = partial(
         plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=SECONDS, axes=list(AXES),
-        limits=subject.limits, altitude=subject.altitude, rate=40.0, known=nothing, curvature=True,
+        limits=subject.allowed, altitude=subject.altitude, rate=40.0, known=nothing, curvature=True,
         pause=PAUSE,
     )  # fmt: skip
     for growth in GROWTH:

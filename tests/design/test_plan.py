@@ -5,6 +5,7 @@ from copy import copy
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lsim
 
 from skdgp import listening
 from skdgp._flight.channels import COEFFICIENTS
@@ -110,6 +111,20 @@ def test_the_time_is_kept_and_nothing_alone_teaches_more(planned):
     assert found.trains[0].table(50.0)["elevator"].abs().max() <= 0.06
     checked = found.alone[found.alone["risk"].notna()]
     assert 1 - np.prod(1 - found.manoeuvres["gain"]) >= checked["gain"].max() - 1e-6
+
+
+def test_surfaces_follow_with_the_lag_of_their_servo_and_teach_less(model, uav, monkeypatch):
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    lag, options = 0.1, AXES | {"seconds": 8.0, "bands": BANDS, "goal": ["Cm_elevator"], "random_state": 0}
+    quick = plan(model, uav, **options)
+    slow = plan(model, uav, **options | {"limits": {"elevator": Limits(0.06, lag=lag)}})
+    rows, time = slow.flight[slow.flight["flight"] == 0], np.arange(0.0, 5.0, 0.001)
+    follows = lsim(([1.0], [lag, 1.0]), slow.inputs(0)["elevator"](time), time)[1]
+    deflection = rows["elevator"].to_numpy() - slow.trims[0].controls["elevator"]
+    wanted = slow.inputs(0)["elevator"]
+    np.testing.assert_allclose(deflection, np.interp(rows["time"], time, follows), atol=0.1 * wanted.peak)
+    assert np.abs(deflection - wanted(rows["time"].to_numpy())).max() > 0.5 * wanted.peak
+    assert slow.errors.loc["Cm_elevator", "after"] > 1.05 * quick.errors.loc["Cm_elevator", "after"]
 
 
 @pytest.mark.parametrize("airspeed", [30.0, 60.0])

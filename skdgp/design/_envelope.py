@@ -19,6 +19,12 @@ OPTIONS = {
 """What an envelope limits, and the options of the command line."""
 QUANTITIES = tuple(OPTIONS)
 GROWTH = "growth of "
+BETWEEN = (
+    ("bank", 0, np.inf), ("altitude", -np.inf, np.inf), ("growth", 0, np.inf), ("risk", 0, 1), ("margin", 0, np.inf),
+)  # fmt: skip
+"""Least and largest of each number of an envelope."""
+WHOLE_RANGE = {"throttle": (0.0, 1.0)}
+"""Beyond which nothing grows."""
 SOURCES = {"asked": "", "flown": GROWTH}
 """Where a limit comes from, and how its name then begins."""
 
@@ -74,13 +80,14 @@ class Envelope:
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):
-            if (pair := getattr(self, name)) is not None and not pair[0] < pair[1]:
-                raise ValueError(f"Got {name}=({pair[0]}, {pair[1]}), but expected the lowest and the highest value.")
-        if not ((self.bank is None or self.bank > 0) and self.growth >= 0 and 0 < self.risk < 1 and self.margin >= 0):
-            raise ValueError(
-                f"Got bank={self.bank}, growth={self.growth}, risk={self.risk}, margin={self.margin}, but expected "
-                "bank > 0, growth >= 0, margin >= 0 and a risk between 0 and 1."
-            )
+            if (pair := getattr(self, name)) is not None and not (np.shape(pair) == (2,) and pair[0] < pair[1]):
+                raise ValueError(f"Got {name}={pair!r}, but expected the lowest and the highest value.")
+        for name, least, most in BETWEEN:
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | float | np.number) and least <= value <= most):
+                raise ValueError(f"Got {name}={value!r}, but expected a number from {least:g} to {most:g}.")
+        if 0 in (self.bank, self.risk):
+            raise ValueError(f"Got bank={self.bank!r} and risk={self.risk!r}, but 0 forbids every flight.")
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
@@ -96,7 +103,9 @@ class Envelope:
                 ranges |= dict(zip(model.regressors, model.limits.T, strict=True))
             for name, (low, high) in ranges.items():
                 more = 0.5 * self.growth * (high - low)
-                found[GROWTH + name] = (low, np.inf) if name == "altitude" else (low - more, high + more)
+                least, most = WHOLE_RANGE.get(name, (-np.inf, np.inf))
+                grown = (low, np.inf) if name == "altitude" else (low - more, high + more)
+                found[GROWTH + name] = max(least, grown[0]), min(most, grown[1])
         return found
 
     def unlimited(self, model: Aerodynamics) -> list[str]:

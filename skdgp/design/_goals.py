@@ -34,7 +34,7 @@ def _derivatives(model: Aerodynamics, coefficients: Sequence[str]) -> dict[str, 
 def check_goal(goal: Sequence[str] | None, model: Aerodynamics, coefficients: Sequence[str]) -> tuple[str, ...]:
     """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of them."""
     known = _derivatives(model, coefficients)
-    names = tuple(known if goal is None else goal)
+    names = (goal,) if isinstance(goal, str) else tuple(known if goal is None else goal)
     lacking = [name for name in names if name not in {*known, *WHOLE}]
     if lacking or not names or isinstance(goal, str):
         raise ValueError(

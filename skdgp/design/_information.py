@@ -233,7 +233,8 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     regressor = getattr(regressor, "estimator_", regressor)  # of a CalibratedRegressor
     if not hasattr(regressor, "noise_variance_"):
         raise ValueError(
-            f"Got a {type(regressor).__name__} without noise_variance_, but expected a fitted DependentGPRegressor."
+            f"Got {type(regressor).__name__} without noise_variance_, but expected a fitted DependentGPRegressor: fit "
+            "it, or give the noise of each coefficient, such as noise={'Cm': 0.004}."
         )
     drift, memory = regressor.drift_variance_, regressor.drift_memory_
     total = regressor.noise_variance_ + regressor.misfit_variance_  # the drift contains misfit

@@ -33,7 +33,8 @@ def library(
             for kind, make in (("doublet", doublet), ("3-2-1-1", three_two_one_one)):
                 width = factor * bands[f"{make.__name__}_width"].to_dict()[axis]
                 width = TICK * max(1, round(width / TICK)) if detents else width
-                signal = limit.largest(make(width, limit.amplitude, limits=replace(limit, rms=np.inf)))
+                most = min(limit.amplitude, 0.5 * limit.rate * width)  # its ramps fit into the width
+                signal = limit.largest(make(width, most, limits=replace(limit, rms=np.inf)))
                 yield f"{axis} {kind} {width:.2f} s", {axis: signal}
     groups = [[axis] for axis in axes] + [axes] * (len(axes) > 1)
     for group in groups:

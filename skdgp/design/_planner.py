@@ -15,9 +15,10 @@ from sklearn.utils import check_random_state
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
-from skdgp.design._envelope import OPTIONS, Envelope, flown_quantities, with_band
+from skdgp.design._envelope import OPTIONS, WHOLE_RANGE, Envelope, flown_quantities, with_band
 from skdgp.design._goals import WHOLE, check_goal, goal_weights
 from skdgp.design._information import (
     Information,
@@ -27,7 +28,7 @@ from skdgp.design._information import (
     posterior_information,
     regressors_of,
 )
-from skdgp.design._library import Inputs, duration_of, library, moves, scaled
+from skdgp.design._library import TICK, Inputs, duration_of, library, moves, scaled
 from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
 from skdgp.design._signals import Limits
@@ -49,6 +50,10 @@ SHRINK = 0.7
 """Least factor by which a manoeuvre is made smaller after a check: large responses are not in proportion to it."""
 TRIES, NEAR = 6, 0.03
 """Checks of a manoeuvre at most, and the part of its size by which the largest safe one may be missed."""
+MOST = np.pi / 2
+"""Deflection that no surface has [rad]."""
+WORTH = 0.002
+"""Least part by which a manoeuvre lowers the errors of the goal: for less it is not flown."""
 VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
 
@@ -192,6 +197,38 @@ def plan(
         return planner.search(goal)
 
 
+def _check_options(
+    airspeeds: Any, seconds: Any, axes: Any, limits: Any, envelope: Any, banks: Any, known: Any, bands: Any, pause: Any,
+    n_paths: Any, detents: Any,
+) -> None:  # fmt: skip
+    """Raise TypeError or ValueError where an option of `plan` is none."""
+    for name, value, kind in (
+        ("limits", limits, Mapping), ("detents", detents, Mapping), ("envelope", envelope, Envelope),
+        ("known", known, Information), ("bands", bands, pd.DataFrame),
+    ):  # fmt: skip
+        if not isinstance(value, kind | None):
+            raise TypeError(f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or None.")
+    if isinstance(axes, str) or not len(axes) or len({*axes}) < len(axes):
+        raise ValueError(
+            f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
+        )
+    for name, value in (("airspeeds", airspeeds), ("banks", banks), ("seconds", seconds), ("pause", pause)):
+        values = np.ravel(1.0 if isinstance(value, str) and value == "auto" else value)
+        if not (values.size and np.isfinite(values).all() and (name == "banks" or (values > 0).all())):
+            raise ValueError(f"Got {name}={value!r}, but expected {'angles' if name == 'banks' else 'numbers > 0'}.")
+    if not (isinstance(n_paths, int | np.integer) and n_paths >= 0):
+        raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 or more.")
+    for name, given in (("limits", limits), ("detents", detents)):
+        check_names(given or (), axes, "axes to move")
+        for axis, limit in (given or {}).items():
+            size = limit.amplitude if isinstance(limit, Limits) else limit
+            if not (isinstance(size, int | float | np.number) and 0 < size < MOST):
+                raise ValueError(
+                    f"Got {name} of {size!r} for the {axis}, but expected more than 0 and less than {MOST:.3g}: rad, "
+                    "not degrees, or 0 to 1 of the throttle."
+                )
+
+
 def pause_of(airspeed: float) -> float:
     """Return the time that an aircraft needs to be back at its trim: see `plan` [s]."""
     return max(RESPONSE, np.pi * airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
@@ -227,6 +264,7 @@ class Planner:
         gusts="as flown", known=None, noise=None, bands=None, curvature=False, pause="auto", rate=50.0, n_paths=200,
         thrust="auto", detents=None, seed=0, goal=None,
     ) -> None:  # fmt: skip
+        _check_options(airspeeds, seconds, axes, limits, envelope, banks, known, bands, pause, n_paths, detents)
         self.model, self.aircraft, self.thrust, self.seed = model, aircraft, thrust, seed
         self.aerodynamics = as_aerodynamics(model)
         self.envelope, self.detents, self.seconds = envelope or Envelope(), detents or {}, float(seconds)
@@ -235,6 +273,7 @@ class Planner:
         self._check_paths(n_paths)
         self.noise = noise_table(coefficient_noise(model) if noise is None else noise)
         self.coefficients = list(map(str, self.noise.index))
+        check_names(self.coefficients, COEFFICIENTS, "coefficients")
         check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
         self.trims = self._trims(np.atleast_1d(np.asarray(airspeeds, dtype=float)), altitude, banks)
@@ -242,6 +281,8 @@ class Planner:
             check_names(axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(list(axes), limits)
         self.pauses = [pause_of(point.airspeed) if pause == "auto" else float(pause) for point in self.trims]
+        if self.detents:  # a pilot counts
+            self.pauses = [TICK * np.ceil(wait / TICK) for wait in self.pauses]
         self.rehearsals = [
             Rehearsal(
                 model, aircraft, point, self.limits, self.envelope, rate, min(RESPONSE, wait), n_paths, gusts, thrust,
@@ -253,6 +294,7 @@ class Planner:
         at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
         self.before = self._known(known, at)
         self.about = at if curvature else None
+        self.least = 0.0 if curvature else WORTH  # products that the mean's flight leaves at zero are small in others
         self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
         if not self.library:
             raise ValueError(
@@ -317,13 +359,17 @@ class Planner:
         return Information(np.zeros(fisher.shape), tuple(self.coefficients), tuple(self.aerodynamics.regressors))
 
     def _checked_limits(self, axes: list[str], limits: Mapping[str, Limits | float] | None) -> dict[str, Limits]:
-        """Return the limits of the axes; by default what the model was learned from."""
-        check_names(limits or (), axes, "axes")
+        """Return the limits of the axes, by default what the model was learned from; the throttle ends at 0 and 1."""
         given = {axis: one if isinstance(one, Limits) else Limits(one) for axis, one in (limits or {}).items()}
         if self.detents:  # a pilot's ramps are his own
             check_names(axes, self.detents, "axes with detents")
             given = {axis: replace(one, rate=np.inf, rms=np.inf) for axis, one in given.items()}
-        return {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in axes}
+        found = {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in axes}
+        for axis in {*found} & {*WHOLE_RANGE}:
+            low, high = WHOLE_RANGE[axis]
+            room = min(min(one.controls[axis] - low, high - one.controls[axis]) for one in self.trims)
+            found[axis] = replace(found[axis], amplitude=min(found[axis].amplitude, room))
+        return found
 
     def _flown(self, axis: str) -> float:
         """Return the largest deviation from the trims that was flown to both sides."""
@@ -430,7 +476,11 @@ class Planner:
         """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
         while options := [one for one in library if self._fits([*chosen, one])]:
             now = self._gain(chosen)
-            chosen = [*chosen, max(options, key=lambda one: (self._gain([*chosen, one]) - now) / one.seconds)]
+            gains = [self._gain([*chosen, one]) - now for one in options]
+            best = int(np.argmax([gain / one.seconds for gain, one in zip(gains, options, strict=True)]))
+            if gains[best] < self.least:
+                break
+            chosen = [*chosen, options[best]]
         return chosen
 
     def _sequence(self, library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
@@ -467,6 +517,11 @@ class Planner:
             chosen = self._sequence([one for one in library.values() if one.risk is not None])
             if not chosen:
                 raise
+        if not chosen and not causes:
+            raise ValueError(
+                f"Got the goal {list(self.goal_names)}, but no manoeuvre of {list(self.limits)} within its limits "
+                f"lowers its errors by {WORTH:.1%}: move other axes, raise their limits, or ask for another goal."
+            )
         if not chosen:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "

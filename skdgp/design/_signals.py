@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Literal, Self, TypeVar
 
 import numpy as np
@@ -98,9 +99,9 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in (("amplitude", self.amplitude), ("rate", self.rate), ("rms", self.rms)):
-            if not value > 0:
+            if not (isinstance(value, Real) and value > 0):
                 raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected one > 0.")
-        if not 0 <= self.lag < np.inf:
+        if not (isinstance(self.lag, Real) and 0 <= self.lag < np.inf):
             raise ValueError(f"Got lag={self.lag!r}, but expected the time constant of the servo [s], 0 or more.")
 
     def check(self, signal: Signal, axis: str = "") -> None:

@@ -219,15 +219,16 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
 
 def test_a_pilot_flies_steps_that_he_can_count(model, uav):
     options = AXES | {"seconds": 20.0, "bands": BANDS, "goal": ["Cm_q"], "envelope": Envelope(alpha=(-0.03, 0.055))}
-    found = plan(model, uav, **options, detents={"elevator": 0.008})
+    found = plan(model, uav, **options, pause=3.2, detents={"elevator": 0.008})
+    assert found.manoeuvres["start"][0] == 3.5
     whole = []
     for k, row in found.manoeuvres.iterrows():
         (signal,) = found.inputs(k).values()
         whole += [*np.divide(signal.durations, 0.5), row["start"] / 0.5, *np.divide(signal.levels, 0.008)]
         assert row["scale"] == pytest.approx(signal.peak / 0.06)
     np.testing.assert_allclose(whole, np.round(whole), atol=1e-9)
-    with pytest.raises(ValueError, match="axes with detents"):
-        plan(model, uav, **options, detents={"rudder": 0.02})
+    with pytest.raises(ValueError, match="axes with detents lack 'aileron'"):
+        plan(model, uav, **options | {"axes": ["elevator", "aileron"]}, detents={"elevator": 0.02})
     with pytest.raises(ValueError, match=r"no manoeuvre .* smaller detents"):
         plan(model, uav, **options, detents={"elevator": 0.1})
 
@@ -292,11 +293,27 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"goal": "function"}, "give a list"),
         ({"axes": ["elevator", "flaps"]}, "flaps"),
         ({"limits": {"aileron": 0.1}}, "aileron"),
+        ({"limits": {"elevator": 5.0}}, "rad, not degrees"),
+        ({"limits": {"elevator": "a"}}, "Got limits of 'a' for the elevator"),
+        ({"detents": {"elevator": 0.0}}, "Got detents of 0.0 for the elevator"),
+        ({"detents": {"elevator": 0.01, "rudder": 0.01}}, "axes to move lack 'rudder'"),
+        ({"axes": "elevator"}, "Got axes='elevator', but expected different controls in a list"),
+        ({"axes": []}, "different controls"),
+        ({"axes": ["elevator", "elevator"]}, "different controls"),
+        ({"goal": "Cm_nothing"}, "Cm_nothing"),
+        ({"airspeeds": []}, "airspeeds"),
+        ({"banks": []}, "banks"),
+        ({"seconds": np.inf}, "Got seconds=inf"),
+        ({"seconds": -5.0}, "Got seconds=-5.0, but expected numbers > 0"),
+        ({"pause": 0.0}, "pause"),
+        ({"n_paths": 30.5}, "Got n_paths=30.5"),
+        ({"noise": {"Cq": 0.1}}, "coefficients lack 'Cq'"),
+        ({"goal": ["Cm_beta"]}, r"no manoeuvre of \['elevator'\] within its limits lowers"),
         ({"seconds": 5.0}, "give more seconds, a shorter pause"),
         ({"rate": 10.0}, "Got a rate of 10 Hz"),
         ({"n_paths": 5}, "at least 18"),
         ({"envelope": Envelope(altitude=200.0)}, "trimmed flight at 20 m/s and 100 m leaves .* by altitude .*--floor"),
-        ({"seconds": 7.0, "limits": {"elevator": 1.8}}, "every manoeuvre leaves .* by flown .*--growth"),
+        ({"seconds": 7.0, "limits": {"elevator": 1.5}}, "every manoeuvre leaves .* by flown .*--growth"),
         ({"known": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
     ],
 )
@@ -307,20 +324,53 @@ def test_what_cannot_be_planned_is_said(model, uav, changed, words):
 
 
 @pytest.mark.parametrize(
-    ("axis", "channel", "flown", "given"),
+    ("name", "value", "expected"),
     [
-        ("elevator", "az", (-12.5, -7.0), {"load_factor": (-9.0, 9.0)}),
-        ("aileron", "phi", (-0.3, 0.2), {"bank": 3.0}),
+        ("limits", 0.05, "Mapping"),
+        ("detents", 0.1, "Mapping"),
+        ("envelope", {"bank": 1.0}, "Envelope"),
+        ("known", 5, "Information"),
     ],
 )
-def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch, axis, channel, flown, given):
+def test_options_of_other_types_are_refused(model, uav, name, value, expected):
+    with pytest.raises(TypeError, match=f"for {name}, but expected {expected} or None"):
+        plan(model, uav, **{"seconds": 20.0, "bands": BANDS} | AXES | {name: value})
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"altitude": np.nan}, {"altitude": (100, 200)}, {"bank": "a"}, {"bank": 0.0}, {"alpha": 0.2},
+        {"alpha": (1.0, np.nan)}, {"airspeed": (30.0,)}, {"risk": 1.5}, {"risk": 0.0}, {"growth": -1.0},
+        {"margin": np.nan},
+    ],
+)  # fmt: skip
+def test_an_envelope_of_no_numbers_is_refused(words):
+    with pytest.raises(ValueError, match=f"Got .*{next(iter(words))}"):
+        Envelope(**words)
+
+
+def test_the_throttle_stays_between_0_and_1():
+    flown = Aerodynamics(lambda X: 0 * X, ["throttle"], limits=[[0.2], [0.95]])
+    assert Envelope(growth=1.0).bounds(flown)["growth of throttle"] == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("axis", "goal", "channel", "flown", "given"),
+    [
+        ("elevator", "Cm_elevator", "az", (-12.5, -7.0), {"load_factor": (-9.0, 9.0)}),
+        ("aileron", "Cl_aileron", "phi", (-0.3, 0.2), {"bank": 3.0}),
+    ],
+)
+def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch, axis, goal, channel, flown, given):
     monkeypatch.setattr(_library, "MULTISINES", ())  # for time
     narrow = copy(model)
     narrow.flown = FLOWN | {channel: flown}
     options = AXES | {"axes": [axis], "limits": {axis: 0.09}, "bands": BANDS.set_axis([axis])}
+    options |= {"noise": NOISE.set_axis(["Cl", "Cm"])}
     inside = []
     for words in ({}, given):
-        found = plan(narrow, uav, **options, seconds=8.0, goal=[f"Cm_{axis}"], envelope=Envelope(**words))
+        found = plan(narrow, uav, **options, seconds=8.0, goal=[goal], envelope=Envelope(**words))
         assert found.trims[0].altitude == 100.0  # the highest
         table = found.trains[0].table(50.0, trim=found.trims[0].controls, pause=3.0)
         values = simulate(narrow, uav, found.trims[0], table, 0.04)[channel]

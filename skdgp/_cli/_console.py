@@ -104,7 +104,7 @@ class Console:
 
     @contextmanager
     def counting_interrupts(self) -> Iterator[None]:
-        """Count Ctrl-C: the first one ends a fit, which keeps the best model so far, the second one everything."""
+        """Count Ctrl-C: the first one ends a search, which keeps the best so far, if any; the second one everything."""
         with ctrl_c() as set_handler:
             if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background, where it is for others
                 set_handler(self._interrupt)
@@ -113,7 +113,8 @@ class Console:
     def _interrupt(self, number, frame):
         self.interrupts += 1
         if self._shows_progress:  # not through the stream, which the handler may have interrupted
-            os.write(self.stream.fileno(), f"{CLEAR}keeping the best so far (Ctrl-C again: stop)".encode())
+            words = "stopping with the best so far, if there is one yet (Ctrl-C again: at once)"
+            os.write(self.stream.fileno(), f"{CLEAR}{words}".encode())
         raise KeyboardInterrupt
 
     def _show(self, line):

@@ -137,4 +137,5 @@ DERIVATIVES = Command(
             opt.paths(200, "for the standard deviations; 0: none"),
         ]
     },
+    outputs=r"derivatives\.png",
 )

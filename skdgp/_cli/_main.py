@@ -36,6 +36,8 @@ OPTIONS = {
     "airborne=False": "--airborne all or --airborne 6",
     "regressors.": "--regressors",
     "max_kb=": "--max-kb",
+    "controls of the trim lack": "--axes with some of these",
+    "give limits={": "--limits",
 }
 """Options of the command line for the parameters that error messages of the library name."""
 DESCRIPTION = """\

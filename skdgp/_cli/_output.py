@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import tempfile
 import warnings
@@ -54,11 +55,17 @@ class OutputFolder:
             except OSError:  # not empty, or never made
                 return
 
-    def write(self, writers: dict[str, Writer]) -> None:
-        """Write all files or none; once all are complete, Ctrl-C waits until they are in their places."""
+    def write(self, writers: dict[str, Writer], earlier: str = "") -> None:
+        """Write all files or none, then remove others whose whole names match ``earlier``.
+
+        Once all are complete, Ctrl-C waits until they are in their places.
+        """
         with ctrl_c() as set_handler:
             write_together(self.path, writers, lambda: set_handler(signal.SIG_IGN))
             self.is_written = True
+            for path in self.path.iterdir():
+                if path.name not in writers and path.is_file() and re.fullmatch(earlier, path.name):
+                    path.unlink()
 
 
 @dataclass(frozen=True)
@@ -78,12 +85,16 @@ class Run:
         return f"{Path(self.options.output).stem}.config.toml" if is_table else "config.toml"
 
     def write(self, writers: dict[str, Writer]) -> list[Path]:
-        """Write all outputs, and the configuration that repeats them, or none; return where they are."""
+        """Write all outputs, and the configuration that repeats them, or none; return where they are.
+
+        Outputs of an earlier run that this one does not write do not stay beside them.
+        """
         if self.folder is None:
             return []
         self.console.stage("writing")
+        earlier = self.command.outputs if (self.folder.path / self.config_name).exists() else ""
         writers = writers | {self.config_name: text_writer(self.command.config_text(self.options))}
-        self.folder.write(writers)
+        self.folder.write(writers, earlier)
         return [self.folder.path / name for name in writers]
 
     def print(self, text: str, numbers: dict) -> None:

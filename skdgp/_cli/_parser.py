@@ -34,11 +34,13 @@ COMMON = [
 class Command:
     """A command of ``python -m skdgp``: the function that it runs, whose docstring is its help, and its options.
 
-    ``options`` are lists by the title of their group.
+    ``options`` are lists by the title of their group. ``outputs`` is a pattern of the names of files that not every run
+    writes: those of an earlier run are removed.
     """
 
     run: Callable
     options: dict[str, list[Option]]
+    outputs: str = ""
 
     @property
     def name(self) -> str:

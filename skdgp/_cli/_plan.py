@@ -16,7 +16,9 @@ from skdgp._compute.progress import listening
 from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
 from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS, abort_limits
+from skdgp.design._rehearsal import REACTION, RESPONSE
 from skdgp.design._wavetrain import AXES
+from skdgp.design._write import surface_mixes
 from skdgp.report import write_flight_card
 
 DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
@@ -30,9 +32,9 @@ def plan(run: Run) -> None:
     drawn from its posterior, in gusts as those of its training flights, and is made smaller or left out if it leaves
     the limits too often. These are the range of the training flights, with --growth, but for those that are given. The
     controls are open loop during a manoeuvre; return to the trim in the pause after it. Ctrl-C ends the search with
-    the best of what has been checked.
+    the best of what has been checked, if anything has.
 
-    Writes into DIR, all or none:
+    Writes into DIR, all or none, and removes tables and scripts there that an earlier plan wrote and this one does not:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1]; plan_1.csv, plan_2.csv ... of
                      several airspeeds
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
@@ -48,16 +50,18 @@ def plan(run: Run) -> None:
       python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
     options, console = run.options, run.console
+    axes, limits, full = list(dict.fromkeys(options.axes)), _limits(options), _by_axis(options.full)
+    if full:
+        surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
-    limits = _limits(options)
     with listening(console.progress), console.counting_interrupts():
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
             airspeeds=sorted(set(options.airspeed)),
             seconds=options.seconds,
-            axes=options.axes,
+            axes=axes,
             goal=options.goal,
             limits=limits,
             envelope=_envelope(options),
@@ -118,12 +122,15 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
             lines.append(
                 f"{row['start']:>5.1f} s  {row['name']:<{width}}{row['scale']:>10.0%}{risk:>8}{-row['gain']:>9.0%}"
             )
+    flown = {trim.airspeed for trim in planned.trims}
+    lines += [f"{speed:g} m/s: nothing planned there" for speed in sorted({*options.airspeed} - flown)]
     limits = abort_limits(planned.limits).join(planned.expected(range(len(rows))), rsuffix="est")
-    lines += ["", f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} expected"]
+    until = f"expected, up to {RESPONSE:g} s after the inputs; the risk counts {REACTION:g} s"
+    lines += ["", f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} {until}"]
     lines += [
         f"{name:<18}" + "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source")) + f" {row['source']}"
         for name, row in limits.iterrows()
-    ]
+    ] or ["none, not even a floor: set them by --growth, --max-bank, --floor ..."]
     lines += ["", f"{'standard error of':<18}{'before':>10}{'after':>10}"]
     lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in planned.errors.iterrows()]
     pairs = planned.confounded
@@ -218,4 +225,5 @@ PLAN = Command(
             opt.option("--paths N", "aircraft drawn for each check (default: 200)", opt.at_least(2), default=200),
         ],
     },
+    outputs=r"plan(_\d+)?\.(csv|lua)",
 )

@@ -244,4 +244,5 @@ SIMULATE = Command(
             opt.option("--bank RAD", "bank angle [rad], instead of a turn rate", opt.number()),
         ],
     },
+    outputs=r"bands\.(csv|parquet)|trajectory\.png",
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,8 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
     Raises
     ------
     ValueError
-        If an axis is none of these, an input is larger than the full deflection, or as of `Wavetrain.table`.
+        If an axis is none of these, a full deflection lacks, is no number > 0 or smaller than an input, or as of
+        `Wavetrain.table`.
 
     Examples
     --------
@@ -115,7 +116,7 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
     """
     check_names(train.axes, PX4, "axes of PX4's torque setpoint")
     table = train.table(rate)
-    _check_full(train, table, {axis: {axis: 1.0} for axis in full if axis in train.axes}, full)
+    _check_room(table, _moved(train.axes, {axis: {axis: 1.0} for axis in full}, full), full)
     columns = {"timestamp": (1e6 * table["time"]).round().astype(np.int64)}
     for axis, (name, sign) in PX4.items():
         columns[name] = sign * table[axis] / full[axis] if axis in table else 0.0 * table["time"]
@@ -149,8 +150,8 @@ def write_ardupilot_lua(
     ------
     ValueError
         If the rate is above 1000 Hz, the switch none of these, an axis moves none of the surfaces, ArduPilot has no
-        servo function for one, the inputs of a surface are larger than its full deflection, a signal is none of this
-        package, or as of `Wavetrain.table`.
+        servo function for one, a full deflection is no number > 0 or smaller than the inputs of the surface, a signal
+        is none of this package, or as of `Wavetrain.table`.
 
     Examples
     --------
@@ -168,10 +169,8 @@ def write_ardupilot_lua(
             f"{SWITCHES[0]} to {SWITCHES[-1]}."
         )
     full = dict(full) | ({"throttle": 1.0} if "throttle" in train.axes else {})
-    check_names(full, ARDUPILOT, "servo functions of ArduPilot")
-    mixes = {name: {axis: gain for axis, gain in MIXES.get(name, {}).items() if axis in train.axes} for name in full}
-    mixes = {name: mix or {name: 1.0} for name, mix in mixes.items() if mix or name in train.axes}
-    _check_full(train, train.table(rate), mixes, full)
+    mixes = surface_mixes(train.axes, full)
+    _check_room(train.table(rate), mixes, full)
     axes = []
     for axis in train.axes:
         limit = train.limits.get(axis, Limits(np.inf))
@@ -197,12 +196,33 @@ def _written(path: str | os.PathLike[str], table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _check_full(
-    train: Wavetrain, table: pd.DataFrame, mixes: Mapping[str, Mapping[str, float]], full: Mapping[str, float]
-) -> None:
-    """Raise ValueError if an axis moves no surface, or a full deflection is smaller than the inputs of a surface."""
-    moved = [axis for mix in mixes.values() for axis in mix]
-    check_names(train.axes, moved, "axes of the surfaces whose full deflections are given")
+def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return the gains of the axes that move each surface of ArduPilot; errors as of `write_ardupilot_lua`."""
+    check_names(full, ARDUPILOT, "servo functions of ArduPilot")
+    return _moved(axes, {name: {name: 1.0} | MIXES.get(name, {}) for name in full}, full)
+
+
+def _moved(
+    axes: Sequence[str], gains: Mapping[str, Mapping[str, float]], full: Mapping[str, float]
+) -> dict[str, dict[str, float]]:
+    """Return the gains of those axes and surfaces that move; raise ValueError if an axis moves none."""
+    for name, value in full.items():
+        if not 0 < value < np.inf:
+            raise ValueError(
+                f"Got {value:g} as the full deflection of the {name}, but expected a number > 0: give the deflection "
+                "at the end of its servo's range."
+            )
+    mixes = {name: {axis: gain for axis, gain in mix.items() if axis in axes} for name, mix in gains.items()}
+    if still := [axis for axis in axes if not any(axis in mix for mix in mixes.values())]:
+        raise ValueError(
+            f"Got full deflections of {list(full)}, but expected also those of surfaces that move with the "
+            f"{' and the '.join(still)}: add them."
+        )
+    return {name: mix for name, mix in mixes.items() if mix}
+
+
+def _check_room(table: pd.DataFrame, mixes: Mapping[str, Mapping[str, float]], full: Mapping[str, float]) -> None:
+    """Raise ValueError if a full deflection is smaller than the inputs of a surface."""
     for name, mix in mixes.items():
         peak = np.abs(sum(gain * table[axis] for axis, gain in mix.items())).max()
         if not peak <= full[name] * (1.0 + ROUNDING):

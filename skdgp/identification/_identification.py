@@ -328,8 +328,8 @@ def _plan_lines(plan: FlownPlan) -> list[str]:
     n_missed, left = sum(plan.missed.values()), (plan.manoeuvres["left"] != "").sum()
     words = ", ".join(f"{name} {value:.0%}" for name, value in plan.remaining.items())
     return [
-        f"plan: {len(plan.manoeuvres)} manoeuvres flown, {n_missed} not; {left} left a limit",
-        f"errors of {len(plan.errors)} derivatives, of those before: {words}",
+        f"manoeuvres of the plan: {len(plan.manoeuvres)} flown, {n_missed} not; {left} left a limit",
+        f"errors of the goal, of those before: {words}",
     ]
 
 

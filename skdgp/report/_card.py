@@ -16,6 +16,7 @@ from skdgp._flight.channels import HAT
 from skdgp.design import FlownPlan, Plan, Steps
 from skdgp.design._envelope import GROWTH, QUANTITIES, abort_limits, quantities
 from skdgp.design._plan import errors_of
+from skdgp.design._rehearsal import REACTION, RESPONSE
 from skdgp.plotting._style import PALETTE, ROLES, display_unit, tidy
 from skdgp.report._figure_html import figure
 from skdgp.report._page import can_draw, render_page
@@ -95,7 +96,8 @@ def write_flight_card(
     if not draw:
         body.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
     body += [_manoeuvre(plan, kind, full or {}, draw) for kind in _kinds(plan).values()]
-    meta = f"{len(plan.manoeuvres)} manoeuvres of {len(_kinds(plan))} kinds · planned {created:%d %B %Y, %H:%M}"
+    meta = f"{_count(len(plan.manoeuvres), 'manoeuvre')} of {_count(len(_kinds(plan)), 'kind')}"
+    meta += f" · planned {created:%d %B %Y, %H:%M}"
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
     page = render_page("Flight card", title, meta, "\n".join(body), colophon, script=False)
@@ -159,7 +161,7 @@ def _headline(plan: Plan) -> str:
     what = " and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])])
     tiles = [
         (f"{number(plan.seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
-        (f"{len(rows)}", "manoeuvres, one after another"),
+        (f"{len(rows)}", "manoeuvres, one after another" if len(rows) > 1 else "manoeuvre"),
         (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre to leave the limits"),
         (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {text(what)} is left (geometric mean)"),
     ]
@@ -222,6 +224,11 @@ def _limits(plan: Plan) -> str:
         "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the range of the training "
         "flights, with the growth that this plan allows (none of the floor). Asked: given for this plan.</p>"
     )
+    if not len(abort_limits(plan.limits)):
+        words = (
+            "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
+            "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
+        )
     if any(name.startswith(GROWTH) for name in plan.limits.index):
         words += (
             '<p class="note">The plan also keeps rates and deflections near what was flown before; the risk of a '
@@ -240,7 +247,11 @@ def _limit_table(plan: Plan, rows: Sequence[int]) -> str:
     ]
     head = ["", "unit", "abort<br>below", "abort<br>above", "expected<br>lowest", "expected<br>highest", "limit is"]
     of = "95 % of the aircraft and gusts drawn" if "alpha_low" in plan.flight else "the mean of the model"
-    return table(head, lines, caption=f"Limits, and what is expected of {of}.", classes="narrow")
+    caption = (
+        f"Limits, and what is expected of {of}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held. "
+        f"This may pass a limit: the risk counts only {REACTION:g}{THIN}s, in which nobody acts."
+    )
+    return table(head, lines, caption=caption, classes="narrow")
 
 
 def _teaching(plan: Plan) -> str:
@@ -264,7 +275,7 @@ def _teaching(plan: Plan) -> str:
             f"{one['first']} and {one['second']} in {one['coefficient']} ({number(one['correlation'], '.2f')})"
             for one in pairs.head(5).to_dict("records")
         ]
-        more = f" and {len(pairs) - 5} more pairs" if len(pairs) > 5 else ""
+        more = f" and {_count(len(pairs) - 5, 'more pair')}" if len(pairs) > 5 else ""
         shown += (
             '<p class="note">Errors that are still correlated, so that a combination of the two is known better than '
             f"each: {text(', '.join(named)).replace(HAT, '')}{more}.</p>"
@@ -301,22 +312,24 @@ def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mappi
     if quick < QUICK:
         by_hand = f"By the autopilot: steps of {number(quick, '.2f')}{THIN}s are too quick for a hand."
     sticks = bool(set(inputs) & set(full))
-    head = [text(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by [deg]", "to [deg]"]
+    head = [_name(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by", "to"]
     head += ["of full<br>deflection [%]"] if sticks else []
     rows, said = [], []
     for axis, signal in inputs.items():
-        factor, unit = display_unit(axis)
+        unit = f"{THIN}{_unit(axis)}".rstrip()
         for time, level, hold in zip(signal.edges, [*signal.levels, 0.0], [*signal.durations, np.nan], strict=True):
             way = DIRECTIONS.get(axis, ("up", "down"))[int(level < 0)] if level else "back to trim"
-            cells = [_signed(factor * level, ".1f"), number(factor * (controls.get(axis, 0.0) + level), ".1f")]
-            stick = [_signed(100.0 * level / full[axis], ".0f") if axis in full else ""] if sticks else []
-            what = way if len(inputs) == 1 else f"{text(axis)}: {way}"
-            size = f" {number(abs(factor * level), '.2g')}{THIN}{unit} for {number(hold, 'g')}{THIN}s" if level else ""
-            said.append(what + size)
+            trim = controls.get(axis, 0.0)
+            cells = [_signed(level, _shown(axis, level)) + unit, _shown(axis, trim + level) + unit]
+            part = 100.0 * level / full.get(axis, np.nan)
+            stick = [_signed(level, number(part, ".0f")) if axis in full else ""] if sticks else []
+            what = way if len(inputs) == 1 else f"{_name(axis)}: {way}"
+            size = f" {_shown(axis, abs(level))}{unit}, {way}, for {number(round(hold, 2), 'g')}{THIN}s"
+            said.append(_name(axis) + (size if level else f" {way}"))
             rows.append((time, [what, number(time, ".2f"), number(hold, ".2f"), *cells, *stick]))
     rows.sort(key=lambda one: one[0])
     if quick >= QUICK:
-        by_hand += f" {', '.join(said).capitalize()}."
+        by_hand += f" {'; '.join(said).capitalize()}."
     caption = "Steps, from the start of the manoeuvre; hold the other controls at trim."
     return by_hand, table(head, [row for _, row in rows], caption=caption, classes="narrow")
 
@@ -424,8 +437,8 @@ def _derivative(name: str) -> str:
     return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
 
 
-def _signed(value: float, form: str) -> str:
-    return ("+" if value > 0 else "") + number(value, form)
+def _signed(value: float, shown: str) -> str:
+    return f"+{shown}" if value > 0 else shown
 
 
 def _by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
@@ -439,6 +452,10 @@ def _by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[st
         cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in shown]
         rows.append([symbol(coefficient), *cells])
     return ["", *(_heading(name, unit=False) for name in regressors)], rows
+
+
+def _count(n: int, name: str) -> str:
+    return f"{n} {name}{'' if n == 1 else 's'}"
 
 
 def _milli(value: float) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _output, _predict, main
+from skdgp._cli import _output, _plan, _predict, main
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, Turbulence, stability_derivatives, trim
 from skdgp.identification import _identification, load_model, predict_flight, save_model
@@ -213,8 +213,10 @@ class TestSimulate:
         run("simulate", "--trim", "35", "--duration", ".1", "--paths", "0", output="flown.csv")
         assert "trajectory.csv" in files(tmp_path / "flown.csv")
 
-    def test_turns_and_climbs(self, run, model):
+    def test_turns_and_climbs(self, run, model, tmp_path):
+        run("simulate", "--trim", "35", "--duration", ".2", "--paths", "2")
         said = run("simulate", "--trim", "35", "--bank", ".3", "--duration", ".2", "--paths", "0")
+        assert "bands.csv" not in files(tmp_path / "out")  # of the other flight
         turning = trim(model.pipeline, model.aircraft, 35.0, bank=0.3)
         assert said["paths"] is None
         assert said["end"]["psi"] == pytest.approx(0.2 * turning.turn_rate, rel=1e-3)
@@ -356,6 +358,8 @@ class TestDerivatives:
         assert printed.count("at trim      alpha") == 2
         assert printed.count("+-") > 100
         assert "j" not in re.sub(r"[a-z]{2,}", "", printed)  # no complex numbers
+        run("derivatives", "--airspeed", "36", "--paths", "0")
+        assert "derivatives.png" not in files(tmp_path / "out")
 
     def test_beyond_what_was_flown_is_told(self, path, capsys):
         assert main(["derivatives", path, "--airspeed", "45", "--paths", "0"]) == 0
@@ -406,6 +410,46 @@ class TestPlan:
         assert errors["model"] == pytest.approx(errors["before"], rel=0.01)  # it is that of the plan
         assert "The plan and the flight" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
+    def test_what_an_earlier_plan_wrote_does_not_stay(self, path, run, tmp_path, capsys):
+        """Its script would be flown with the card of another plan. One airspeed of two has nothing planned."""
+        folder = tmp_path / "out"
+        folder.mkdir()
+        old = {"plan.lua", "plan_1.csv", "plan_2.csv", "plan_1.lua"}
+        for name in (*old, "plan_b.csv", "my_plan.lua"):
+            (folder / name).write_text("old")
+        more = shlex.split("--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20")
+        run("plan", *self.WORDS, *more)
+        assert old < files(folder)  # no run wrote them
+        assert main(["plan", path, *self.WORDS, *more, "--axes", "rudder", "rudder", "-o", str(folder)]) == 0
+        names = {"plan.csv", "card.html", "expected.csv", "plan.json", "config.toml"}
+        assert files(folder) == names | {"plan_b.csv", "my_plan.lua"}
+        assert "none, not even a floor: set them by --growth" in capsys.readouterr().out
+
+    def test_an_airspeed_without_manoeuvres_is_named(self, path, tmp_path, capsys):
+        words = shlex.split("--airspeed 35 36 --limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20")
+        assert main(["plan", path, *self.WORDS, *words, "-o", str(tmp_path / "out")]) == 0
+        assert "m/s: nothing planned there" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            ("elevator=0.5", r"Got full deflections of \['elevator'\], but expected also .* move with the rudder: add"),
+            ("rudder=0", "Got 0 as the full deflection of the rudder, but expected a number > 0"),
+            ("rudder=0.4 elevator=nan", "Got nan as the full deflection of the elevator"),
+            ("rudder=0.4 flaps=0.1", "servo functions of ArduPilot lack 'flaps'"),
+        ],
+    )
+    def test_full_deflections_are_checked_before_the_search(self, words, message, refused, monkeypatch):
+        monkeypatch.setattr(_plan, "plan_flight", lambda *a, **k: pytest.fail("searched"))
+        refused(message, "plan", *self.WORDS, "--full", *words.split())
+
+    def test_stopped_before_anything_is_checked(self, path, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(_plan, "plan_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT))
+        assert main(["plan", path, *self.WORDS, "-o", str(tmp_path / "new")]) == 130
+        assert capsys.readouterr().err == "stopped: no output was written\n"
+        assert not (tmp_path / "new").exists()
+
     def test_what_cannot_be_planned_is_one_line(self, refused):
+        refused("--axes with some of these", "plan", *self.WORDS, "--axes", "elevon_left")
         refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")
         refused("add --limits", "plan", *self.WORDS, "--rates", "rudder=1")

@@ -155,9 +155,11 @@ class Noise(Signal):
     [
         (write_px4, {"throttle": {0.0: doublet(1, 0.1)}}, 50.0, {"throttle": 1.0}, "PX4's torque setpoint lack"),
         (write_px4, {"elevator": {0.0: doublet(1, 0.5)}}, 50.0, FULL, "full deflection is 0.4"),
-        (write_px4, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {}, "full deflections are given lack 'elevator'"),
+        (write_px4, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {}, "surfaces that move with the elevator: add"),
         (write_px4, {"elevator": {0.0: doublet(0.1, 0.1)}}, 20.0, FULL, "at least 50 Hz"),
-        (write_ardupilot_lua, {"thrust": {0.0: doublet(1, 5.0)}}, 50.0, FULL, "are given lack 'thrust'"),
+        (write_ardupilot_lua, {"thrust": {0.0: doublet(1, 5.0)}}, 50.0, FULL, "that move with the thrust: add"),
+        (write_ardupilot_lua, {"rudder": {0.0: doublet(1, 0.1)}}, 50.0, {"rudder": np.nan}, "expected a number > 0"),
+        (write_px4, {"rudder": {0.0: doublet(1, 0.1)}}, 50.0, {"rudder": -0.5}, "Got -0.5 as the full deflection"),
         (write_ardupilot_lua, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {"flap": 1.0}, "of ArduPilot lack 'flap'"),
         (
             write_ardupilot_lua,

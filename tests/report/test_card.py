@@ -84,10 +84,39 @@ def test_it_needs_nothing_else(html):
 def test_steps_are_the_inputs(html):
     """4 degrees are a fifth of 20."""
     words = words_of(html)
-    assert "nose down 0.00 0.50 +4.0" in words
-    assert re.search(r"nose up 0\.50 0\.50 −4\.0 \S+ −20 ", words)
-    assert "By hand, or by the autopilot." in words
+    assert "nose down 0.00 0.50 +4.0 deg" in words
+    assert re.search(r"nose up 0\.50 0\.50 −4\.0 deg \S+ deg −20 ", words)
+    assert "By hand, or by the autopilot. Elevator 4.0 deg, nose down, for 0.5 s; elevator 4.0 deg, nose up," in words
     assert "By the autopilot: sums of sines up to 1.8 Hz, which" in words
+
+
+def test_steps_name_their_control_and_its_unit(plan, tmp_path):
+    """Of one manoeuvre, by the throttle, which has no unit, and the aileron."""
+    move = {"throttle": doublet(6.40352, 0.5817), "aileron": doublet(1.0, np.deg2rad(8.0))}
+    one = replace(
+        plan, trains=(wavetrain([move], pause=PAUSE),), manoeuvres=plan.manoeuvres.iloc[:1], parts=plan.parts[:1],
+        flight=plan.flight[plan.flight["flight"] == 0],
+    )  # fmt: skip
+    words = words_of(write_flight_card(tmp_path / "card.html", one).read_text(encoding="utf-8"))
+    assert "1 manoeuvre of 1 kind · planned" in words
+    assert "throttle: more power 0.00 6.40 +0.58 0.58 " in words
+    assert "aileron: roll left 1.00 1.00 −8.0 deg −8.0 deg " in words
+    assert "Throttle 0.58, more power, for 6.4 s; throttle 0.58, less power, for 6.4 s; throttle back to trim;" in words
+    assert "aileron 8.0 deg, roll right, for 1 s;" in words
+
+
+def test_a_flight_without_limits_says_so(plan, tmp_path):
+    free = pd.DataFrame(Envelope(growth=np.inf).bounds(Aerodynamics(lambda X: 0 * X, NAMES)), ["low", "high"]).T
+    path = write_flight_card(tmp_path / "card.html", replace(plan, limits=free))
+    words = words_of(path.read_text(encoding="utf-8"))
+    assert "Nothing limits this flight, not even a floor" in words
+    assert "At any of these limits" not in words
+
+
+def test_what_is_expected_may_pass_a_limit_after_the_time_that_the_risk_counts(html):
+    assert "up to 3 s after the inputs with the controls held. This may pass a limit: the risk counts only 1 s" in (
+        words_of(html)
+    )
 
 
 def test_limits_are_the_narrower_and_in_degrees(html):

@@ -368,7 +368,7 @@ class SteadyFlight:
             low, high = self.limits[name]
             near = 1e-3 * (high - low if np.isfinite(high - low) else 1.0)
             at += [f"{name} at its limit {limit:.4g}" for limit in (low, high) if abs(value - limit) < near]
-        remedy = "Ask for another airspeed, climb or turn, or widen limits={name: (lowest, highest)}"
+        remedy = "Ask for another airspeed, climb or turn, or give trim() wider limits={name: (lowest, highest)}"
         if not at:
             remedy = (
                 f"Nothing is at a limit: {', '.join(self.unknowns)} cannot balance it. Ask for another airspeed (too "

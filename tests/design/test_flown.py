@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.design import Information, doublet, expected_information, three_two_one_one
+from skdgp import design
+from skdgp.design import Information, _library, doublet, expected_information, posterior_information, three_two_one_one
 from skdgp.design._envelope import QUANTITIES
 from skdgp.design._flown import compare_with_plan, read_plan
-from skdgp.dynamics import Aircraft
+from skdgp.design._plan import errors_of
+from skdgp.dynamics import Aerodynamics, Aircraft
 
 STEP = 0.04
 REGRESSORS = ("alpha", "elevator")
@@ -106,3 +108,30 @@ def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
             read_plan(tmp_path / "plan.json")
     (tmp_path / "plan.json").write_text(json.dumps(plan))
     assert read_plan(tmp_path / "plan.json") == plan
+
+
+def test_a_model_knows_what_its_plan_says_was_known_though_one_airspeed_is_flown_more(uav, monkeypatch):
+    """Its slopes are known the less well the larger the angle of attack."""
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+
+    def mean(X):
+        alpha, q, elevator = np.moveaxis(X, -1, 0)
+        lift, zero = 0.3 + 4.5 * alpha, 0 * q
+        drag = 0.03 + 0.06 * lift**2 - lift * alpha
+        return np.stack([-drag, zero, -lift, zero, 0.02 - 0.6 * alpha - 9 * q - elevator, zero], axis=-1)
+
+    def covariance(X):
+        features = np.column_stack([np.ones(len(X)), X, 5 * X**2])
+        return np.kron(np.eye(6), 0.01 * features @ features.T)
+
+    model = Aerodynamics(
+        mean, ["alpha", "q_hat", "elevator"], sampler=lambda *_: (mean, None), covariance=covariance,
+        limits=[[-0.1, -0.1, -0.3], [0.3, 0.1, 0.3]],
+    )  # fmt: skip
+    plan = design.plan(
+        model, uav, airspeeds=[18.0, 27.0], seconds=20.0, axes=["elevator"], goal=["Cm_alpha", "Cm_elevator"],
+        limits={"elevator": 0.04}, noise=NOISE, envelope=design.Envelope(growth=np.inf), gusts=None, n_paths=18,
+    )  # fmt: skip
+    assert plan.manoeuvres["airspeed"].value_counts().reindex([18.0, 27.0], fill_value=0).std() > 0
+    said = posterior_information(model, [*read_plan(plan)["at"].values()], plan.before.coefficients)
+    np.testing.assert_allclose(errors_of(said)[[*plan.goal]], plan.errors["before"], rtol=1e-9)

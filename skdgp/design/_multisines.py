@@ -140,9 +140,9 @@ class Multisine(Signal):
         following = np.roll(signal, -1)
         crossings = np.flatnonzero(signal * following <= 0)
         k = crossings[np.argmin(np.abs(following - signal)[crossings])]
-        ends = np.array([x[k], x[k] + 1.0 / len(x)])
-        first, second = map(value, ends)
-        at = brentq(value, *ends, xtol=1e-16) if first * second < 0 else ends[int(abs(second) < abs(first))]
+        low, high = float(x[k]), float(x[k]) + 1.0 / len(x)
+        crosses = value(low) * value(high) < 0  # else one of them is the zero
+        at = brentq(value, low, high, xtol=1e-16) if crosses else min(low, high, key=lambda x: abs(value(x)))
         phases = np.mod(self.phases + 2.0 * np.pi * np.array(self.harmonics) * at, 2.0 * np.pi)
         return replace(self, phases=phases.tolist())
 

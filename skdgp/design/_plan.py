@@ -19,6 +19,9 @@ from skdgp.design._signals import Signal
 from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim
 
+SAMPLES = 20
+"""Of the inputs that are stored, in the shortest period: a flight beside it is late by a fortieth at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -102,11 +105,13 @@ class Plan:
         return pd.DataFrame(ends, index=list(QUANTITIES), columns=["low", "high"])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a check after the flight needs, as plain values; inputs in steps of 0.04 s."""
+        """Return what a check after the flight needs, as plain values; inputs in steps of ``step``."""
         names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
+        periods = [signal.period for train in self.trains for _, _, signal in train.events()]
+        step = min(STEP, *(period / SAMPLES for period in periods))
         rows = []
         for k, row in enumerate(self.manoeuvres.to_dict("records")):
-            time = np.arange(0.0, row["duration"] + STEP, STEP)
+            time = np.arange(0.0, row["duration"] + step, step)
             inputs = {axis: signal(time).round(6).tolist() for axis, signal in self.inputs(k).items()}
             rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
         return {
@@ -114,6 +119,7 @@ class Plan:
             "aircraft": self.aircraft.to_dict(),
             "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
             "at": dict(self.at),
+            "step": step,
             "manoeuvres": rows,
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),

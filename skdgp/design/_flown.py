@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
+from scipy.signal import oaconvolve
 
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import check_columns
@@ -30,7 +31,9 @@ ENDS = 0.4
 Match = tuple[int, float, int, float, float]
 """Segment, start [s], row of the plan, likeness, size."""
 NAMES = ("coefficients", "regressors")
-KEYS = {"aircraft", "at", "manoeuvres", "limits", "errors", "known"}
+SIZE = ("wing_area", "span", "chord")
+DAMAGE = (KeyError, TypeError, ValueError, AttributeError, IndexError)
+"""What reading a plan that is not whole raises."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +85,58 @@ def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
         found = json.loads(Path(plan).read_text(encoding="utf-8"))
     except ValueError:  # no JSON, or no text
         found = None
-    if not (isinstance(found, dict) and set(found) >= KEYS):
-        raise ValueError(f"Got {plan} as the plan, but expected the plan.json that python -m skdgp plan writes.")
+    for part, read in PARTS.items():
+        try:
+            read(found)
+        except DAMAGE:
+            raise ValueError(
+                f"Got {plan} as the plan, whose {part!r} is missing or damaged, but expected the plan.json that "
+                "python -m skdgp plan writes: copy it again, or plan again."
+            ) from None
+    return cast(dict[str, Any], found)
+
+
+def _before(plan: Mapping[str, Any]) -> Information:
+    """Return what was known before the flight."""
+    return Information(np.asarray(plan["known"]["fisher"], dtype=float), *(tuple(plan["known"][n]) for n in NAMES))
+
+
+def _weights(plan: Mapping[str, Any]) -> dict[str, Array]:
+    return {name: np.asarray(value, dtype=float) for name, value in plan.get("weights", {}).items()}
+
+
+def _errors(plan: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the errors before and after the flight that were expected."""
+    return pd.DataFrame.from_dict(plan["errors"], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
+
+
+def _finite(values: Any) -> Array:
+    """Return numbers; raise ValueError if there is none, or one that is not finite."""
+    found = np.asarray(values, dtype=float)
+    if not (found.size and np.isfinite(found).all()):
+        raise ValueError
     return found
+
+
+def _check_manoeuvres(plan: Mapping[str, Any]) -> None:
+    for one in plan["manoeuvres"]:
+        ends = [one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")]
+        _finite([len(one["name"]), one["duration"], one["pause"], len(ends)])
+        for values in one["inputs"].values():
+            _finite(values)
+    if not (plan["manoeuvres"] and all(one["inputs"] for one in plan["manoeuvres"]) and plan.get("step", STEP) > 0):
+        raise ValueError
+
+
+PARTS: dict[str, Callable[[Any], object]] = {
+    "aircraft": lambda plan: _finite([plan["aircraft"][name] for name in SIZE]),
+    "known": lambda plan: (_finite(plan["known"]["fisher"]), _before(plan).std),
+    "at": lambda plan: _finite([plan["at"][name] for name in plan["known"]["regressors"]]),
+    "errors": lambda plan: errors_of(_before(plan), _weights(plan))[list(_errors(plan).index)],
+    "limits": lambda plan: [(limit["low"], limit["high"]) for limit in plan["limits"].values()],
+    "manoeuvres": _check_manoeuvres,
+}
+"""What reads each part of a plan, as it is used."""
 
 
 def compare_with_plan(
@@ -110,7 +162,7 @@ def compare_with_plan(
         If the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre was flown.
     """
     _check_aircraft(plan["aircraft"], aircraft)
-    before = Information(np.asarray(plan["known"]["fisher"]), *(tuple(plan["known"][n]) for n in NAMES))
+    before = _before(plan)
     if set(before.regressors) != set(model.regressors):
         raise ValueError(
             f"Got a plan about the regressors {list(before.regressors)}, but the model has {list(model.regressors)}: "
@@ -125,10 +177,9 @@ def compare_with_plan(
     about = [plan["at"][name] for name in before.regressors] if plan.get("curvature") else None
     noise = noise.loc[list(before.coefficients)]
     gained = expected_information(numbered, aircraft, before.regressors, noise, about=about)
-    weights = {name: np.asarray(value) for name, value in plan.get("weights", {}).items()}
-    errors = pd.DataFrame.from_dict(plan["errors"], orient="index").astype(float).fillna(np.inf)
+    weights = _weights(plan)
     found = {"found": errors_of(before + gained, weights), "model": errors_of(model, weights)}
-    errors = errors.rename(columns={"after": "expected"})
+    errors = _errors(plan).rename(columns={"after": "expected"})
     planned = pd.Series([one["name"] for one in plan["manoeuvres"]]).value_counts()
     flown = pd.DataFrame([row for row, _ in windows])
     missed = (planned - flown["name"].value_counts().reindex(planned.index, fill_value=0)).clip(lower=0)
@@ -140,7 +191,7 @@ def compare_with_plan(
 
 
 def _check_aircraft(planned: Mapping[str, Any], aircraft: Aircraft) -> None:
-    for name in ("wing_area", "span", "chord"):
+    for name in SIZE:
         if not np.isclose(planned[name], getattr(aircraft, name), rtol=1e-3):
             raise ValueError(
                 f"Got a plan of the aircraft {planned.get('name')!r} with a {name} of {planned[name]:g}, but the model "
@@ -150,32 +201,49 @@ def _check_aircraft(planned: Mapping[str, Any], aircraft: Aircraft) -> None:
 
 def _recognised(plan: Mapping[str, Any], flights: pd.DataFrame, axes: list[str]) -> list[Match]:
     """Return segment, start, row of the plan, likeness and size of each manoeuvre that is recognised."""
+    step = plan.get("step", STEP)  # that of earlier versions
+    ends = round(ENDS / step)
     kinds = {one["name"]: k for k, one in reversed([*enumerate(plan["manoeuvres"])])}
     found: list[Match] = []
-    best = 0.0
+    nearest: list[Match] = []
     for number, part in _segments(flights):
         time = part["time"].to_numpy(float)
-        grid = np.arange(time[0] - ENDS, time[-1] + ENDS, STEP)
-        moved = np.stack([np.interp(grid, time, part[axis].to_numpy(float)) for axis in axes])
-        candidates = []
+        starts = np.arange(time[0], time[-1], step)
+        grid = time[0] + step * np.arange(-ends, len(starts) + ends)
+        moved = np.stack([_resampled(grid, time, part[axis].to_numpy(float)) for axis in axes])
+        candidates: list[Match] = []
         for k in kinds.values():
-            likeness, size = _likeness(moved, _template(plan["manoeuvres"][k]["inputs"], axes))
-            best = max(best, likeness.max(initial=0.0))
-            fits = (likeness >= LIKE) & (size >= SIZES[0]) & (size <= SIZES[1])
-            candidates += [(likeness[n], k, grid[n] + ENDS, size[n]) for n in np.flatnonzero(fits)]
+            likeness, size = _likeness(moved, _template(plan["manoeuvres"][k]["inputs"], axes, ends))
+            fits = np.flatnonzero((likeness >= LIKE) & (size >= SIZES[0]) & (size <= SIZES[1]))
+            best = np.abs(likeness).argsort()[-1:]
+            for rows, into in ((fits, candidates), (best, nearest)):
+                into += [(number, float(starts[n]), k, float(likeness[n]), float(size[n])) for n in rows]
         taken: list[tuple[float, float]] = []
-        for like, k, start, size in sorted(candidates, key=lambda one: -one[0]):
-            end = start + plan["manoeuvres"][k]["duration"]
+        for one in sorted(candidates, key=lambda one: -one[3]):
+            start, end = one[1], one[1] + plan["manoeuvres"][one[2]]["duration"]
             if all(end <= low or start >= high for low, high in taken):
                 taken.append((start, end))
-                found.append((number, float(start), k, float(like), float(size)))
+                found.append(one)
     if not found:
-        raise ValueError(
-            f"Got flights without a manoeuvre of the plan: the {' '.join(axes)} that come nearest have a correlation "
-            f"of {best:.2f} with it, but expected at least {LIKE}, and {SIZES[0]:g} to {SIZES[1]:g} times its size. "
-            "Give the flights that flew this plan."
-        )
+        raise ValueError(f"Got flights without a manoeuvre of the plan: {_why_none(plan, flights, nearest)}")
     return found
+
+
+def _why_none(plan: Mapping[str, Any], flights: pd.DataFrame, nearest: list[Match]) -> str:
+    """Return why no manoeuvre is recognised, and what to do."""
+    if not nearest:
+        return "all are shorter than any of its manoeuvres. Give the flights that flew this plan."
+    number, start, k, like, size = max(nearest, key=lambda one: abs(one[3]))
+    remedy = "Give the flights that flew this plan."
+    if like <= -LIKE:
+        remedy = "It has the opposite sign: check the signs of the deflections."
+    elif like >= LIKE:
+        remedy = "Check the units of the deflections (rad), or fly it at its planned size."
+    return (
+        f"nearest is {plan['manoeuvres'][k]['name']!r} at {start:.2f} s of flight "
+        f"{dict(_segments(flights))[number]['flight'].iloc[0]!r}, with a correlation of {like:.2f} and {abs(size):.2g} "
+        f"times its size, but expected at least {LIKE} and {SIZES[0]:g} to {SIZES[1]:g} times. {remedy}"
+    )
 
 
 def _segments(flights: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
@@ -188,9 +256,15 @@ def _segments(flights: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
             number += 1
 
 
-def _template(inputs: Mapping[str, list[float]], axes: list[str]) -> Array:
-    """Return the deviations of all axes, (axes, steps), with flight at trim before and after."""
-    ends, length = round(ENDS / STEP), max(map(len, inputs.values()))
+def _resampled(grid: Array, time: Array, values: Array) -> Array:
+    """Return a control at other times; rows without a value do not count."""
+    known = np.isfinite(values)
+    return np.interp(grid, time[known], values[known]) if known.any() else np.zeros(len(grid))
+
+
+def _template(inputs: Mapping[str, list[float]], axes: list[str], ends: int) -> Array:
+    """Return the deviations of all axes, (axes, steps), with ``ends`` steps of flight at trim before and after."""
+    length = max(map(len, inputs.values()))
     found = np.zeros((len(axes), length + 2 * ends))
     for axis, values in inputs.items():
         found[axes.index(axis), ends : ends + len(values)] = values
@@ -204,10 +278,10 @@ def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
         return np.zeros(0), np.zeros(0)
     template = template - template.mean(axis=1, keepdims=True)
     used = np.abs(template).max(axis=1) > 0
-    product = sum(np.correlate(y, t, "valid") for y, t in zip(moved[used], template[used], strict=True))
-    ones = np.ones(n)
-    centred = moved[used] - moved[used].mean(axis=1, keepdims=True)  # for precision
-    squares = sum(np.correlate(y**2, ones, "valid") - np.correlate(y, ones, "valid") ** 2 / n for y in centred)
+    moved, template = moved[used] - moved[used].mean(axis=1, keepdims=True), template[used]  # for precision
+    product = oaconvolve(moved, template[:, ::-1], "valid", axes=1).sum(axis=0)
+    sums, squares = (np.cumsum(np.pad(y, [(0, 0), (1, 0)]), axis=1) for y in (moved, moved**2))
+    squares = (squares[:, n:] - squares[:, :-n] - (sums[:, n:] - sums[:, :-n]) ** 2 / n).sum(axis=0)
     power = (template**2).sum()
     return product / np.sqrt(power * np.maximum(squares, 1e-12 * power)), product / power
 

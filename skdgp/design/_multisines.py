@@ -19,7 +19,7 @@ POWERS = (4, 8, 16, 32, 64, 128, 256)
 """Of the norms that approach the peak in the search for phases."""
 SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
 """Samples per period of the highest harmonic: in the search for phases, and for a peak."""
-LEAST_COVERAGE = 0.8
+LEAST_COVERAGE = 0.7
 """Share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly."""
 
 
@@ -140,7 +140,9 @@ class Multisine(Signal):
         following = np.roll(signal, -1)
         crossings = np.flatnonzero(signal * following <= 0)
         k = crossings[np.argmin(np.abs(following - signal)[crossings])]
-        at = x[k] if signal[k] == 0 else brentq(value, x[k], x[k] + 1.0 / len(x), xtol=1e-16)
+        low, high = float(x[k]), float(x[k]) + 1.0 / len(x)
+        crosses = value(low) * value(high) < 0  # else one of them is the zero
+        at = brentq(value, low, high, xtol=1e-16) if crosses else min(low, high, key=lambda x: abs(value(x)))
         phases = np.mod(self.phases + 2.0 * np.pi * np.array(self.harmonics) * at, 2.0 * np.pi)
         return replace(self, phases=phases.tolist())
 
@@ -210,7 +212,8 @@ def orthogonal_multisines(
 ) -> dict[str, Multisine]:
     """Return multisines for several axes at once: orthogonal, as large as the limits allow, with low peaks.
 
-    The harmonics of the band are dealt out to the axes in turn, so that each covers the band (Morelli, AIAA 2003-5700).
+    The harmonics of the band are dealt out to the axes in turn, so that each covers the band (Morelli, AIAA 2003-5700);
+    those of an axis are evenly spaced where that covers most of the band, since peaks are then lower.
     Phases are those of `Multisine.optimized`: each input begins and ends at zero.
 
     Parameters
@@ -257,10 +260,8 @@ def orthogonal_multisines(
             f"of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: fly longer, widen the band or use fewer "
             "tones."
         )
-    chosen = _spread(found, each * len(limits))
     inputs = {}
-    for k, (axis, limit) in enumerate(limits.items()):
-        harmonics = chosen[k :: len(limits)]
+    for (axis, limit), harmonics in zip(limits.items(), _dealt(found, len(limits), each), strict=True):
         shares = None if power is None else np.broadcast_to(power(harmonics / duration), len(harmonics))
         best = multisine(duration, harmonics.tolist(), rms=1.0, power=shares).optimized(
             n_starts=n_starts, random_state=random_state
@@ -270,13 +271,18 @@ def orthogonal_multisines(
     return inputs
 
 
-def _spread(harmonics: np.ndarray, n: int) -> np.ndarray:
-    """Return n of the harmonics, evenly spaced if they then cover most of the band: peaks are lower."""
+def _dealt(harmonics: np.ndarray, m: int, n: int) -> list[np.ndarray]:
+    """Return n of the harmonics for each of m axes, evenly spaced if they then cover most of the band: peaks are lower.
+
+    With a spacing d for each axis, the axes begin d // m apart.
+    """
     last = len(harmonics) - 1
-    stride = last // max(1, n - 1)
-    if stride * (n - 1) >= LEAST_COVERAGE * last:
-        return harmonics[: stride * (n - 1) + 1 : stride]
-    return harmonics[np.linspace(0, last, n).round().astype(int)]
+    reach = {d: d * (n - 1) + d // m * (m - 1) for d in range(m, last + 2)}
+    d = max(d for d in reach if reach[d] <= last)
+    if reach[d] >= LEAST_COVERAGE * last:
+        return [harmonics[k * (d // m) :: d][:n] for k in range(m)]
+    spread = harmonics[np.linspace(0, last, n * m).round().astype(int)]
+    return [spread[k::m] for k in range(m)]
 
 
 def _grid(harmonics: Sequence[int], samples: int) -> Vector:

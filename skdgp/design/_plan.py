@@ -13,11 +13,14 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import QUANTITIES, quantities
 from skdgp.design._goals import weighted_error
-from skdgp.design._information import Information, regressors_of
+from skdgp.design._information import Information
 from skdgp.design._rehearsal import STEP
 from skdgp.design._signals import Signal
 from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim
+
+SAMPLES = 20
+"""Of the inputs that are stored, in the shortest period: a flight beside it is late by a fortieth at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,8 @@ class Plan:
     aircraft : Aircraft
     weights : dict of str to ndarray (P, 1 + d, 1 + d)
         Of covariances, for the goals "function" and "free-flight".
+    at : dict of str to float
+        Regressors about which derivatives are meant: the mean of all trims that were asked for.
     """
 
     trains: tuple[Wavetrain, ...]
@@ -69,6 +74,7 @@ class Plan:
     limits: pd.DataFrame
     aircraft: Aircraft
     weights: Mapping[str, Array] = field(default_factory=dict)
+    at: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -99,23 +105,21 @@ class Plan:
         return pd.DataFrame(ends, index=list(QUANTITIES), columns=["low", "high"])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a check after the flight needs, as plain values; inputs in steps of 0.04 s."""
+        """Return what a check after the flight needs, as plain values; inputs in steps of ``step``."""
         names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
+        periods = [signal.period for train in self.trains for _, _, signal in train.events()]
+        step = min(STEP, *(period / SAMPLES for period in periods))
         rows = []
         for k, row in enumerate(self.manoeuvres.to_dict("records")):
-            time = np.arange(0.0, row["duration"] + STEP, STEP)
+            time = np.arange(0.0, row["duration"] + step, step)
             inputs = {axis: signal(time).round(6).tolist() for axis, signal in self.inputs(k).items()}
             rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
-        trims = [self.trims[int(at)].controls for at in self.manoeuvres["train"]]
-        starts = [
-            regressors_of(one.assign(**trims[k]), self.aircraft, self.before.regressors)[0]
-            for k, (_, one) in enumerate(self.flight.groupby("flight"))
-        ]
         return {
             "curvature": self.after.fisher.shape[1] > 1 + len(self.before.regressors),
             "aircraft": self.aircraft.to_dict(),
             "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
-            "at": dict(zip(self.before.regressors, np.mean(starts, axis=0).tolist(), strict=True)),
+            "at": dict(self.at),
+            "step": step,
             "manoeuvres": rows,
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),

@@ -291,9 +291,9 @@ class Planner:
             for point, wait in zip(self.trims, self.pauses, strict=True)
         ]  # fmt: skip
         names = self.aerodynamics.regressors
-        at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
-        self.before = self._known(known, at)
-        self.about = at if curvature else None
+        self.at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
+        self.before = self._known(known, self.at)
+        self.about = self.at if curvature else None
         self.least = 0.0 if curvature else WORTH  # products that the mean's flight leaves at zero are small in others
         self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
         if not self.library:
@@ -592,5 +592,5 @@ class Planner:
             self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
-            self.weights,
+            self.weights, dict(zip(self.before.regressors, self.at.tolist(), strict=True)),
         )  # fmt: skip

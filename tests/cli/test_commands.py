@@ -399,7 +399,8 @@ class TestPlan:
 
         flight = pd.read_csv("test.csv")
         one, time = said["manoeuvres"][0], flight["time"].to_numpy()
-        moved = np.interp(time - time[0] - 4.0, 0.04 * np.arange(len(one["inputs"]["rudder"])), one["inputs"]["rudder"])
+        rudder = one["inputs"]["rudder"]
+        moved = np.interp(time - time[0] - 4.0, said["step"] * np.arange(len(rudder)), rudder)
         flight.assign(rudder=0.01 + moved).to_csv(tmp_path / "flown.csv", index=False)
         judged = run("validate", tmp_path / "flown.csv", "--plan", tmp_path / "out" / "plan.json", "--horizons", "1")
         found = judged["plan"]["manoeuvres"][0]

@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.design import Information, doublet, expected_information, three_two_one_one
+from skdgp import design
+from skdgp.design import Information, _library, doublet, expected_information, posterior_information, three_two_one_one
 from skdgp.design._envelope import QUANTITIES
 from skdgp.design._flown import compare_with_plan, read_plan
-from skdgp.dynamics import Aircraft
+from skdgp.design._plan import errors_of
+from skdgp.dynamics import Aerodynamics, Aircraft
 
 STEP = 0.04
 REGRESSORS = ("alpha", "elevator")
@@ -87,6 +89,41 @@ def test_limits_that_were_left_are_named(plan, uav):
     assert left.tolist() == ["alpha, growth of bank", "growth of elevator"]
 
 
+FAST = {
+    "doublet of 0.05 s": {"elevator": doublet(0.05, 0.1)},
+    "doublet of 0.10 s": {"elevator": doublet(0.10, 0.1)},
+    "3-2-1-1 of 0.10 s": {"rudder": three_two_one_one(0.10, 0.1)},
+    "tones to 8 Hz": dict(
+        design.orthogonal_multisines(
+            dict.fromkeys(["elevator", "rudder"], 0.1), 10.0, (0.1, 8.0), n_tones=8, n_starts=1
+        )
+    ),
+}
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0031, 0.0067, 0.013, 0.02])
+@pytest.mark.parametrize("name", FAST)
+def test_fast_manoeuvres_are_recognised_wherever_they_begin(plan, uav, name, late):
+    """Of a plan with the steps that a plan of this manoeuvre has, flown exactly."""
+    inputs = FAST[name]
+    duration = max(signal.duration for signal in inputs.values())
+    train = design.Wavetrain({axis: {1.0: signal} for axis, signal in inputs.items()})
+    row = plan["manoeuvres"][0] | {"name": name, "duration": duration}
+    table = pd.DataFrame([{"train": 0, "start": 1.0} | {key: row[key] for key in ("name", "duration", "pause")}])
+    flight = flown([]).assign(flight=0)
+    made = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, table, flight, (), pd.DataFrame(), uav)
+    record = plan | {name: made.to_dict()[name] for name in ("step", "manoeuvres")}
+    time = np.arange(0.0, 40.0, 0.01)
+    flight = pd.DataFrame({"time": time, "flight": "a", "alpha": 0.05, "beta": 0.0, "airspeed": 20.0, "altitude": 100.0,
+                           "az": -9.81, "phi": 0.0, "elevator": -0.03, "rudder": 0.01})  # fmt: skip
+    for axis, signal in inputs.items():
+        flight[axis] += signal(time - 20.0 - late)
+    (found,) = compare_with_plan(record, flight, uav, NOISE, BEFORE).manoeuvres.to_dict("records")
+    assert found["likeness"] > 0.95
+    assert found["size"] == pytest.approx(1.0, abs=0.1)
+    assert found["start"] == pytest.approx(20.0 + late, abs=0.01)
+
+
 def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
     flight = flown([("doublet", 20.0, 1.0)])
     other = Aircraft(mass=12, inertia=uav.inertia, wing_area=1.3, span=3.0, chord=0.55, name="other")
@@ -94,15 +131,107 @@ def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
         compare_with_plan(plan, flight, other, NOISE, BEFORE)
     with pytest.raises(ValueError, match="judge a model with the regressors"):
         compare_with_plan(plan, flight, uav, NOISE, Information(np.eye(2)[None], ("Cm",), ("alpha",)))
-    with pytest.raises(ValueError, match=r"without a manoeuvre of the plan: .* expected at least 0\.85"):
-        compare_with_plan(plan, flown([]), uav, NOISE, BEFORE)
     with pytest.raises(ValueError, match="rudder"):
         compare_with_plan(plan, flight.drop(columns="rudder"), uav, NOISE, BEFORE)
     with pytest.raises(FileNotFoundError, match="as the plan, but there is no such file"):
         read_plan(tmp_path / "nowhere.json")
-    for content in ("{}", "no plan"):
-        (tmp_path / "plan.json").write_text(content)
-        with pytest.raises(ValueError, match=r"expected the plan.json that python -m skdgp plan writes"):
-            read_plan(tmp_path / "plan.json")
-    (tmp_path / "plan.json").write_text(json.dumps(plan))
-    assert read_plan(tmp_path / "plan.json") == plan
+
+
+@pytest.mark.parametrize(
+    ("events", "words"),
+    [
+        ([], r"but expected at least 0\.85 and 0\.5 to 2 times\. Give the flights that flew this plan"),
+        (
+            [("3-2-1-1", 20.0, 0.4)],
+            r"'3-2-1-1' at 20\.00 s of flight 'a', .* of 1\.00 and 0\.4 times its size.* Check the units",
+        ),
+        (
+            [("3-2-1-1", 20.0, 57.3)],
+            r"a correlation of 1\.00 and 57 times its size.* Check the units of the deflections \(rad\)",
+        ),
+        ([("3-2-1-1", 20.0, -1.0)], r"a correlation of -1\.00 and 1 times .* opposite sign: check the signs"),
+    ],
+)
+def test_a_flight_without_a_manoeuvre_of_the_plan_says_what_is_nearest(plan, uav, events, words):
+    with pytest.raises(ValueError, match=f"without a manoeuvre of the plan: nearest is .*{words}"):
+        compare_with_plan(plan, flown(events), uav, NOISE, BEFORE)
+
+
+def test_deflections_without_values_hide_what_they_hold_alone(plan, uav):
+    flight = flown([("doublet", 20.0, 1.0), ("3-2-1-1", 30.0, 1.0)])
+    flight.loc[flight["time"].between(29, 32), "rudder"] = np.nan
+    assert compare_with_plan(plan, flight, uav, NOISE, BEFORE).manoeuvres["name"].tolist() == ["doublet"]
+
+
+def test_flights_shorter_than_the_manoeuvres_are_said_to_be(plan, uav):
+    plan["manoeuvres"] = plan["manoeuvres"][1:2]
+    with pytest.raises(ValueError, match="shorter than any of its manoeuvres"):
+        compare_with_plan(plan, flown([], seconds=1.0), uav, NOISE, BEFORE)
+
+
+def test_a_plan_is_read_as_it_was_written(plan, tmp_path):
+    """With its step, and without one as of earlier versions."""
+    for step in ({}, {"step": STEP}):
+        (tmp_path / "plan.json").write_text(json.dumps(plan | step))
+        assert read_plan(tmp_path / "plan.json") == plan | step
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        ((), {}), ((), None), ((), [1]),
+        (("known",), {}), (("known", "fisher"), [[1.0]]), (("known", "fisher"), None),
+        (("manoeuvres",), []), (("manoeuvres",), {}), (("manoeuvres", 1, "inputs"), {}),
+        (("manoeuvres", 1, "inputs", "rudder"), []), (("manoeuvres", 1, "inputs", "rudder"), [0.1, None]),
+        (("manoeuvres", 0, "duration"), None), (("manoeuvres", 0, "expected"), {}), (("manoeuvres", 0, "name"), None),
+        (("at",), {}), (("errors",), {}), (("errors", "Cm_elevator"), {}),
+        (("errors",), {"Cn_p": {"before": 1, "after": 1}}), (("limits", "alpha"), {}),
+        (("aircraft", "span"), None), (("step",), 0.0),
+    ],
+)  # fmt: skip
+def test_a_damaged_plan_is_refused_with_what_is_damaged(plan, tmp_path, where, value):
+    whole = {"plan": plan}
+    *path, last = "plan", *where
+    holder = whole
+    for name in path:
+        holder = holder[name]
+    holder[last] = value
+    (tmp_path / "plan.json").write_text(json.dumps(whole["plan"]))
+    name = {(): "aircraft", ("step",): "manoeuvres"}.get(where) or where[0]
+    with pytest.raises(
+        ValueError, match=rf"whose '{name}' is missing .*expected the plan.json that python -m skdgp plan"
+    ):
+        read_plan(tmp_path / "plan.json")
+
+
+def test_a_file_that_is_no_plan_is_refused(tmp_path):
+    (tmp_path / "plan.json").write_text("no plan")
+    with pytest.raises(ValueError, match=r"expected the plan.json that python -m skdgp plan writes"):
+        read_plan(tmp_path / "plan.json")
+
+
+def test_a_model_knows_what_its_plan_says_was_known_though_one_airspeed_is_flown_more(uav, monkeypatch):
+    """Its slopes are known the less well the larger the angle of attack."""
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+
+    def mean(X):
+        alpha, q, elevator = np.moveaxis(X, -1, 0)
+        lift, zero = 0.3 + 4.5 * alpha, 0 * q
+        drag = 0.03 + 0.06 * lift**2 - lift * alpha
+        return np.stack([-drag, zero, -lift, zero, 0.02 - 0.6 * alpha - 9 * q - elevator, zero], axis=-1)
+
+    def covariance(X):
+        features = np.column_stack([np.ones(len(X)), X, 5 * X**2])
+        return np.kron(np.eye(6), 0.01 * features @ features.T)
+
+    model = Aerodynamics(
+        mean, ["alpha", "q_hat", "elevator"], sampler=lambda *_: (mean, None), covariance=covariance,
+        limits=[[-0.1, -0.1, -0.3], [0.3, 0.1, 0.3]],
+    )  # fmt: skip
+    plan = design.plan(
+        model, uav, airspeeds=[18.0, 27.0], seconds=20.0, axes=["elevator"], goal=["Cm_alpha", "Cm_elevator"],
+        limits={"elevator": 0.04}, noise=NOISE, envelope=design.Envelope(growth=np.inf), gusts=None, n_paths=18,
+    )  # fmt: skip
+    assert plan.manoeuvres["airspeed"].value_counts().reindex([18.0, 27.0], fill_value=0).std() > 0
+    said = posterior_information(model, [*read_plan(plan)["at"].values()], plan.before.coefficients)
+    np.testing.assert_allclose(errors_of(said)[[*plan.goal]], plan.errors["before"], rtol=1e-9)

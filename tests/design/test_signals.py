@@ -99,22 +99,43 @@ def test_schroeders_phases_are_those_of_his_paper_for_equal_power():
     np.testing.assert_allclose(np.exp(1j * np.array(phases)), np.exp(-1j * np.pi * order * (order - 1) / 12))
 
 
-@pytest.mark.parametrize("first", [2, 8])
-def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(first):
+@pytest.mark.parametrize(
+    ("duration", "band"),
+    [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0)), (10.0, (0.1, 5.0)), (15.0, (0.1, 8.0))],
+)
+def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band):
     axes = ("elevator", "aileron", "rudder", "throttle")
-    inputs = orthogonal_multisines(
-        dict.fromkeys(axes, 0.1), 20.0, (first / 20, (first + 31) / 20), n_tones=8, n_starts=2
-    )
-    assert sorted(k for one in inputs.values() for k in one.harmonics) == [*range(first, first + 32)]
-    values = np.array([one(np.arange(2000) * 0.01) for one in inputs.values()])
+    inputs = orthogonal_multisines(dict.fromkeys(axes, 0.1), duration, band, n_tones=8, n_starts=2)
+    tones = np.array([one.harmonics for one in inputs.values()])
+    assert len({*tones.ravel()}) == 32
+    assert (np.diff(tones, n=2) == 0).all()
+    assert band[0] * duration - 1e-9 <= tones.min() < tones.max() <= band[1] * duration + 1e-9
+    assert np.ptp(tones) >= 0.85 * np.ptp(band) * duration
+    values = np.array([one(np.arange(4000) * duration / 4000) for one in inputs.values()])
     norms = np.linalg.norm(values, axis=1)
     np.testing.assert_allclose(values @ values.T / np.outer(norms, norms), np.eye(4), atol=1e-12)
     for one in inputs.values():
-        assert one.relative_peak_factor <= 1.14
+        assert one.relative_peak_factor < 1.145
         assert one.peak == pytest.approx(0.1)
-        assert abs(one([0.0, 20.0 - 1e-12])).max() < 1e-12
-        spread = np.ptp(one(np.arange(0, 20, 1e-3))) / (2 * np.sqrt(2) * one.rms)
+        assert abs(one([0.0, duration - 1e-12])).max() < 1e-11
+        spread = np.ptp(one(np.arange(0, duration, 1e-3))) / (2 * np.sqrt(2) * one.rms)
         assert one.relative_peak_factor == pytest.approx(spread, rel=1e-3)
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3])
+@pytest.mark.parametrize("tones", [1, 2, 7])
+@pytest.mark.parametrize("more", [0, 1, 2, 6, 30])
+def test_tones_are_dealt_out_over_the_band(axes, tones, more):
+    count = axes * tones + more  # harmonics 1, 2 ... of 10 s
+    names = ("elevator", "aileron", "rudder")[:axes]
+    band = (0.1 - 1e-3, 0.1 * count + 1e-3)
+    inputs = orthogonal_multisines(dict.fromkeys(names, 0.1), 10.0, band, n_tones=tones, n_starts=1)
+    found = sorted(k for one in inputs.values() for k in one.harmonics)
+    assert len({*found}) == axes * tones
+    assert found[0] == 1
+    assert found[-1] <= count
+    if len(found) > 1:
+        assert found[-1] - 1 >= 0.7 * (count - 1)
 
 
 def test_phases_are_the_same_for_the_same_seed_and_better_with_more_starts():

@@ -87,14 +87,15 @@ class Run:
     def write(self, writers: dict[str, Writer]) -> list[Path]:
         """Write all outputs, and the configuration that repeats them, or none; return where they are.
 
-        Outputs of an earlier run that this one does not write do not stay beside them.
+        Outputs of an earlier run of the same command that this one does not write do not stay beside them.
         """
         if self.folder is None:
             return []
         self.console.stage("writing")
-        earlier = self.command.outputs if (self.folder.path / self.config_name).exists() else ""
-        writers = writers | {self.config_name: text_writer(self.command.config_text(self.options))}
-        self.folder.write(writers, earlier)
+        text, config = self.command.config_text(self.options), self.folder.path / self.config_name
+        again = config.is_file() and config.read_text(encoding="utf-8").startswith(text.partition("\n")[0])
+        writers = writers | {self.config_name: text_writer(text)}
+        self.folder.write(writers, self.command.outputs if again else "")
         return [self.folder.path / name for name in writers]
 
     def print(self, text: str, numbers: dict) -> None:

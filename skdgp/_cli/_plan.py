@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -17,7 +20,7 @@ from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
 from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS, abort_limits
 from skdgp.design._rehearsal import REACTION, RESPONSE
-from skdgp.design._wavetrain import AXES
+from skdgp.design._wavetrain import AXES, Wavetrain
 from skdgp.design._write import surface_mixes
 from skdgp.report import write_flight_card
 
@@ -71,7 +74,7 @@ def plan(run: Run) -> None:
             rate=options.rate,
             n_paths=options.paths,
             thrust=thrust,
-            detents=None if options.pilot is None else DETENTS | _by_axis(options.pilot),
+            detents=None if options.pilot is None else {one: DETENTS[one] for one in axes} | _by_axis(options.pilot),
             random_state=options.seed,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
@@ -103,12 +106,21 @@ def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[
         name = "plan" if len(planned.trains) == 1 else f"plan_{number}"
         files[f"{name}.csv"] = partial(write_csv, train=train, rate=rate)
         if full:
-            files[f"{name}.lua"] = partial(write_ardupilot_lua, train=train, rate=rate, full=full)
+            try:
+                files[f"{name}.lua"] = text_writer(_script(train, rate, full))
+            except ValueError as error:  # the plan is kept
+                warnings.warn(f"No script for ArduPilot: {error}", stacklevel=2)
     return files | {
         "card.html": partial(write_flight_card, plan=planned, full=full),
         "expected.csv": table_writer(planned.flight, ".csv"),
         "plan.json": text_writer(json_text(numbers)),
     }
+
+
+def _script(train: Wavetrain, rate: float, full: dict[str, float]) -> str:
+    with TemporaryDirectory() as folder:
+        write_ardupilot_lua(path := Path(folder) / "plan.lua", train, rate, full)
+        return path.read_text(encoding="utf-8")
 
 
 def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:

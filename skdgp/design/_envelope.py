@@ -84,10 +84,14 @@ class Envelope:
                 raise ValueError(f"Got {name}={pair!r}, but expected the lowest and the highest value.")
         for name, least, most in BETWEEN:
             value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | float | np.number) and least <= value <= most):
+            if value is None and name in ("bank", "altitude"):
+                continue
+            if not (isinstance(value, int | float | np.number) and least <= value <= most):
                 raise ValueError(f"Got {name}={value!r}, but expected a number from {least:g} to {most:g}.")
-        if 0 in (self.bank, self.risk):
-            raise ValueError(f"Got bank={self.bank!r} and risk={self.risk!r}, but 0 forbids every flight.")
+        if self.bank == 0 or self.risk in (0, 1):
+            raise ValueError(
+                f"Got bank={self.bank!r} and risk={self.risk!r}, but expected a bank > 0 and a risk between 0 and 1."
+            )
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""

@@ -14,6 +14,7 @@ import pandas as pd
 from scipy.signal import oaconvolve
 
 from skdgp._compute.typing import Array
+from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_segments
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
@@ -89,9 +90,10 @@ def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
         try:
             read(found)
         except DAMAGE:
+            what = f"whose {part!r} is missing or damaged" if isinstance(found, dict) and found else "which is none"
             raise ValueError(
-                f"Got {plan} as the plan, whose {part!r} is missing or damaged, but expected the plan.json that "
-                "python -m skdgp plan writes: copy it again, or plan again."
+                f"Got {plan} as the plan, {what}, but expected the plan.json that python -m skdgp plan writes: copy it "
+                "again, or plan again."
             ) from None
     return cast(dict[str, Any], found)
 
@@ -124,14 +126,23 @@ def _check_manoeuvres(plan: Mapping[str, Any]) -> None:
         _finite([len(one["name"]), one["duration"], one["pause"], len(ends)])
         for values in one["inputs"].values():
             _finite(values)
-    if not (plan["manoeuvres"] and all(one["inputs"] for one in plan["manoeuvres"]) and plan.get("step", STEP) > 0):
+    if not (plan["manoeuvres"] and all(one["inputs"] for one in plan["manoeuvres"])):
         raise ValueError
+
+
+def _step(plan: Mapping[str, Any]) -> float:
+    """Return the step of the inputs of a plan; that of earlier versions if it has none [s]."""
+    if not 0 < (step := float(plan.get("step", STEP))) < np.inf:
+        raise ValueError
+    return step
 
 
 PARTS: dict[str, Callable[[Any], object]] = {
     "aircraft": lambda plan: _finite([plan["aircraft"][name] for name in SIZE]),
     "known": lambda plan: (_finite(plan["known"]["fisher"]), _before(plan).std),
     "at": lambda plan: _finite([plan["at"][name] for name in plan["known"]["regressors"]]),
+    "step": _step,
+    "weights": lambda plan: errors_of(_before(plan), _weights(plan)),
     "errors": lambda plan: errors_of(_before(plan), _weights(plan))[list(_errors(plan).index)],
     "limits": lambda plan: [(limit["low"], limit["high"]) for limit in plan["limits"].values()],
     "manoeuvres": _check_manoeuvres,
@@ -172,7 +183,11 @@ def compare_with_plan(
     check_columns(flights, ["time", *axes], what="flight")
     rows = sorted(_recognised(plan, flights, axes), key=lambda one: one[:2])
     windows = [_window(plan, flights, *row) for row in rows]
-    thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for _, part in windows]
+    used = [
+        name for name in {one.removesuffix(HAT).removesuffix("_dot") for one in before.regressors} if name in flights
+    ]
+    whole = [part.dropna(subset=used) for _, part in windows]
+    thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for part in whole]
     numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
     about = [plan["at"][name] for name in before.regressors] if plan.get("curvature") else None
     noise = noise.loc[list(before.coefficients)]
@@ -201,7 +216,7 @@ def _check_aircraft(planned: Mapping[str, Any], aircraft: Aircraft) -> None:
 
 def _recognised(plan: Mapping[str, Any], flights: pd.DataFrame, axes: list[str]) -> list[Match]:
     """Return segment, start, row of the plan, likeness and size of each manoeuvre that is recognised."""
-    step = plan.get("step", STEP)  # that of earlier versions
+    step = _step(plan)
     ends = round(ENDS / step)
     kinds = {one["name"]: k for k, one in reversed([*enumerate(plan["manoeuvres"])])}
     found: list[Match] = []

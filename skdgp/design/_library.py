@@ -30,10 +30,10 @@ def library(
     axes = list(limits)
     for axis, limit in limits.items():
         for factor in WIDTHS:
-            for kind, make in (("doublet", doublet), ("3-2-1-1", three_two_one_one)):
+            for kind, make, share in (("doublet", doublet, 2 / 3), ("3-2-1-1", three_two_one_one, 1 / 2)):
                 width = factor * bands[f"{make.__name__}_width"].to_dict()[axis]
                 width = TICK * max(1, round(width / TICK)) if detents else width
-                most = min(limit.amplitude, 0.5 * limit.rate * width)  # its ramps fit into the width
+                most = min(limit.amplitude, share * limit.rate * width)  # its ramps fit into the width
                 signal = limit.largest(make(width, most, limits=replace(limit, rms=np.inf)))
                 yield f"{axis} {kind} {width:.2f} s", {axis: signal}
     groups = [[axis] for axis in axes] + [axes] * (len(axes) > 1)

@@ -15,7 +15,7 @@ from skdgp.design._envelope import QUANTITIES, quantities
 from skdgp.design._goals import weighted_error
 from skdgp.design._information import Information
 from skdgp.design._rehearsal import STEP
-from skdgp.design._signals import Signal
+from skdgp.design._signals import Limits, Signal
 from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim
 
@@ -56,10 +56,10 @@ class Plan:
     limits : DataFrame
         ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
-    weights : dict of str to ndarray (P, 1 + d, 1 + d)
-        Of covariances, for the goals "function" and "free-flight".
     at : dict of str to float
         Regressors about which derivatives are meant: the mean of all trims that were asked for.
+    weights : dict of str to ndarray (P, 1 + d, 1 + d)
+        Of covariances, for the goals "function" and "free-flight".
     """
 
     trains: tuple[Wavetrain, ...]
@@ -73,8 +73,8 @@ class Plan:
     parts: tuple[Information, ...]
     limits: pd.DataFrame
     aircraft: Aircraft
+    at: Mapping[str, float]
     weights: Mapping[str, Array] = field(default_factory=dict)
-    at: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -105,14 +105,19 @@ class Plan:
         return pd.DataFrame(ends, index=list(QUANTITIES), columns=["low", "high"])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a check after the flight needs, as plain values; inputs in steps of ``step``."""
+        """Return what a check after the flight needs, as plain values; inputs are what surfaces do, every ``step``."""
         names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
         periods = [signal.period for train in self.trains for _, _, signal in train.events()]
         step = min(STEP, *(period / SAMPLES for period in periods))
         rows = []
         for k, row in enumerate(self.manoeuvres.to_dict("records")):
-            time = np.arange(0.0, row["duration"] + step, step)
-            inputs = {axis: signal(time).round(6).tolist() for axis, signal in self.inputs(k).items()}
+            limits = self.trains[int(row["train"])].limits
+            lag = max((limit.lag for limit in limits.values()), default=0.0)
+            time = np.arange(0.0, row["duration"] + 3 * lag + step, step)
+            inputs = {
+                axis: limits.get(axis, Limits(np.inf)).followed(signal(time), step).round(6).tolist()
+                for axis, signal in self.inputs(k).items()
+            }
             rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
         return {
             "curvature": self.after.fisher.shape[1] > 1 + len(self.before.regressors),

@@ -52,8 +52,10 @@ TRIES, NEAR = 6, 0.03
 """Checks of a manoeuvre at most, and the part of its size by which the largest safe one may be missed."""
 MOST = np.pi / 2
 """Deflection that no surface has [rad]."""
+UNBOUNDED = ("thrust", "propeller_speed")
+"""Axes that are no deflections."""
 WORTH = 0.002
-"""Least part by which a manoeuvre lowers the errors of the goal: for less it is not flown."""
+"""Least part by which a flight lowers the errors of the goal: for less it is not flown."""
 VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
 
@@ -212,19 +214,30 @@ def _check_options(
         raise ValueError(
             f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
         )
-    for name, value in (("airspeeds", airspeeds), ("banks", banks), ("seconds", seconds), ("pause", pause)):
-        values = np.ravel(1.0 if isinstance(value, str) and value == "auto" else value)
-        if not (values.size and np.isfinite(values).all() and (name == "banks" or (values > 0).all())):
-            raise ValueError(f"Got {name}={value!r}, but expected {'angles' if name == 'banks' else 'numbers > 0'}.")
+    auto = isinstance(pause, str) and pause == "auto"
+    for name, value, least, several in (
+        ("airspeeds", airspeeds, 0.0, True), ("banks", banks, -np.inf, True), ("seconds", seconds, 0.0, False),
+        ("pause", 1.0 if auto else pause, 0.0, False),
+    ):  # fmt: skip
+        try:
+            values = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            values = np.array(np.nan)
+        if not (values.size and np.isfinite(values).all() and (values > least).all() and (several or not values.ndim)):
+            raise ValueError(
+                f"Got {name}={value!r}, but expected {'numbers' if several else 'a number'}"
+                f"{' > 0' if least == 0 else ''}."
+            )
     if not (isinstance(n_paths, int | np.integer) and n_paths >= 0):
         raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 or more.")
     for name, given in (("limits", limits), ("detents", detents)):
         check_names(given or (), axes, "axes to move")
         for axis, limit in (given or {}).items():
             size = limit.amplitude if isinstance(limit, Limits) else limit
-            if not (isinstance(size, int | float | np.number) and 0 < size < MOST):
+            most = np.inf if axis in UNBOUNDED else MOST
+            if not (isinstance(size, int | float | np.number) and 0 < size < most):
                 raise ValueError(
-                    f"Got {name} of {size!r} for the {axis}, but expected more than 0 and less than {MOST:.3g}: rad, "
+                    f"Got {name} of {size!r} for the {axis}, but expected more than 0 and less than {most:.3g}: rad, "
                     "not degrees, or 0 to 1 of the throttle."
                 )
 
@@ -276,7 +289,7 @@ class Planner:
         check_names(self.coefficients, COEFFICIENTS, "coefficients")
         check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
-        self.trims = self._trims(np.atleast_1d(np.asarray(airspeeds, dtype=float)), altitude, banks)
+        self.trims = self._trims(np.atleast_1d(np.asarray(airspeeds, dtype=float)), altitude, np.atleast_1d(banks))
         for point in self.trims:
             check_names(axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(list(axes), limits)
@@ -294,7 +307,6 @@ class Planner:
         self.at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
         self.before = self._known(known, self.at)
         self.about = self.at if curvature else None
-        self.least = 0.0 if curvature else WORTH  # products that the mean's flight leaves at zero are small in others
         self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
         if not self.library:
             raise ValueError(
@@ -344,7 +356,7 @@ class Planner:
                 f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
             )
 
-    def _trims(self, airspeeds: Array, altitude: float | None, banks: Sequence[float]) -> list[Trim]:
+    def _trims(self, airspeeds: Array, altitude: float | None, banks: Array) -> list[Trim]:
         if altitude is None:
             altitude = flown_quantities(self.aerodynamics).get("altitude", (0.0, 100.0))[1]
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
@@ -367,7 +379,13 @@ class Planner:
         found = {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in axes}
         for axis in {*found} & {*WHOLE_RANGE}:
             low, high = WHOLE_RANGE[axis]
-            room = min(min(one.controls[axis] - low, high - one.controls[axis]) for one in self.trims)
+            values = [one.controls[axis] for one in self.trims]
+            room = min(min(value - low, high - value) for value in values)
+            if not room > 0:
+                raise ValueError(
+                    f"Got trims with the {axis} at {values}, which has no room between {low:g} and {high:g}: leave it "
+                    "out of the axes, or choose other airspeeds."
+                )
             found[axis] = replace(found[axis], amplitude=min(found[axis].amplitude, room))
         return found
 
@@ -476,11 +494,7 @@ class Planner:
         """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
         while options := [one for one in library if self._fits([*chosen, one])]:
             now = self._gain(chosen)
-            gains = [self._gain([*chosen, one]) - now for one in options]
-            best = int(np.argmax([gain / one.seconds for gain, one in zip(gains, options, strict=True)]))
-            if gains[best] < self.least:
-                break
-            chosen = [*chosen, options[best]]
+            chosen = [*chosen, max(options, key=lambda one: (self._gain([*chosen, one]) - now) / one.seconds)]
         return chosen
 
     def _sequence(self, library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
@@ -504,6 +518,7 @@ class Planner:
         library, causes = self.library, ""
         try:
             while chosen := self._sequence([*library.values()]):
+                self._check_gain(chosen)
                 n_checked = sum(one.risk is not None for one in library.values())
                 notify(f"planning: {len(chosen)} manoeuvres, {n_checked} kinds checked", 0, 0.0)
                 unchecked = next((one for one in chosen if one.risk is None), None)
@@ -517,11 +532,6 @@ class Planner:
             chosen = self._sequence([one for one in library.values() if one.risk is not None])
             if not chosen:
                 raise
-        if not chosen and not causes:
-            raise ValueError(
-                f"Got the goal {list(self.goal_names)}, but no manoeuvre of {list(self.limits)} within its limits "
-                f"lowers its errors by {WORTH:.1%}: move other axes, raise their limits, or ask for another goal."
-            )
         if not chosen:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
@@ -529,6 +539,17 @@ class Planner:
                 "weaker gusts, or fly another airspeed or altitude."
             )
         return chosen
+
+    def _check_gain(self, chosen: Sequence[Manoeuvre]) -> None:
+        """Raise ValueError if manoeuvres teach nothing of the goal."""
+        if self.about is not None:
+            return  # products that the mean's flight leaves at zero are small in others
+        if (gain := self._gain(chosen) - self._gain([])) < WORTH:
+            raise ValueError(
+                f"Got the goal {list(self.goal_names)}, but {self.seconds:g} s of manoeuvres of {list(self.limits)} "
+                f"within their limits lower its errors by {gain:.2%}: move other axes, raise their limits, or ask for "
+                "another goal."
+            )
 
     def safe(self, one: Manoeuvre) -> tuple[Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
@@ -592,5 +613,5 @@ class Planner:
             self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
-            self.weights, dict(zip(self.before.regressors, self.at.tolist(), strict=True)),
+            dict(zip(self.before.regressors, self.at.tolist(), strict=True)), self.weights,
         )  # fmt: skip

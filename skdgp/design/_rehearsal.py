@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.design._envelope import GROWTH, Envelope, option_of
@@ -141,10 +140,9 @@ class Rehearsal:
 
     def _followed(self, table: pd.DataFrame) -> pd.DataFrame:
         """Return what the surfaces do: they follow what the autopilot sets with the lags of their servos."""
-        slow = {axis: limit.lag for axis, limit in self.limits.items() if limit.lag}
-        for axis, lag in slow.items():
-            kept, trimmed = np.exp(-1.0 / (self.rate * lag)), self.point.controls[axis]
-            table[axis] = trimmed + lfilter([0.0, 1.0 - kept], [1.0, -kept], table[axis] - trimmed)
+        for axis, limit in self.limits.items():
+            trimmed = self.point.controls[axis]
+            table[axis] = trimmed + limit.followed(table[axis].to_numpy() - trimmed, 1.0 / self.rate)
         return table
 
     def _simulated(self, starts: list, controls: Any, tables: list[pd.DataFrame], **options: Any) -> pd.DataFrame:

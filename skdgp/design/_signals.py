@@ -10,6 +10,7 @@ from typing import Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Vector
 
@@ -99,7 +100,9 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in (("amplitude", self.amplitude), ("rate", self.rate), ("rms", self.rms)):
-            if not (isinstance(value, Real) and value > 0):
+            if not isinstance(value, Real):
+                raise TypeError(f"Got a limit {name}={value!r}, but expected a number > 0.")
+            if not value > 0:
                 raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected one > 0.")
         if not (isinstance(self.lag, Real) and 0 <= self.lag < np.inf):
             raise ValueError(f"Got lag={self.lag!r}, but expected the time constant of the servo [s], 0 or more.")
@@ -115,6 +118,13 @@ class Limits:
                     f"Got an input{axis and ' of the ' + axis} with a {what} of {has:.4g}, but the limit is {limit:g}: "
                     f"{remedy} or raise the limit."
                 )
+
+    def followed(self, values: Vector, step: float) -> Vector:
+        """Return what the servo makes of deviations from trim that are set every ``step`` seconds."""
+        if not self.lag:
+            return values
+        kept = np.exp(-step / self.lag)
+        return np.asarray(lfilter([0.0, 1.0 - kept], [1.0, -kept], values))
 
     def largest(self, signal: AnySignal) -> AnySignal:
         """Return an input scaled to the largest that the limits allow; raise ValueError if its steps are no ramps."""

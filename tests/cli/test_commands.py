@@ -418,9 +418,10 @@ class TestPlan:
         old = {"plan.lua", "plan_1.csv", "plan_2.csv", "plan_1.lua"}
         for name in (*old, "plan_b.csv", "my_plan.lua"):
             (folder / name).write_text("old")
+        (folder / "config.toml").write_text("# python -m skdgp simulate --config THIS_FILE")
         more = shlex.split("--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20")
         run("plan", *self.WORDS, *more)
-        assert old < files(folder)  # no run wrote them
+        assert old < files(folder)  # no plan wrote them
         assert main(["plan", path, *self.WORDS, *more, "--axes", "rudder", "rudder", "-o", str(folder)]) == 0
         names = {"plan.csv", "card.html", "expected.csv", "plan.json", "config.toml"}
         assert files(folder) == names | {"plan_b.csv", "my_plan.lua"}

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lsim
 
 from skdgp import design
 from skdgp.design import Information, _library, doublet, expected_information, posterior_information, three_two_one_one
@@ -106,22 +107,52 @@ FAST = {
 def test_fast_manoeuvres_are_recognised_wherever_they_begin(plan, uav, name, late):
     """Of a plan with the steps that a plan of this manoeuvre has, flown exactly."""
     inputs = FAST[name]
-    duration = max(signal.duration for signal in inputs.values())
-    train = design.Wavetrain({axis: {1.0: signal} for axis, signal in inputs.items()})
-    row = plan["manoeuvres"][0] | {"name": name, "duration": duration}
-    table = pd.DataFrame([{"train": 0, "start": 1.0} | {key: row[key] for key in ("name", "duration", "pause")}])
-    flight = flown([]).assign(flight=0)
-    made = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, table, flight, (), pd.DataFrame(), uav)
-    record = plan | {name: made.to_dict()[name] for name in ("step", "manoeuvres")}
-    time = np.arange(0.0, 40.0, 0.01)
-    flight = pd.DataFrame({"time": time, "flight": "a", "alpha": 0.05, "beta": 0.0, "airspeed": 20.0, "altitude": 100.0,
-                           "az": -9.81, "phi": 0.0, "elevator": -0.03, "rudder": 0.01})  # fmt: skip
+    record, flight = made(plan, uav, name, inputs), still()
     for axis, signal in inputs.items():
-        flight[axis] += signal(time - 20.0 - late)
+        flight[axis] += signal(flight["time"].to_numpy() - 20.0 - late)
     (found,) = compare_with_plan(record, flight, uav, NOISE, BEFORE).manoeuvres.to_dict("records")
     assert found["likeness"] > 0.95
     assert found["size"] == pytest.approx(1.0, abs=0.1)
     assert found["start"] == pytest.approx(20.0 + late, abs=0.01)
+
+
+@pytest.mark.parametrize(("width", "lag"), [(0.16, 0.1), (0.1, 0.1), (0.3, 0.2)])
+def test_what_a_slow_servo_flew_is_recognised(plan, uav, width, lag):
+    inputs = {"elevator": design.doublet(width, 0.1)}
+    record, flight = made(plan, uav, "doublet", inputs, {"elevator": design.Limits(0.2, lag=lag)}), still()
+    time = flight["time"].to_numpy()
+    flight["elevator"] += lsim(([1.0], [lag, 1.0]), inputs["elevator"](time - 20.0), time)[1]
+    (found,) = compare_with_plan(record, flight, uav, NOISE, BEFORE).manoeuvres.to_dict("records")
+    assert found["likeness"] > 0.95
+    assert found["size"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_rows_without_a_value_in_a_manoeuvre_teach_nothing(plan, uav):
+    flight = flown([("doublet", 20.0, 1.0)])
+    lost = flight["time"].between(20.3, 20.36)
+    found = compare_with_plan(plan, flight.assign(elevator=flight["elevator"].mask(lost)), uav, NOISE, BEFORE)
+    assert found.manoeuvres["name"].tolist() == ["doublet"]
+    assert found.errors["found"].iloc[0] == pytest.approx(
+        compare_with_plan(plan, flight, uav, NOISE, BEFORE).errors["found"].iloc[0], rel=0.05
+    )
+
+
+def still():
+    """Return trimmed flight."""
+    return pd.DataFrame({"time": np.arange(0.0, 40.0, 0.01), "flight": "a", "alpha": 0.05, "beta": 0.0,
+                         "airspeed": 20.0, "altitude": 100.0, "az": -9.81, "phi": 0.0, "elevator": -0.03,
+                         "rudder": 0.01})  # fmt: skip
+
+
+def made(plan, uav, name, inputs, limits=None):
+    """Return the record of a plan of one manoeuvre."""
+    duration = max(signal.duration for signal in inputs.values())
+    train = design.Wavetrain({axis: {1.0: signal} for axis, signal in inputs.items()}, limits or {})
+    row = plan["manoeuvres"][0] | {"name": name, "duration": duration}
+    table = pd.DataFrame([{"train": 0, "start": 1.0} | {key: row[key] for key in ("name", "duration", "pause")}])
+    flight = flown([]).assign(flight=0)
+    one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, table, flight, (), pd.DataFrame(), uav, {})
+    return plan | {key: one.to_dict()[key] for key in ("step", "manoeuvres")}
 
 
 def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
@@ -197,10 +228,8 @@ def test_a_damaged_plan_is_refused_with_what_is_damaged(plan, tmp_path, where, v
         holder = holder[name]
     holder[last] = value
     (tmp_path / "plan.json").write_text(json.dumps(whole["plan"]))
-    name = {(): "aircraft", ("step",): "manoeuvres"}.get(where) or where[0]
-    with pytest.raises(
-        ValueError, match=rf"whose '{name}' is missing .*expected the plan.json that python -m skdgp plan"
-    ):
+    damaged = rf"whose '{where[0]}' is missing" if where else "which is none"
+    with pytest.raises(ValueError, match=rf"{damaged}.*expected the plan.json that python -m skdgp plan"):
         read_plan(tmp_path / "plan.json")
 
 

@@ -295,6 +295,10 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"limits": {"aileron": 0.1}}, "aileron"),
         ({"limits": {"elevator": 5.0}}, "rad, not degrees"),
         ({"limits": {"elevator": "a"}}, "Got limits of 'a' for the elevator"),
+        ({"pause": [3.0, 4.0]}, "Got pause"),
+        ({"pause": None}, "Got pause=None, but expected a number > 0"),
+        ({"airspeeds": "auto"}, "Got airspeeds='auto', but expected numbers > 0"),
+        ({"seconds": [16.0]}, "Got seconds"),
         ({"detents": {"elevator": 0.0}}, "Got detents of 0.0 for the elevator"),
         ({"detents": {"elevator": 0.01, "rudder": 0.01}}, "axes to move lack 'rudder'"),
         ({"axes": "elevator"}, "Got axes='elevator', but expected different controls in a list"),
@@ -304,11 +308,11 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"airspeeds": []}, "airspeeds"),
         ({"banks": []}, "banks"),
         ({"seconds": np.inf}, "Got seconds=inf"),
-        ({"seconds": -5.0}, "Got seconds=-5.0, but expected numbers > 0"),
+        ({"seconds": -5.0}, "Got seconds=-5.0, but expected a number > 0"),
         ({"pause": 0.0}, "pause"),
         ({"n_paths": 30.5}, "Got n_paths=30.5"),
         ({"noise": {"Cq": 0.1}}, "coefficients lack 'Cq'"),
-        ({"goal": ["Cm_beta"]}, r"no manoeuvre of \['elevator'\] within its limits lowers"),
+        ({"goal": ["Cm_beta"]}, r"manoeuvres of \['elevator'\] within their limits lower its errors by 0.0"),
         ({"seconds": 5.0}, "give more seconds, a shorter pause"),
         ({"rate": 10.0}, "Got a rate of 10 Hz"),
         ({"n_paths": 5}, "at least 18"),
@@ -341,8 +345,8 @@ def test_options_of_other_types_are_refused(model, uav, name, value, expected):
     "words",
     [
         {"altitude": np.nan}, {"altitude": (100, 200)}, {"bank": "a"}, {"bank": 0.0}, {"alpha": 0.2},
-        {"alpha": (1.0, np.nan)}, {"airspeed": (30.0,)}, {"risk": 1.5}, {"risk": 0.0}, {"growth": -1.0},
-        {"margin": np.nan},
+        {"alpha": (1.0, np.nan)}, {"airspeed": (30.0,)}, {"risk": 1.5}, {"risk": 1.0}, {"risk": None}, {"risk": 0.0},
+        {"growth": None}, {"growth": -1.0}, {"margin": np.nan},
     ],
 )  # fmt: skip
 def test_an_envelope_of_no_numbers_is_refused(words):
@@ -353,6 +357,25 @@ def test_an_envelope_of_no_numbers_is_refused(words):
 def test_the_throttle_stays_between_0_and_1():
     flown = Aerodynamics(lambda X: 0 * X, ["throttle"], limits=[[0.2], [0.95]])
     assert Envelope(growth=1.0).bounds(flown)["growth of throttle"] == (0.0, 1.0)
+
+
+def test_an_axis_that_is_no_deflection_has_limits_in_its_own_unit(model, uav, monkeypatch):
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    options = AXES | {"axes": ["thrust"], "limits": {"thrust": 5.0}, "bands": BANDS.set_axis(["thrust"])}  # [N]
+    found = plan(model, uav, **options | {"noise": NOISE.set_axis(["CX", "Cm"])}, seconds=8.0)
+    assert 1.0 < found.trains[0].table(50.0)["thrust"].max() <= 5.0
+
+
+def test_little_that_each_of_many_manoeuvres_teaches_is_planned(planned, model, uav, monkeypatch):
+    """Where much is known."""
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    known = planned[0].after
+    for _ in range(10):
+        known = known + known
+    options = AXES | {"known": known, "bands": BANDS, "goal": ["Cm_alpha", "Cm_q"], "seconds": 60.0}
+    found = plan(model, uav, **options).manoeuvres
+    assert len(found) > 5
+    assert found["gain"].max() < 0.002 < found["gain"].sum()
 
 
 @pytest.mark.parametrize(

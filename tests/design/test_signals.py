@@ -157,6 +157,7 @@ def test_power_of_the_spectrum_is_as_given():
         (lambda: Limits(0.0), "forbids every input"),
         (lambda: Limits(0.1, rate=-1.0), "forbids every input"),
         (lambda: Limits(0.1, lag=-0.1), "Got lag=-0.1, but expected the time constant"),
+        (lambda: Limits(0.1, lag=np.nan), "Got lag=nan, but expected the time constant"),
         (lambda: doublet(0.5, 0.2, limits=LIMITS), "peak of 0.2, but the limit is 0.1"),
         (lambda: doublet(0.1, 0.1, limits=LIMITS), "choose a longer duration"),
         (lambda: chirp(20.0, (0.1, 5.0), 0.1, limits=LIMITS), "rate of 2"),

@@ -50,7 +50,7 @@ def plan():
     return Plan(
         (train,), (trim(Aerodynamics(linear, NAMES), aircraft, 20.0, altitude=100.0),), ("Cm_alpha", "Cm_q"), before,
         sum(parts, before), rows, pd.DataFrame(), pd.concat([one.assign(flight=k) for k in range(3)]), parts, limits,
-        aircraft,
+        aircraft, dict.fromkeys(NAMES, 0.0),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 NOT_RUN = {"skdgp"}  # itself, and tools that no test of the numerics needs:
 NOT_RUN |= {"ruff", "hatchling", "mypy", "pandas-stubs", "scipy-stubs", "joblib-stubs", "pytest-cov"}
-NOT_RUN |= {"jsbsim", "onnxruntime", "fmpy"}  # and programs that read what is exported
+NOT_RUN |= {"jsbsim", "onnxruntime", "fmpy", "lupa"}  # and programs that read what is exported
 
 
 def requirements(name=None):

@@ -236,7 +236,7 @@ class TestSimulate:
 
     def test_seeds(self, model):
         first, again, other = (flown(model, gusts=TRUE, random_state=seed)["q"].to_numpy() for seed in (0, 0, 1))
-        # OpenBLAS's kernels for old processors, which the oldest versions run with, round by where operands lie in memory
+        # OpenBLAS's kernels for old processors round by where operands lie in memory
         np.testing.assert_allclose(first, again, rtol=1e-12, atol=1e-15)
         assert np.abs(other - first).max() > 1e-4
 

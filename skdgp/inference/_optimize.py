@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import LbfgsInvHessProduct, minimize
 
 from skdgp._compute.checkpoint import stage_record
 from skdgp._compute.progress import notify
@@ -15,6 +15,15 @@ from skdgp._compute.typing import Vector
 RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
 PATIENCE = 5  # iterations over which the held-out error must fall
 LEAST_GAIN = 0.01  # by this fraction
+GRID = 2.0**-14
+"""Spacing of the hyperparameters that a search evaluates, over the width of their bounds.
+
+Far from an optimum, each iteration of L-BFGS multiplies a difference between two searches by about 1.6. So data that
+differ by rounding alone, on another processor or of a mirrored flight, would lead to different optima within 60
+iterations. On the grid the difference is gone before it grows; the likelihood changes by less than 0.01 nats.
+"""
+WIDEST = 16.0  # width of bounds that counts
+GRADIENT = 1e-4  # [nats] below which a search has converged
 STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
 
 
@@ -35,7 +44,7 @@ class _Objective:
 
     def __init__(self, log_likelihood, theta, stage, stop, record):
         self.log_likelihood, self.stage, self.stop, self.record = log_likelihood, stage, stop, record
-        self.theta, self.value, self.n_evaluations = np.array(theta), -np.inf, 0
+        self.theta, self.value, self.latest, self.n_evaluations = np.array(theta), -np.inf, -np.inf, 0
         self.values: list[float] = []
 
     def __call__(self, theta, eval_gradient=True):
@@ -49,6 +58,7 @@ class _Objective:
             value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
+        self.latest = value
         self.values.append(self.value)
         if recorded is None:
             notify(self.stage, self.n_evaluations, self.value)
@@ -80,6 +90,7 @@ def maximize(
     name: str | None = None,
     stop: Any = None,
     held_out_error: Any = None,
+    grid: float = 0.0,
 ) -> Optimum:
     """Return the best point of a search that starts at ``theta``.
 
@@ -104,6 +115,8 @@ def maximize(
     held_out_error : callable or None
         theta (n,) -> error at data that ``log_likelihood`` does not know. The search stops when it has not fallen by
         1 % over 5 iterations. It is not called for an ``optimizer`` of the user.
+    grid : float
+        Spacing of the points that are evaluated, over the width of the bounds, see ``GRID``. Zero: any points.
 
     Returns
     -------
@@ -111,15 +124,29 @@ def maximize(
         After Ctrl-C the best point so far, with ``interrupted``; the caller warns.
     """
     record = stage_record(name or stage)
-    theta = record.start(np.clip(theta, bounds[:, 0], bounds[:, 1]))
+    step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
+    step[step == 0.0] = np.finfo(float).tiny
+
+    def rounded(theta):
+        nearest = step * np.round(theta / step) if grid else theta
+        return np.clip(nearest, bounds[:, 0], bounds[:, 1])
+
+    theta = record.start(rounded(theta))
     if stop is not None and stop.is_set():
         return Optimum(theta, -np.inf, 0, 0, True, np.inf, False)
     objective = _Objective(log_likelihood, theta, stage, stop, record)
     n_iter, interrupted, remaining, converged = 0, False, np.inf, False
     errors: list[float] = []
+    before = -np.inf
 
     def watch(theta):
-        errors.append(held_out_error(theta))
+        nonlocal before
+        rise, before = objective.latest - before, objective.latest
+        if rise <= tolerance * max(1.0, abs(before), abs(before - rise)):
+            raise StopIteration
+        if held_out_error is None:
+            return
+        errors.append(held_out_error(rounded(theta)))
         if len(errors) > PATIENCE and min(errors[-PATIENCE:]) > (1 - LEAST_GAIN) * min(errors[:-PATIENCE]):
             raise StopIteration
 
@@ -128,20 +155,21 @@ def maximize(
             optimizer(objective, theta, bounds)
             remaining, converged = 0.0, True  # an optimiser of the user has its own stopping rule
         else:
-            options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "ftol": tolerance, "gtol": 1e-4, "maxcor": 20}
-            end = minimize(
-                objective,
-                theta,
-                jac=True,  # type: ignore[call-overload]  # a class with __call__
-                method="L-BFGS-B",
-                bounds=bounds,
-                options=options,
-                callback=None if held_out_error is None else watch,
-            )
+            first = objective(theta)
+            before, unit = objective.latest, np.linalg.norm(first[1]) or 1.0  # so that the first step has length one
+
+            def loss(other):
+                other = rounded(other)
+                value, gradient = first if np.array_equal(other, theta) else objective(other)
+                return value / unit, gradient / unit
+
+            options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "maxcor": 20, "ftol": 0.0}
+            options["gtol"] = GRADIENT / unit
+            end = minimize(loss, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options, callback=watch)
             n_iter, converged = end.nit, bool(end.success) or end.status == STOPPED
             remaining = 0.0
             if not converged:
-                remaining = min(_newton_rise(end, bounds), max(max_iter, 1) * objective.rise_per_evaluation())
+                remaining = min(_newton_rise(end, unit, bounds), max(max_iter, 1) * objective.rise_per_evaluation())
     except KeyboardInterrupt:
         interrupted = True
         if stop is not None:
@@ -149,9 +177,12 @@ def maximize(
     return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, remaining, converged)
 
 
-def _newton_rise(end: Any, bounds: Any) -> float:
-    """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement."""
-    downhill = -end.jac
+def _newton_rise(end: Any, unit: float, bounds: Any) -> float:
+    """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement.
+
+    ``end`` is of a loss in units of ``unit`` nats. Where L-BFGS has seen no curvature, H is one nat.
+    """
+    downhill = -unit * end.jac
     blocked = ((end.x <= bounds[:, 0]) & (downhill < 0)) | ((end.x >= bounds[:, 1]) & (downhill > 0))
     free = np.where(blocked, 0.0, downhill)
-    return float(0.5 * free @ end.hess_inv(free))
+    return float(0.5 * free @ LbfgsInvHessProduct(end.hess_inv.sk, unit * end.hess_inv.yk)(free))

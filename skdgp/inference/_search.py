@@ -21,7 +21,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._objective import Objective, theta_bounds
-from skdgp.inference._optimize import Optimum, maximize
+from skdgp.inference._optimize import GRID, Optimum, maximize
 from skdgp.inference._rows import HELD_OUT_ROWS, stratified
 from skdgp.inference._singles import fit_singles
 
@@ -116,7 +116,7 @@ class _Stages:
     def _maximize(self, name, objective, noise, bounds, max_iter, spread=0.0, error=None):
         theta = np.concatenate([objective.kernel.theta, np.log(noise)])
         theta += spread * self.random_state.normal(size=theta.shape)
-        options = {"optimizer": self.optimizer, "max_iter": max_iter, "name": name, "stop": self.stop}
+        options = {"optimizer": self.optimizer, "max_iter": max_iter, "name": name, "stop": self.stop, "grid": GRID}
         with threads_for(objective.data.n_values):
             best = maximize(objective, theta, bounds, **options, held_out_error=error)
         self.n_evaluations += best.n_evaluations

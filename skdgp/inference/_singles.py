@@ -12,7 +12,7 @@ from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._objective import Objective, theta_bounds
-from skdgp.inference._optimize import maximize
+from skdgp.inference._optimize import GRID, maximize
 from skdgp.inference._rows import stratified
 
 SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
@@ -82,7 +82,7 @@ def fit_singles(
     long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
     """
     tolerance = TOLERANCE * max(1, kernel.n_processes)
-    search = partial(maximize, optimizer=optimizer, stop=stop, tolerance=tolerance)
+    search = partial(maximize, optimizer=optimizer, stop=stop, tolerance=tolerance, grid=GRID)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
     outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
     trials = [output.try_widths(kernel, max_iter) for output in outputs]

@@ -50,6 +50,9 @@ DELAY_STEPS = 6
 MAX_STEPS = 40
 TOLERANCE = 0.02
 N_DRAWS = 16
+MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+ODD = frozenset(("ay_bias", "p_bias", "r_bias", "beta_bias", "wind_east"))
+"""Signs of a state's errors in a mirror at the x-z plane (NED velocity, body rotation, NED gust); odd constants."""
 
 
 class Prior(NamedTuple):
@@ -93,7 +96,7 @@ def estimate(
     estimated. ``noise`` holds the initial standard deviations, by the names in NOISE and GUSTS.
     """
     path, places = start, [PLACE[name] for name in free]
-    draws = np.random.default_rng(0).standard_normal((9 * len(log.time) + len(places), N_DRAWS))
+    draws = _mirrored_pairs(len(log.time), free)
     offset = pull = np.zeros(len(places))
     interval = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
     for step in range(MAX_STEPS):
@@ -114,6 +117,16 @@ def estimate(
             break
     noise = noise | {kind: noise[alike] for kind, alike in zip(PROCESS[6:], _process_names(log)[6:], strict=True)}
     return Estimate(path, noise, posterior.covariance, _air_std(path, posterior, places), converged)
+
+
+def _mirrored_pairs(n_states: int, free: Sequence[str]) -> Matrix:
+    """Return standard normal numbers (9 n + f, N_DRAWS), a set that a mirror at the x-z plane does not change.
+
+    So a mirrored flight, which is the same physics, has the same noise and the mirrored path up to rounding.
+    """
+    sign = np.append(np.tile(MIRROR, n_states), [-1.0 if name in ODD else 1.0 for name in free])
+    half = np.random.default_rng(0).standard_normal((len(sign), N_DRAWS // 2))
+    return np.column_stack([half, sign[:, None] * half])
 
 
 def solve(windows: Iterable[tuple[int, Equations, Equations]], prior: Prior, draws: Matrix) -> Posterior:

@@ -11,7 +11,7 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import FlightPipeline, flight_noise, flight_regressors, identify, predict_flight
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -51,6 +51,33 @@ def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
     scale = flights.aircraft.mass / (0.5 * train["density"] * train["airspeed"] ** 2 * flights.aircraft.wing_area)
     power = (s * scale.mean()) ** 2 * train["time"].diff().median()
     assert np.mean(after) - before == pytest.approx(power, rel=0.15)  # one has a deviation of 13 %
+
+
+ODD = ["beta", "p", "r", "ay", "phi", "psi", "east", "v_east", "aileron", "rudder", "thrust_y", "thrust_l", "thrust_n"]
+"""Columns of the example flights whose sign changes in a mirror at the x-z plane."""
+
+
+def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
+    """The mirrored aircraft on mirrored flights has the mirrored coefficients, with the same deviations."""
+    turned, record = np.diag([1.0, -1.0, 1.0]), flights.aircraft.to_dict()
+    record["inertia"] = (turned @ np.array(record["inertia"]) @ turned).tolist()
+    record["propeller"]["rotation"] *= -1
+    aircraft = {1: flights.aircraft, -1: Aircraft.from_dict(record)}
+
+    def seen(table, side):
+        table = table.assign(**{name: side * table[name] for name in ODD if name in table})
+        left, right = "elevon_left", "elevon_right"
+        return table if side > 0 else table.assign(**{left: table[right], right: table[left]})
+
+    found = {}
+    for side in (1, -1):
+        train = seen(flights.train.iloc[:400], side)
+        pipeline = make_identification_pipeline(aircraft[side])
+        pipeline.fit(train, thin_targets(aerodynamic_coefficients(train, aircraft[side]), 60))
+        found[side] = pipeline.predict(seen(test_flight.iloc[:200], side), return_std=True)
+    (mean, std), (mirrored, deviation) = found[1], found[-1]
+    assert (np.abs(mean - mirrored * [1, -1, 1, -1, 1, -1]) < 0.05 * std).all()
+    np.testing.assert_allclose(deviation, std, rtol=0.05)
 
 
 def test_few_rows_do_not_show_the_noise(model, flights):

@@ -166,3 +166,17 @@ def test_progress_is_told_at_every_evaluation():
     values = [news[2] for news in told]
     assert values == sorted(values)  # the best so far
     assert values[-1] == best.value
+
+
+def test_evaluates_points_of_the_grid():
+    seen = []
+
+    def watched(theta):
+        seen.append(theta.copy())
+        return ridge(theta)
+
+    bounds = np.array([[-5.0, 5.0], [-5.0, 0.3]])  # where the last one is a bound
+    maximize(watched, np.array([-1.2, 0.1]), bounds, grid=2.0**-10)
+    steps = np.array(seen) / (2.0**-10 * np.array([10.0, 5.3]))
+    assert (np.isclose(steps, np.round(steps), atol=1e-9) | np.isin(seen, bounds)).all()
+    assert len(seen) > 5

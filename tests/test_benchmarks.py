@@ -52,7 +52,7 @@ def script(monkeypatch):
             del sys.modules[name]
 
 
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter", "ignore:Compacting to")
+@pytest.mark.filterwarnings("ignore:Compacting to")
 @pytest.mark.usefixtures("short_fits")
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_writes_its_tables_and_says_on_which_machine(script, name, tmp_path, capsys):

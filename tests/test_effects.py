@@ -57,9 +57,6 @@ def fitted(data):
     return get
 
 
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
-
-
 @pytest.mark.parametrize("name", MODELS)
 def test_sum_of_effects_is_the_mean_anywhere(name, fitted, data):
     model, new = fitted(name), data[0] * 1.7 + 0.1

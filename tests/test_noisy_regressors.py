@@ -115,7 +115,6 @@ def test_survives_pickling_compaction_and_further_samples(inference):
 
 
 @pytest.mark.usefixtures("short_fits")
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 def test_bands_of_a_flight_widen_with_its_gusts():
     (train, gusty), (_, calm) = (_flights.__wrapped__(0, turbulence, 1.0, 30.0) for turbulence in (1.0, 0.0))
     train, tests = train.iloc[:1200], [gusty, calm]

@@ -30,7 +30,6 @@ def blocks(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 @pytest.mark.usefixtures("short_fits")
 def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -141,7 +141,7 @@ def test_tones_are_dealt_out_over_the_band(axes, tones, more):
 def test_phases_are_the_same_for_the_same_seed_and_better_with_more_starts():
     signal = multisine(10.0, [3, 4, 7, 11, 12, 17, 21], rms=1.0, power=[1, 2, 1, 3, 1, 2, 1])
     few, again, many = (signal.optimized(n_starts=n, random_state=5) for n in (2, 2, 6))
-    assert few == again
+    assert few.phases == pytest.approx(again.phases, rel=1e-9)
     assert many.relative_peak_factor <= few.relative_peak_factor < signal.relative_peak_factor
 
 

@@ -36,7 +36,7 @@ RUN_HERE = [page for page in PAGES if blocks(page) and page.name not in RUN_ELSE
 def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, request):
     """In one namespace, in an empty folder; what a page writes, it writes there."""
     if page.name in UNJUDGED:
-        request.getfixturevalue("short_fits")
+        request.getfixturevalue("hasty_fits")
     if page.name in SHORT:
         request.getfixturevalue("short_flights")
     if page.name in CALM:

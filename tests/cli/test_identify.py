@@ -33,6 +33,8 @@ from skdgp.identification import _evaluation, _identification, _identify, load_m
 from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
+pytestmark = pytest.mark.usefixtures("no_report")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
 OUTPUTS = {"model.joblib", "metrics.json", "report.html", "config.toml"}
@@ -48,12 +50,6 @@ def assert_only_stopped(messages):
 def stop(content):
     """Press Ctrl-C where the report is drawn."""
     signal.raise_signal(signal.SIGINT)
-
-
-@pytest.fixture(autouse=True)
-def _no_report(monkeypatch):
-    """Leave the report out: what takes a process of its own draws it."""
-    monkeypatch.setattr(_identification, "render_report", lambda content: "")
 
 
 def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json"):
@@ -748,7 +744,7 @@ def test_demo_is_honest(tmp_path, capsys):
     assert (pipeline.noise_["white"] > 0).all()
 
 
-@pytest.mark.usefixtures("short_flights", "short_fits")
+@pytest.mark.usefixtures("short_flights", "hasty_fits")
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
@@ -766,7 +762,8 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     assert str(picture) in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("short_flights", "short_fits")
+@pytest.mark.usefixtures("short_flights", "hasty_fits")
+@pytest.mark.parametrize("short_flights", [500], indirect=True)
 def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}

@@ -101,7 +101,7 @@ def test_schroeders_phases_are_those_of_his_paper_for_equal_power():
 
 @pytest.mark.parametrize(
     ("duration", "band"),
-    [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0)), (10.0, (0.1, 5.0)), (15.0, (0.1, 8.0))],
+    [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))],
 )
 def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band):
     axes = ("elevator", "aileron", "rudder", "throttle")
@@ -122,9 +122,7 @@ def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band
         assert one.relative_peak_factor == pytest.approx(spread, rel=1e-3)
 
 
-@pytest.mark.parametrize("axes", [1, 2, 3])
-@pytest.mark.parametrize("tones", [1, 2, 7])
-@pytest.mark.parametrize("more", [0, 1, 2, 6, 30])
+@pytest.mark.parametrize(("axes", "tones", "more"), [(1, 1, 0), (1, 7, 6), (2, 2, 1), (3, 1, 30), (3, 2, 0), (3, 7, 2)])
 def test_tones_are_dealt_out_over_the_band(axes, tones, more):
     count = axes * tones + more  # harmonics 1, 2 ... of 10 s
     names = ("elevator", "aileron", "rudder")[:axes]

@@ -303,9 +303,9 @@ for moment in {moments.tolist()!r}:
             def check():
                 pass
         """
-        plain, moments = quick().fit(X, Y), np.random.default_rng(2).uniform(0.0, 0.05, 10)
+        plain, moments = quick().fit(X, Y), np.random.default_rng(2).uniform(0.0, 0.05, 6)
         n, value = self.killed(work, moments, tmp_path, "print(*work(lambda: None))").split()
-        assert int(n) <= plain.n_evaluations_ - 10
+        assert int(n) <= plain.n_evaluations_ - 6
         assert float(value) == pytest.approx(plain.log_marginal_likelihood_value_, rel=1e-9)
         assert list(tmp_path.iterdir()) == []
 
@@ -323,5 +323,5 @@ for moment in {moments.tolist()!r}:
             def check():
                 print(*np.unique(joblib.load("model.joblib")))
         """
-        printed = self.killed(work, np.random.default_rng(3).uniform(0.0, 0.1, 10), tmp_path)
-        assert [len(line.split()) for line in printed.splitlines()] == [1] * 10
+        printed = self.killed(work, np.random.default_rng(3).uniform(0.0, 0.1, 6), tmp_path)
+        assert [len(line.split()) for line in printed.splitlines()] == [1] * 6

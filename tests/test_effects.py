@@ -50,7 +50,7 @@ def fitted(data):
 
     def get(name):
         if name not in models:
-            regressor = DependentGPRegressor(max_iter=15, random_state=0, **MODELS[name])
+            regressor = DependentGPRegressor(max_iter=6, random_state=0, **MODELS[name])
             models[name] = make_pipeline(StandardScaler(), regressor).fit(*data)
         return models[name]
 

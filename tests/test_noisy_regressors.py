@@ -84,7 +84,7 @@ def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
 
 
 def test_given_noise_may_be_a_number_deviations_or_a_covariance():
-    number, array, matrix = (fitted(given) for given in (0.1, [0.1], [[0.01]]))
+    number, array, matrix = (fitted(given, max_iter=5) for given in (0.1, [0.1], [[0.01]]))
     X = waves(seed=1)[0][:10]
     for other in (array, matrix):
         np.testing.assert_allclose(other.predict(X), number.predict(X), rtol=1e-6, atol=1e-8)
@@ -101,7 +101,7 @@ def test_nonsense_is_refused(wrong):
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
 def test_survives_pickling_compaction_and_further_samples(inference):
-    model = fitted(0.1, inference)
+    model = fitted(0.1, inference, max_iter=15)
     X, Y, *_ = waves(seed=2)
     words = {"return_std": True, "include_input_noise": True}
     before = model.predict(X, **words)

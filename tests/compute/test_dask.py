@@ -36,6 +36,7 @@ def cluster():
 def client(cluster):
     with distributed.Client(cluster, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)  # killed ones come back
+        _until(lambda: len(client.run(os.getpid, on_error="ignore")) == 2)  # one may be counted that has just died
         yield client
 
 

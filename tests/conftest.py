@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from skdgp import datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
-from skdgp.inference import _singles
+from skdgp.inference import _optimize, _singles
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -85,6 +85,17 @@ def short_fits(monkeypatch):
     monkeypatch.setattr(_singles, "WIDTH_FACTORS", _singles.WIDTH_FACTORS[:1])
     monkeypatch.setattr(_singles, "TRIAL_ITERATIONS", 2)
     monkeypatch.setattr(_singles, "SINGLE_ITERATIONS", 2)
+
+
+@pytest.fixture
+def hasty_fits(monkeypatch, short_fits):
+    """Stop every search of this process after two iterations: for pages and commands that only use what was learned."""
+    minimize = _optimize.minimize
+
+    def hasty(*args, options, **more):
+        return minimize(*args, options=options | {"maxiter": min(2, options["maxiter"])}, **more)
+
+    monkeypatch.setattr(_optimize, "minimize", hasty)
 
 
 @pytest.fixture(scope="session")

@@ -21,7 +21,7 @@ RUN_ELSEWHERE = {
 }
 UNJUDGED = {"README.md", "command_line.md", "ten_minutes.md"}  # what their models learned matters little: short fits do
 SHORT = {"README.md", "ten_minutes.md"}  # and short flights
-CALM = {"reconstruction.md"}  # has the first 75 s of a flight that no other page has: no more of it is simulated
+CALM = {"reconstruction.md"}  # has the first 40 s of a flight that no other page has: no more of it is simulated
 PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
 
 
@@ -36,11 +36,11 @@ RUN_HERE = [page for page in PAGES if blocks(page) and page.name not in RUN_ELSE
 def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, request):
     """In one namespace, in an empty folder; what a page writes, it writes there."""
     if page.name in UNJUDGED:
-        request.getfixturevalue("short_fits")
+        request.getfixturevalue("hasty_fits")
     if page.name in SHORT:
         request.getfixturevalue("short_flights")
     if page.name in CALM:
-        monkeypatch.setattr(_example_flights, "_flights", partial(_example_flights._flights, duration=75.0))
+        monkeypatch.setattr(_example_flights, "_flights", partial(_example_flights._flights, duration=40.0))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = {}

@@ -50,14 +50,11 @@ def fitted(data):
 
     def get(name):
         if name not in models:
-            regressor = DependentGPRegressor(max_iter=15, random_state=0, **MODELS[name])
+            regressor = DependentGPRegressor(max_iter=6, random_state=0, **MODELS[name])
             models[name] = make_pipeline(StandardScaler(), regressor).fit(*data)
         return models[name]
 
     return get
-
-
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 
 
 @pytest.mark.parametrize("name", MODELS)

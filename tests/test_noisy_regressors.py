@@ -8,8 +8,8 @@ import pytest
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.datasets import _example_flights, load_example_flights
 from skdgp.datasets._brumby import BRUMBY
-from skdgp.datasets._example_flights import _flights
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import flight_regressors, predict_flight
 from skdgp.model_selection import thin_targets
@@ -84,7 +84,7 @@ def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
 
 
 def test_given_noise_may_be_a_number_deviations_or_a_covariance():
-    number, array, matrix = (fitted(given) for given in (0.1, [0.1], [[0.01]]))
+    number, array, matrix = (fitted(given, max_iter=5) for given in (0.1, [0.1], [[0.01]]))
     X = waves(seed=1)[0][:10]
     for other in (array, matrix):
         np.testing.assert_allclose(other.predict(X), number.predict(X), rtol=1e-6, atol=1e-8)
@@ -101,7 +101,7 @@ def test_nonsense_is_refused(wrong):
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
 def test_survives_pickling_compaction_and_further_samples(inference):
-    model = fitted(0.1, inference)
+    model = fitted(0.1, inference, max_iter=15)
     X, Y, *_ = waves(seed=2)
     words = {"return_std": True, "include_input_noise": True}
     before = model.predict(X, **words)
@@ -115,10 +115,9 @@ def test_survives_pickling_compaction_and_further_samples(inference):
 
 
 @pytest.mark.usefixtures("short_fits")
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 def test_bands_of_a_flight_widen_with_its_gusts():
-    (train, gusty), (_, calm) = (_flights.__wrapped__(0, turbulence, 1.0, 30.0) for turbulence in (1.0, 0.0))
-    train, tests = train.iloc[:1200], [gusty, calm]
+    flights, calm = load_example_flights(), _example_flights._flights(0, 0.0, 1.0, duration=40.0)[1]
+    train, tests = flights.train.iloc[:1200], [flights.test.iloc[:1200], calm.iloc[:1200]]
     learned = thin_targets(aerodynamic_coefficients(train, BRUMBY)[["CZ", "Cm"]], 40)
     model = make_identification_pipeline(BRUMBY, memory=None)
     model.set_params(dependentgpregressor__max_iter=4, dependentgpregressor__random_state=0)

@@ -32,7 +32,6 @@ def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared
 
 @pytest.mark.shared
 @pytest.mark.usefixtures("short_fits")
-@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     """On a flight at two altitudes, from 150 noisy samples of one."""
     folder = shared_data / "flights"

@@ -14,9 +14,6 @@ from skdgp import DependentGPRegressor
 from skdgp._compute import linalg
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
-# Fits cut short to be quick say so.
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
-
 
 @pytest.fixture
 def X():
@@ -87,8 +84,10 @@ class TestRegressors:
             model = quick().fit(more, Y)
         assert np.isfinite(model.predict(more, return_std=True)).all()
 
-    @pytest.mark.parametrize("constant", [0.6, 1e-9, 0.1 + 0.2, -1.7e9, 0.0])
-    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    @pytest.mark.parametrize(
+        ("constant", "inference"),
+        [(0.6, "exact"), (0.6, "sparse"), (1e-9, "exact"), (0.1 + 0.2, "sparse"), (-1.7e9, "exact"), (0.0, "sparse")],
+    )
     def test_a_constant_one_is_named_and_changes_nothing(self, X, Y, constant, inference):
         """The standard deviation of equal numbers is not zero but rounding: np.std([.6] * 20) is 1e-16."""
         more = pd.DataFrame(np.column_stack([X, np.full(30, constant)]), columns=["alpha", "q", "throttle"])
@@ -180,9 +179,9 @@ class TestTargets:
     def test_of_integers_and_nullable_numbers(self, X, Y):
         whole = (10 * Y).round()
         expected = quick().fit(X, whole).predict(X)
-        np.testing.assert_array_equal(quick().fit(X, whole.astype(int)).predict(X), expected)
+        np.testing.assert_allclose(quick().fit(X, whole.astype(int)).predict(X), expected, rtol=1e-6, atol=1e-9)
         nullable = pd.DataFrame(whole).astype("Float64")
-        np.testing.assert_array_equal(quick().fit(X, nullable).predict(X), expected)
+        np.testing.assert_allclose(quick().fit(X, nullable).predict(X), expected, rtol=1e-6, atol=1e-9)
         nullable.iloc[0, 0] = pd.NA
         assert np.isfinite(quick().fit(X, nullable).predict(X)).all()
 
@@ -222,8 +221,9 @@ class TestTargets:
         with pytest.raises(ValueError, match=r"targets of magnitudes \{'y1': .*StandardScaler"):
             quick().fit(X, Y * [1.0, size])
 
-    @pytest.mark.parametrize("value", [0.6, 1e-9, -3e25])
-    @pytest.mark.parametrize("trend", ["linear", "constant", None])
+    @pytest.mark.parametrize(
+        ("value", "trend"), [(0.6, "linear"), (0.6, None), (1e-9, "constant"), (-3e25, "linear"), (-3e25, None)]
+    )
     def test_that_are_constant_are_told_in_their_own_size(self, X, Y, value, trend):
         """And leave the others alone: the deviation of equal numbers is rounding."""
         Y[:, 0] = value

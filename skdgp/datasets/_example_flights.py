@@ -83,7 +83,7 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
     Parameters
     ----------
     random_state : int, RandomState instance or None, default=0
-        Seed of gusts and sensor noise. The same integer gives the same bits.
+        Seed of gusts and sensor noise. The same integer gives the same flights.
     turbulence : float, default=1.0
         Multiplies the gusts; 0 is calm air in the same steady wind.
     sensor_noise : float, default=1.0

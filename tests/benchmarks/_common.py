@@ -63,9 +63,10 @@ def extra_memory(function):
     return max(0, peak - resident)
 
 
-def in_own_process(script, *words):
+def in_own_process(script, *words, environment=None):
     """Run a script of this folder and return what it printed last, as JSON; None where it failed."""
-    done = subprocess.run([sys.executable, str(script), *map(str, words)], capture_output=True, text=True, check=False)
+    command, variables = [sys.executable, str(script), *map(str, words)], os.environ | (environment or {})
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
     if done.returncode:
         print(f"  {' '.join(map(str, words))}: {(done.stderr.strip().splitlines() or ['killed'])[-1]}", file=sys.stderr)
         return None

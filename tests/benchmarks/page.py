@@ -23,7 +23,7 @@ from skdgp.plotting._style import PALETTE, tidy
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = (
     *("benchmarks.md", "comparison.md", "control.md", "design.md", "results.md", "dynamics.md", "simulation.md"),
-    "study.md",
+    *("study.md", "versions.md"),
 )
 COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}
 DASHES = {"exact": "--", "one thread": "--", "150": ":"}

@@ -10,6 +10,7 @@ import time
 import pytest
 
 from skdgp.datasets import load_example_flights
+from skdgp.identification import Identification, _identification
 
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -51,6 +52,14 @@ def write_flights(folder):
 @pytest.fixture(autouse=True)
 def in_folder(folder, monkeypatch):
     monkeypatch.chdir(folder)
+
+
+@pytest.fixture
+def no_report(monkeypatch):
+    """Leave the report out: what takes a process of its own draws it."""
+    monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    for part in ("_envelope", "_effects"):
+        monkeypatch.setattr(Identification, part, lambda self: None)
 
 
 @pytest.fixture(scope="session")

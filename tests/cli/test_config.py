@@ -33,7 +33,6 @@ def config(tmp_path):
 
 
 class TestRepeat:
-    @pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
     def test_of_identify(self, identified, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_identification, "render_report", lambda content: "")
         monkeypatch.chdir(tmp_path)  # files are found from anywhere

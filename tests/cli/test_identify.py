@@ -33,8 +33,7 @@ from skdgp.identification import _evaluation, _identification, _identify, load_m
 from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
-# Fits cut short to be quick say so.
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+pytestmark = pytest.mark.usefixtures("no_report")
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
@@ -43,15 +42,14 @@ QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
+def assert_only_stopped(messages):
+    """Assert that nothing is said but that a search stopped at its limit, which depends on rounding."""
+    assert [each for each in messages if "The fit stopped at max_iter" not in each] == []
+
+
 def stop(content):
     """Press Ctrl-C where the report is drawn."""
     signal.raise_signal(signal.SIGINT)
-
-
-@pytest.fixture(autouse=True)
-def _no_report(monkeypatch):
-    """Leave the report out: what takes a process of its own draws it."""
-    monkeypatch.setattr(_identification, "render_report", lambda content: "")
 
 
 def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json"):
@@ -64,7 +62,7 @@ class TestIdentify:
         assert {path.name for path in identified[0].iterdir()} == OUTPUTS
 
     def test_is_silent_in_a_pipe(self, identified):
-        assert identified[1].stderr == ""
+        assert_only_stopped(identified[1].stderr.splitlines())
         assert "\r" not in identified[1].stdout
         assert "\x1b" not in identified[1].stdout
 
@@ -87,7 +85,7 @@ class TestIdentify:
         assert {"skdgp", "scikit-learn", "numpy", "scipy", "pandas", "python"} <= set(metrics["versions"])
         assert Aircraft.from_dict(metrics["aircraft"]) == Aircraft.from_json(folder / "uav.json")
         assert metrics["held_out"] is None
-        assert metrics["messages"] == []
+        assert_only_stopped(metrics["messages"])
         assert metrics["options"]["latents"] == 1
         assert metrics["options"]["max_iter"] == 3
 
@@ -734,7 +732,7 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
 @pytest.mark.parametrize("short_flights", [2000], indirect=True)
 def test_demo_is_honest(tmp_path, capsys):
     assert main(["demo", "--samples", "100", "-o", str(tmp_path)]) == 0
-    assert capsys.readouterr().err == ""
+    assert_only_stopped(capsys.readouterr().err.splitlines())
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
     (flight,) = json.loads((tmp_path / "metrics.json").read_text())["test"].values()
     means = flight["means"]
@@ -746,7 +744,7 @@ def test_demo_is_honest(tmp_path, capsys):
     assert (pipeline.noise_["white"] > 0).all()
 
 
-@pytest.mark.usefixtures("short_flights", "short_fits")
+@pytest.mark.usefixtures("short_flights", "hasty_fits")
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
@@ -764,7 +762,8 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     assert str(picture) in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("short_flights", "short_fits")
+@pytest.mark.usefixtures("short_flights", "hasty_fits")
+@pytest.mark.parametrize("short_flights", [500], indirect=True)
 def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}

@@ -101,7 +101,7 @@ def test_schroeders_phases_are_those_of_his_paper_for_equal_power():
 
 @pytest.mark.parametrize(
     ("duration", "band"),
-    [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0)), (10.0, (0.1, 5.0)), (15.0, (0.1, 8.0))],
+    [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))],
 )
 def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band):
     axes = ("elevator", "aileron", "rudder", "throttle")
@@ -122,9 +122,7 @@ def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band
         assert one.relative_peak_factor == pytest.approx(spread, rel=1e-3)
 
 
-@pytest.mark.parametrize("axes", [1, 2, 3])
-@pytest.mark.parametrize("tones", [1, 2, 7])
-@pytest.mark.parametrize("more", [0, 1, 2, 6, 30])
+@pytest.mark.parametrize(("axes", "tones", "more"), [(1, 1, 0), (1, 7, 6), (2, 2, 1), (3, 1, 30), (3, 2, 0), (3, 7, 2)])
 def test_tones_are_dealt_out_over_the_band(axes, tones, more):
     count = axes * tones + more  # harmonics 1, 2 ... of 10 s
     names = ("elevator", "aileron", "rudder")[:axes]
@@ -141,7 +139,7 @@ def test_tones_are_dealt_out_over_the_band(axes, tones, more):
 def test_phases_are_the_same_for_the_same_seed_and_better_with_more_starts():
     signal = multisine(10.0, [3, 4, 7, 11, 12, 17, 21], rms=1.0, power=[1, 2, 1, 3, 1, 2, 1])
     few, again, many = (signal.optimized(n_starts=n, random_state=5) for n in (2, 2, 6))
-    assert few == again
+    assert few.phases == pytest.approx(again.phases, rel=1e-9)
     assert many.relative_peak_factor <= few.relative_peak_factor < signal.relative_peak_factor
 
 

@@ -78,7 +78,7 @@ def test_gives_the_numbers_of_the_pipeline_for_rows_of_the_table(behind, flight,
 def test_knows_what_was_flown_and_the_lengths_and_the_mixing_of_the_pipeline(fitted, flight):
     aerodynamics = as_aerodynamics(fitted)
     rows = fitted[:3].transform(flight).to_numpy()
-    np.testing.assert_array_equal(aerodynamics.limits, [rows.min(axis=0), rows.max(axis=0)])
+    np.testing.assert_allclose(aerodynamics.limits, [rows.min(axis=0), rows.max(axis=0)], rtol=1e-9, atol=1e-10)
     assert (aerodynamics.span, aerodynamics.chord) == (2.8, 1.2)
     assert aerodynamics.mixing.surfaces == ("elevon_left", "elevon_right")
 
@@ -88,7 +88,9 @@ def test_limits_are_of_the_rows_that_were_learned_from(flight, targets):
     learned.iloc[60:] = np.nan
     model = pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(flight, learned)
     rows = model[:3].transform(flight).to_numpy()[:60]
-    np.testing.assert_array_equal(as_aerodynamics(model).limits, [rows.min(axis=0), rows.max(axis=0)])
+    np.testing.assert_allclose(
+        as_aerodynamics(model).limits, [rows.min(axis=0), rows.max(axis=0)], rtol=1e-9, atol=1e-10
+    )
 
 
 @pytest.mark.parametrize("behind", ["gaussian process", *BEHIND])

@@ -17,7 +17,6 @@ from sklearn.pipeline import Pipeline
 from skdgp.export import build_up, portable_model, write_dave_ml
 from skdgp.preprocessing import RegressorSelector
 
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 D, M = "{http://daveml.org/2010/DAVEML}", "{http://www.w3.org/1998/Math/MathML}"
 NORMAL = f"{D}uncertainty/{D}normalPDF"

@@ -13,7 +13,6 @@ from skdgp.export._gaussians import gaussian_sums
 from skdgp.export._jsbsim import SOURCES
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:The fit stopped at max_iter"),
     pytest.mark.filterwarnings("ignore:Compacting to"),
 ]
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605

@@ -14,7 +14,6 @@ from skdgp.identification import make_identification_pipeline
 
 pytest.importorskip("casadi", reason='plans with IPOPT: pip install "skdgp[export]"')
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:The fit stopped at max_iter"),
     pytest.mark.filterwarnings("ignore:.*trajectories left what the model was learned from"),
 ]
 PATHS, ALTITUDE, LIMITS, ELEVATOR = 200, 200.0, (0.16, 2.0), (-0.3, 0.3)

@@ -16,7 +16,6 @@ from skdgp.identification import FlightPipeline, flight_noise, flight_regressors
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
 QUICK = {"n_latent": 1, "max_iter": 8, "input_noise": "learned", "random_state": 0}
 
 
@@ -97,7 +96,7 @@ class TestPredict:
     def test_noise_of_measurements_is_on_request(self, model, test_flight):
         mean, std = model.predict(test_flight, return_std=True)
         again, noisy = model.predict(test_flight, return_std=True, include_noise=True)
-        np.testing.assert_array_equal(mean, again)
+        np.testing.assert_allclose(mean, again, rtol=1e-9, atol=1e-10)
         np.testing.assert_allclose(noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape))
         np.testing.assert_allclose(model.predict(test_flight), mean, atol=1e-10)
 
@@ -105,7 +104,7 @@ class TestPredict:
         for include_noise in (False, True):
             found = predict_flight(model, test_flight, include_noise=include_noise)
             expected = model.predict(test_flight, return_std=True, include_noise=include_noise)
-            np.testing.assert_array_equal(found, expected)
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10)
 
     def test_clones_pickles_and_other_regressors(self, model, flights, test_flight):
         assert isinstance(clone(model), FlightPipeline)

@@ -17,8 +17,6 @@ from skdgp.identification import FlightPipeline, default_regressor
 from skdgp.identification._other_air import mirrored, without_gusts
 from skdgp.preprocessing import RegressorSelector
 
-pytestmark = pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
-
 RATE, DAMPING, ROLL = 40.0, -0.5, 0.2
 NAMES = ["alpha", "beta", "p_hat", "elevator", "aileron"]
 

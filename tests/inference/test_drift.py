@@ -168,7 +168,7 @@ class TestResiduals:
         after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
         assert after_a_second[1] < 0.05 * 0.3**2
         for found, expected in zip(*(m.posterior_.predict(X[:9], True) for m in (model, white)), strict=True):
-            np.testing.assert_array_equal(found, expected)
+            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(model.noise_variance_ + model.misfit_variance_, white.noise_variance_)
         np.testing.assert_array_equal(white.drift_variance_, 0.0)
 
@@ -194,7 +194,9 @@ class TestResiduals:
         Y = ornstein_uhlenbeck(rng, 400, 0.05, 0.5, 0.09)[:, None]
         clock, mixed = np.column_stack([0.05 * np.arange(400), np.zeros(400)]), rng.permutation(400)
         expected = residual_drift(Nothing(), Y, Y, clock)
-        np.testing.assert_array_equal(residual_drift(Nothing(), Y[mixed], Y[mixed], clock[mixed]), expected)
+        np.testing.assert_allclose(
+            residual_drift(Nothing(), Y[mixed], Y[mixed], clock[mixed]), expected, rtol=1e-6, atol=1e-9
+        )
         twice = np.repeat(np.arange(400), 2)
         found = residual_drift(Nothing(), Y[twice], Y[twice], clock[twice])
         np.testing.assert_allclose(found[1:], expected[1:], rtol=0.1)

@@ -85,6 +85,12 @@ KERNELS = {
 }
 
 
+FEW = (
+    *("spherical", "tied, shifted", "full, shifted", "without private latents", "one output", "of few regressors"),
+    *("additive", "bounds for each entry", "everything fixed", "trend", "trend in splines + dependent"),
+)  # every class, kind of width and term once
+
+
 def n_features(kernel):
     if isinstance(kernel, Sum):
         return n_features(kernel.k1)
@@ -152,6 +158,8 @@ def kernel(name):
 
 
 class TestContract:
+    """What depends on the formula of a kernel."""
+
     def test_matrix_is_symmetric_and_swapping_the_inputs_transposes(self, kernel):
         X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
         equal(kernel(X), kernel(X).T)
@@ -162,43 +170,6 @@ class TestContract:
     def test_matrix_is_a_covariance(self, kernel):
         values = np.linalg.eigvalsh(kernel(inputs(kernel, (12, 9, 15))))
         assert values.min() > -1e-13 * values.max() * len(values)
-
-    def test_terms_add_up_and_depend_on_their_regressors_alone(self, kernel):
-        X, Z = inputs(kernel), inputs(kernel, seed=3)
-        terms = {columns: kernel.term(columns) for columns in kernel.term_regressors()}
-        equal(sum(term(X, Z) for term in terms.values()), kernel(X, Z))
-        for columns, term in terms.items():
-            moved = [np.where(np.isin(np.arange(x.shape[1]), columns), x, x + 1.0) for x in X]
-            equal(term(moved, Z), term(X, Z), rtol=1e-9, atol=1e-9)
-
-    def test_matrix_is_output_major_and_its_blocks_are_the_blocks_zero_without_coupling(self, kernel):
-        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
-        K = kernel(X, Z)
-        rows, columns = np.cumsum([0, *map(len, X)]), np.cumsum([0, *map(len, Z)])
-        for i, Xi in enumerate(X):
-            for j, Zj in enumerate(Z):
-                equal(K[rows[i] : rows[i + 1], columns[j] : columns[j + 1]], kernel.block(i, j, Xi, Zj))
-                assert kernel.couples(i, j) == kernel.couples(j, i)
-                assert kernel.couples(i, j) or not kernel.block(i, j, Xi, Zj).any()
-
-    def test_how_rows_are_cut_does_not_matter(self, kernel, monkeypatch):
-        X, last = inputs(kernel, (40, 30, 20)), kernel.n_outputs - 1
-        W = np.random.default_rng(1).normal(size=(len(X[0]), len(X[last])))
-        args = 0, last, X[0], X[last]
-        block, slope = kernel.block(*args), kernel.block_gradient(*args, W)
-        monkeypatch.setattr(_strips, "STRIP", 1)
-        equal(kernel.block(*args), block)
-        equal(kernel.block_gradient(*args, W), slope, rtol=1e-10, atol=1e-11)
-
-    def test_one_array_for_each_output_picks_rows_of_the_common_matrix(self, kernel):
-        P = kernel.n_outputs
-        X = np.random.default_rng(4).normal(size=(7, n_features(kernel)))
-        seen = np.random.default_rng(5).random((P, 7)) < 0.6
-        picked = np.flatnonzero(seen.ravel())
-        assert kernel(X).shape == (7 * P, 7 * P)
-        equal(kernel([X[s] for s in seen]), kernel(X)[np.ix_(picked, picked)])
-        some = [np.empty((0, n_features(kernel))), *inputs(kernel)[1:]]  # an output without samples takes no room
-        assert kernel(some).shape == (sum(map(len, some)),) * 2
 
     def test_gradient_is_the_derivative_with_respect_to_theta(self, kernel, name):
         K, gradient = kernel(inputs(kernel), eval_gradient=True)
@@ -216,26 +187,6 @@ class TestContract:
                 block = expected[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
                 got = kernel.block_gradient(i, j, Xi, Xj, W.copy())
                 equal(got, np.einsum("ab,abt->t", W, block), rtol=1e-8, atol=1e-9)
-
-    def test_pairs_of_rows_are_the_entries_above_the_diagonal(self, kernel):
-        for i, Xi in enumerate(inputs(kernel)):
-            pairs, upper = RowPairs(Xi), np.triu_indices(len(Xi))
-            for factor in (1.0, 0.5):  # an evaluation leaves nothing for the next one
-                other = kernel.clone_with_theta(factor * kernel.theta)
-                pairs.begin()
-                values = np.ones(len(pairs.place))
-                other.add_pairs(i, pairs, values)
-                equal(values, 1 + other.block(i, i, Xi, Xi)[upper], rtol=1e-10)
-                w = np.random.default_rng(3).normal(size=len(values))
-                W = np.zeros((len(Xi),) * 2)
-                W[upper] = w
-                equal(other.pair_gradient(i, pairs, w), other.block_gradient(i, i, Xi, Xi, W), rtol=1e-9, atol=1e-11)
-
-    def test_diag_gradient_is_the_contraction_of_the_diagonal(self, kernel):
-        for i, Xi in enumerate(inputs(kernel)):
-            w = np.random.default_rng(10).normal(size=len(Xi))
-            expected = kernel.block_gradient(i, i, Xi, Xi, np.diag(w))
-            equal(kernel.diag_gradient(i, Xi, w), expected, atol=1e-12)
 
     def test_block_derivative_is_the_derivative_along_the_first_input(self, kernel):
         X = inputs(kernel)
@@ -280,6 +231,95 @@ class TestContract:
             w = rng.normal(size=(len(X), len(features.columns(i))))
             assert_gradient(features.gradient_fu(i, X, w), lambda t, i=i, w=w: np.sum(w * at(t).Kfu(i, X)), start)
 
+    def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(self, kernel, name):
+        free = [h for h in kernel.hyperparameters if not h.fixed]
+        assert kernel.n_dims == len(kernel.theta) == sum(h.n_elements for h in free)
+        assert kernel.bounds.shape == (kernel.n_dims, 2)
+        assert (kernel.bounds[:, 0] < kernel.theta).all()
+        assert (kernel.theta < kernel.bounds[:, 1]).all()
+        assert (np.abs(gradient_by_differences(name)).max(axis=(0, 1)) > 1e-6).all()
+
+    def test_stationary_kernels_do_not_see_a_common_shift(self, kernel):
+        rng = np.random.default_rng(8)
+        d = n_features(kernel)
+        X = [rng.integers(-16, 16, (n, d)) / 8 for n in (4, 3, 5)[: kernel.n_outputs]]
+        away = np.arange(1, d + 1) * 2.0**30  # exact in binary; a northing in millimetres is as large
+        moved, there = kernel([x + away for x in X]), kernel(X)
+        if kernel.is_stationary():
+            rounded = {"rtol": 1e-6, "atol": 1e-6}  # of 2^30 doubles keep a ten-millionth
+            equal(moved, there, **rounded)
+            W, far = np.eye(4) + 0.1, X[0] + away
+            expected = kernel.block_gradient(0, 0, X[0], X[0], W)
+            equal(kernel.block_gradient(0, 0, far, far, W), expected, **rounded)
+            equal(kernel.block_derivative(0, 0, far, far), kernel.block_derivative(0, 0, X[0], X[0]), **rounded)
+        else:
+            assert not np.allclose(moved, there)
+
+
+class TestUse:
+    """What is the same code for every formula."""
+
+    @pytest.fixture(params=FEW)
+    def name(self, request):
+        return request.param
+
+    def test_terms_add_up_and_depend_on_their_regressors_alone(self, kernel):
+        X, Z = inputs(kernel), inputs(kernel, seed=3)
+        terms = {columns: kernel.term(columns) for columns in kernel.term_regressors()}
+        equal(sum(term(X, Z) for term in terms.values()), kernel(X, Z))
+        for columns, term in terms.items():
+            moved = [np.where(np.isin(np.arange(x.shape[1]), columns), x, x + 1.0) for x in X]
+            equal(term(moved, Z), term(X, Z), rtol=1e-9, atol=1e-9)
+
+    def test_matrix_is_output_major_and_its_blocks_are_the_blocks_zero_without_coupling(self, kernel):
+        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+        K = kernel(X, Z)
+        rows, columns = np.cumsum([0, *map(len, X)]), np.cumsum([0, *map(len, Z)])
+        for i, Xi in enumerate(X):
+            for j, Zj in enumerate(Z):
+                equal(K[rows[i] : rows[i + 1], columns[j] : columns[j + 1]], kernel.block(i, j, Xi, Zj))
+                assert kernel.couples(i, j) == kernel.couples(j, i)
+                assert kernel.couples(i, j) or not kernel.block(i, j, Xi, Zj).any()
+
+    def test_how_rows_are_cut_does_not_matter(self, kernel, monkeypatch):
+        X, last = inputs(kernel, (40, 30, 20)), kernel.n_outputs - 1
+        W = np.random.default_rng(1).normal(size=(len(X[0]), len(X[last])))
+        args = 0, last, X[0], X[last]
+        block, slope = kernel.block(*args), kernel.block_gradient(*args, W)
+        monkeypatch.setattr(_strips, "STRIP", 1)
+        equal(kernel.block(*args), block)
+        equal(kernel.block_gradient(*args, W), slope, rtol=1e-10, atol=1e-11)
+
+    def test_one_array_for_each_output_picks_rows_of_the_common_matrix(self, kernel):
+        P = kernel.n_outputs
+        X = np.random.default_rng(4).normal(size=(7, n_features(kernel)))
+        seen = np.random.default_rng(5).random((P, 7)) < 0.6
+        picked = np.flatnonzero(seen.ravel())
+        assert kernel(X).shape == (7 * P, 7 * P)
+        equal(kernel([X[s] for s in seen]), kernel(X)[np.ix_(picked, picked)])
+        some = [np.empty((0, n_features(kernel))), *inputs(kernel)[1:]]  # an output without samples takes no room
+        assert kernel(some).shape == (sum(map(len, some)),) * 2
+
+    def test_pairs_of_rows_are_the_entries_above_the_diagonal(self, kernel):
+        for i, Xi in enumerate(inputs(kernel)):
+            pairs, upper = RowPairs(Xi), np.triu_indices(len(Xi))
+            for factor in (1.0, 0.5):  # an evaluation leaves nothing for the next one
+                other = kernel.clone_with_theta(factor * kernel.theta)
+                pairs.begin()
+                values = np.ones(len(pairs.place))
+                other.add_pairs(i, pairs, values)
+                equal(values, 1 + other.block(i, i, Xi, Xi)[upper], rtol=1e-10)
+                w = np.random.default_rng(3).normal(size=len(values))
+                W = np.zeros((len(Xi),) * 2)
+                W[upper] = w
+                equal(other.pair_gradient(i, pairs, w), other.block_gradient(i, i, Xi, Xi, W), rtol=1e-9, atol=1e-11)
+
+    def test_diag_gradient_is_the_contraction_of_the_diagonal(self, kernel):
+        for i, Xi in enumerate(inputs(kernel)):
+            w = np.random.default_rng(10).normal(size=len(Xi))
+            expected = kernel.block_gradient(i, i, Xi, Xi, np.diag(w))
+            equal(kernel.diag_gradient(i, Xi, w), expected, atol=1e-12)
+
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
         paths = prior_paths(kernel, 8000, 4, 12).values(X[None])
@@ -316,30 +356,22 @@ class TestContract:
         changed(inputs(kernel))  # nothing remembered may outlive the change
         changed.theta = other.theta
         equal(changed(inputs(kernel)), other(inputs(kernel)))
-        np.testing.assert_array_equal(kernel(inputs(kernel)), K)  # the kernel that was cloned is left alone
+        equal(kernel(inputs(kernel)), K)  # the kernel that was cloned is left alone
         assert kernel != "a kernel"
         if kernel.n_dims:
             assert other != kernel
             assert not np.allclose(other(inputs(kernel)), K)
-
-    def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(self, kernel, name):
-        free = [h for h in kernel.hyperparameters if not h.fixed]
-        assert kernel.n_dims == len(kernel.theta) == sum(h.n_elements for h in free)
-        assert kernel.bounds.shape == (kernel.n_dims, 2)
-        assert (kernel.bounds[:, 0] < kernel.theta).all()
-        assert (kernel.theta < kernel.bounds[:, 1]).all()
-        assert (np.abs(gradient_by_differences(name)).max(axis=(0, 1)) > 1e-6).all()
 
     def test_clone_parameters_and_pickle_go_round(self, kernel):
         copy = clone(kernel)
         assert copy is not kernel
         assert copy == kernel
         rebuilt = type(kernel)(**kernel.get_params(deep=False))
-        np.testing.assert_array_equal(rebuilt(inputs(kernel)), kernel(inputs(kernel)))
+        equal(rebuilt(inputs(kernel)), kernel(inputs(kernel)))
         assert clone(kernel).set_params(**kernel.get_params()) == kernel
         again = pickle.loads(pickle.dumps(kernel))  # with whatever it remembers of the calls
         assert again == kernel
-        np.testing.assert_array_equal(again(inputs(kernel)), kernel(inputs(kernel)))
+        equal(again(inputs(kernel)), kernel(inputs(kernel)))
 
     def test_inputs_are_not_written_to(self, kernel):
         X = inputs(kernel)
@@ -351,22 +383,6 @@ class TestContract:
         np.testing.assert_array_equal(W, 1.0)
         for x, was in zip(X, before, strict=True):
             np.testing.assert_array_equal(x, was)
-
-    def test_stationary_kernels_do_not_see_a_common_shift(self, kernel):
-        rng = np.random.default_rng(8)
-        d = n_features(kernel)
-        X = [rng.integers(-16, 16, (n, d)) / 8 for n in (4, 3, 5)[: kernel.n_outputs]]
-        away = np.arange(1, d + 1) * 2.0**30  # exact in binary; a northing in millimetres is as large
-        moved, there = kernel([x + away for x in X]), kernel(X)
-        if kernel.is_stationary():
-            rounded = {"rtol": 1e-6, "atol": 1e-6}  # of 2^30 doubles keep a ten-millionth
-            equal(moved, there, **rounded)
-            W, far = np.eye(4) + 0.1, X[0] + away
-            expected = kernel.block_gradient(0, 0, X[0], X[0], W)
-            equal(kernel.block_gradient(0, 0, far, far, W), expected, **rounded)
-            equal(kernel.block_derivative(0, 0, far, far), kernel.block_derivative(0, 0, X[0], X[0]), **rounded)
-        else:
-            assert not np.allclose(moved, there)
 
     def test_wrong_input_is_refused(self, kernel):
         X, d, n = inputs(kernel), n_features(kernel), kernel.n_dims

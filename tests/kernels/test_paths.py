@@ -128,7 +128,7 @@ class TestBundle:
     def test_pickle(self, kernel):
         bundle = self.bundle(kernel)
         again = pickle.loads(pickle.dumps(bundle))
-        np.testing.assert_array_equal(again.each(X[None]), bundle.each(X[None]))
+        np.testing.assert_allclose(again.each(X[None]), bundle.each(X[None]), rtol=1e-9, atol=1e-10)
 
 
 def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():

@@ -24,7 +24,7 @@ class TestDensity:
     def test_gradient_is_the_derivative_with_respect_to_theta(self, kind):
         kernel = LinearTrend([1.0] * 3, np.ones((3, 2)), [0.0]) + kernel_of(kind)
         value, gradient = kernel.log_prior(eval_gradient=True)
-        assert value == kernel.log_prior()
+        assert value == pytest.approx(kernel.log_prior())
         step = 1e-5
         for k, unit in enumerate(step * np.eye(kernel.n_dims)):
             there, back = (kernel.clone_with_theta(kernel.theta + s * unit).log_prior() for s in (1, -1))
@@ -98,4 +98,4 @@ class TestFit:
     def test_is_the_same_in_the_kernel_and_in_the_regressor(self, data):
         own = DependentGPRegressor(ConvolvedGaussian(1, length_scale_prior="auto"), random_state=0, max_iter=40)
         short = DependentGPRegressor(n_latent=1, length_scale_prior="auto", random_state=0, max_iter=40)
-        assert own.fit(*data).kernel_ == short.fit(*data).kernel_
+        np.testing.assert_allclose(own.fit(*data).theta_, short.fit(*data).theta_, rtol=1e-4, atol=1e-4)

@@ -97,8 +97,8 @@ class TestEveryMetric:
         y, mean, std = sample(outputs=1)
         flat = metric(*(a.ravel() for a in arguments(metric, y, mean, std)))
         assert isinstance(flat, float)
-        assert metric(*arguments(metric, y, mean, std)) == flat
-        assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == flat
+        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(flat, rel=1e-12)
+        assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == pytest.approx(flat, rel=1e-12)
 
     def test_one_sided_permutation_of_samples(self, metric):
         y, mean, std = sample()
@@ -196,7 +196,7 @@ class TestCoverageCurve:
         assert (curve.index.name, curve.index.tolist(), list(curve)) == ("level", [0.5, 0.9], ["CX", "CZ", "Cm"])
         for level in (0.5, 0.9):
             expected = interval_coverage(y, mean, std, level=level, multioutput="raw_values")
-            np.testing.assert_array_equal(curve.loc[level], expected)
+            np.testing.assert_allclose(curve.loc[level], expected, rtol=1e-9, atol=1e-10)
 
     def test_never_observed_is_nan_and_certainty_covers_what_it_meets(self):
         curve = coverage_curve([[np.nan, 1.0], [np.nan, 2.0]], np.ones((2, 2)), np.zeros((2, 2)))
@@ -292,7 +292,7 @@ class TestScorers:
         zeros = np.zeros((40, 2))
         for metric in METRICS:
             expected = metric(*arguments(metric, Y[rows], zeros, zeros + 2.0), multioutput="raw_values")
-            np.testing.assert_array_equal(scores.loc["early", metric.__name__], expected)
+            np.testing.assert_allclose(scores.loc["early", metric.__name__], expected, rtol=1e-9, atol=1e-10)
         with pytest.raises(ValueError, match="lacks the columns 'day'"):
             score_flights(TwoOutputs().fit(X, Y), X, Y, flight="day")
 

@@ -2,6 +2,7 @@
 
 import joblib
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
@@ -71,7 +72,7 @@ class TestPoints:
         table, Y = flights()
         with joblib.parallel_config("threading"):
             one, two = (flight_learning_curve(linear, table, Y, seconds=[5, 15], n_jobs=n) for n in (None, 2))
-        assert one.equals(two)
+        pd.testing.assert_frame_equal(one, two, rtol=1e-9)
 
 
 class TestErrors:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any, NamedTuple, cast
@@ -23,7 +22,7 @@ from skdgp.export._build_up import BuildUp, Table, build_up
 from skdgp.export._model import Block, PortableModel
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced
-from skdgp.export._text import add_text, changes_text, identifiers, number_text, write_xml
+from skdgp.export._text import add_text, changes_text, check_distinct, identifiers, number_text, write_xml
 
 DOCTYPE = (
     '<!DOCTYPE DAVEfunc PUBLIC "-//AIAA//DTD for Flight Dynamic Models - Functions 2.0//EN"\n'
@@ -130,20 +129,10 @@ def write_dave_ml(
         _add_functions(root, shown, of_std, _correlation(model, portable, facts.samples))
         values = shown.predict(facts.samples)[:, _order(portable)]
     _add_checks(root, facts, values, n_checks, internal=build is None)
-    _check_distinct(root)
+    check_distinct((place.attrib["varID"] for place in root.findall("variableDef")), "the file")
     _indent(root)
     write_xml(path, root, DOCTYPE)
     return facts.loss
-
-
-def _check_distinct(root: Element) -> None:
-    """Raise ValueError if a regressor has the name of another variable of the file."""
-    counts = Counter(place.get("varID") for place in root.findall("variableDef"))
-    if twice := sorted(name for name, count in counts.items() if name and count > 1):
-        raise ValueError(
-            f"Got a model of {twice}, but the file has other variables of these names: learn from columns of other "
-            "names."
-        )
 
 
 def _indent(root: Element) -> None:

@@ -38,7 +38,7 @@ from skdgp.dynamics._simulation.simulate import FASTEST, SLOWEST, SPINNING
 from skdgp.dynamics._vehicle.loads import CENTRED, FORCES, MOMENTS, thrust_control
 from skdgp.export._c import _array, _braces, _names, _template, c_files
 from skdgp.export._model import PortableModel
-from skdgp.export._text import changes_text
+from skdgp.export._text import changes_text, check_distinct
 
 FMU_FILES = {"aircraft": "aircraft.fmu", "coefficients": "aero.fmu"}
 """The file of each form; its stem is the model identifier."""
@@ -132,12 +132,7 @@ def write_fmu(
     check_choice("fmi", fmi, FMI_VERSIONS)
     written, renamed = model.with_identifiers()
     variables = list(_aircraft(written) if form == "aircraft" else _coefficients(written))
-    names = [variable.name for variable in variables]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"Got a model of {twice}, but the FMU has other variables of these names: learn from columns of other "
-            "names."
-        )
+    check_distinct((variable.name for variable in variables), "the FMU")
     content = repr((model.content_hash, model.aircraft.to_dict(), variables, form, fmi))
     token = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
     root = "fmi" + fmi[0] + ".c"

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import count
 from typing import Any
@@ -36,6 +37,15 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
             found[name] = next(each for k in count(1) if (each := f"{short}_{k}" if k > 1 else short) not in taken)
             taken.add(found[name])
     return found
+
+
+def check_distinct(names: Iterable[str], what: str) -> None:
+    """Raise ValueError if a column of the model has the name of another variable of a file."""
+    twice = sorted(name for name, number in Counter(names).items() if number > 1)
+    if twice:
+        raise ValueError(
+            f"Got a model of {twice}, but {what} has other variables of these names: learn from columns of other names."
+        )
 
 
 def changes_text(names: Mapping[str, str]) -> str:

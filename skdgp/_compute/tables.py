@@ -21,8 +21,8 @@ def column_names(y) -> list[str]:
 
 def csv_writer(table: pd.DataFrame) -> Writer:
     """Return what writes a table, every digit of it, an apostrophe before texts that a spreadsheet would compute."""
-    texts = {name: column.astype(object).map(guarded) for name, column in table.select_dtypes(exclude="number").items()}
-    safe = table.assign(**texts).rename(columns=guarded)
+    texts = table.select_dtypes(exclude="number").astype(object).map(guarded)
+    safe = table.assign(**{str(name): texts[name] for name in texts}).rename(columns=guarded)
     return lambda path: safe.to_csv(path, index=False)
 
 

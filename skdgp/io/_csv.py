@@ -71,7 +71,7 @@ def _table(file, file_name):
     if cut:
         warnings.warn(f"{file_name}: {cut}, so it was cut off and is left out.", FlightDataWarning, stacklevel=4)
         table = table.iloc[:-1]
-    texts = {name: column.map(unguarded) for name, column in table.select_dtypes(exclude="number").items()}
+    texts = {str(name): column.map(unguarded) for name, column in table.select_dtypes(exclude="number").items()}
     return to_si(table.assign(**texts), units)
 
 

@@ -17,6 +17,7 @@ import pandas as pd
 from skdgp._cli._console import Console, ctrl_c
 from skdgp._cli._parser import Command
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
+from skdgp._compute.tables import csv_writer
 
 
 class OutputFolder:
@@ -107,7 +108,7 @@ def table_writer(table: pd.DataFrame, suffix: str) -> Writer:
     """Return what writes a table as ".csv" or ".parquet", every digit of it."""
     if suffix == ".parquet":
         return lambda path: table.to_parquet(path, index=False)
-    return lambda path: table.to_csv(path, index=False)
+    return csv_writer(table)
 
 
 def check_writable(suffix: str) -> None:

@@ -61,9 +61,9 @@ class Command:
         parser = self.parser({})
         self._refuse_unknown(words, parser)
         finder = argparse.ArgumentParser(prog=parser.prog, add_help=False, allow_abbrev=False)
-        finder.add_argument("--config")
+        finder.add_argument("--config", type=FileName)
         config = finder.parse_known_args(words)[0].config
-        values = {} if config is None else self._read_config(FileName(config))
+        values = {} if config is None else self._read_config(config)
         return (self.parser(values) if values else parser).parse_intermixed_args(words)
 
     def parser(self, values: dict) -> argparse.ArgumentParser:

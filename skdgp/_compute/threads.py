@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import copy_context
-from functools import lru_cache
+from functools import lru_cache, wraps
 from threading import Event, Lock
 from typing import Any
 
@@ -17,22 +17,26 @@ SMALL = 2500
 
 
 @lru_cache(maxsize=1)
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()
+def _libraries() -> list[Any]:
+    return ThreadpoolController().select(user_api="blas").lib_controllers
 
 
 class _OneThread:
-    """Keep BLAS on one thread while any caller asks for it; the last to leave restores what the first found."""
+    """Keep BLAS on one thread while any caller asks for it; the last to leave restores what the first found.
+
+    It takes some microseconds, a tenth of ``threadpool_limits``: a simulation enters it at each stage of a step.
+    """
 
     def __init__(self):
         self._lock, self._holders = Lock(), 0
-        self._limits: Any = None
+        self._before: list[tuple[Any, int]] = []
 
     @contextmanager
     def __call__(self) -> Iterator[None]:
         with self._lock:
             if self._holders == 0:
-                self._limits = _controller().limit(limits=1, user_api="blas")
+                self._before = [(library, library.num_threads) for library in _libraries()]
+                _set((library, 1) for library, _ in self._before)
             self._holders += 1
         try:
             yield
@@ -40,7 +44,12 @@ class _OneThread:
             with self._lock:
                 self._holders -= 1
                 if self._holders == 0:
-                    self._limits.restore_original_limits()
+                    _set(self._before)
+
+
+def _set(numbers: Iterable[tuple[Any, int]]) -> None:
+    for library, number in numbers:
+        library.set_num_threads(number)
 
 
 one_blas_thread = _OneThread()
@@ -48,12 +57,23 @@ one_blas_thread = _OneThread()
 
 def n_threads() -> int:
     """Return how many threads BLAS may use now; work on tiles uses as many."""
-    return max((lib.num_threads for lib in _controller().select(user_api="blas").lib_controllers), default=1)
+    return max((library.num_threads for library in _libraries()), default=1)
 
 
 def threads_for(size: int) -> AbstractContextManager[None]:
     """Return a context that holds BLAS to one thread where matrices are smaller than ``SMALL``."""
     return one_blas_thread() if size < SMALL else nullcontext()
+
+
+def few_threads(method: Callable) -> Callable:
+    """Decorate a method of (X, ...): one BLAS thread where ``self.size`` and the rows of X are below ``SMALL``."""
+
+    @wraps(method)
+    def limited(self, X, *arguments, **options):
+        with threads_for(max(self.size, len(X))):
+            return method(self, X, *arguments, **options)
+
+    return limited
 
 
 def thread_map(function: Callable, tasks: Iterable, stop: Event | None = None) -> list:

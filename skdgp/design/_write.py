@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import write_atomically
+from skdgp._compute.tables import csv_writer
 from skdgp._flight.checks import check_names
 from skdgp.design._multisines import Multisine
 from skdgp.design._signals import ROUNDING, Chirp, Limits, Signal, Steps
@@ -192,7 +193,7 @@ def write_ardupilot_lua(
 
 
 def _written(path: str | os.PathLike[str], table: pd.DataFrame) -> pd.DataFrame:
-    write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
+    write_atomically(path, csv_writer(table))
     return table
 
 

@@ -17,7 +17,7 @@ from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.export._build_up import BuildUp
-from skdgp.export._xml import add_text, write_xml
+from skdgp.export._text import add_text, file_name, write_xml
 
 STALL, BLENDING = 0.3, 50.0  # least angle of stall [rad], beyond the flights; sharpness of the change to a flat plate
 EFFICIENCY = (0.2, 3.0)  # range of Oswald's factor
@@ -69,7 +69,7 @@ def write_gazebo(path: str | os.PathLike, build: BuildUp, *, link: str = "base_l
     plugin, fitted = _advanced_lift_drag(build, X, C, link)
     loss = _loss(build, C, fitted)
     sdf = Element("sdf", version="1.9")
-    model = SubElement(sdf, "model", name=build.aircraft.name)
+    model = SubElement(sdf, "model", name=file_name(build.aircraft.name))
     model.append(ElementTree.Comment(" root mean square loss of this reduction:\n" + loss.to_string() + "\n"))
     place = SubElement(SubElement(model, "link", name=link), "inertial")
     add_text(place, "mass", build.aircraft.mass)

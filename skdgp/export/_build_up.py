@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import Any, NamedTuple
@@ -115,6 +115,15 @@ class BuildUp:
             if return_std:
                 variance[:, i] = np.square(basis @ self._roots[name]).sum(axis=1)
         return (mean, np.sqrt(variance)) if return_std else mean
+
+    def renamed(self, names: Mapping[str, str]) -> BuildUp:
+        """Return the build-up with other names of its regressors."""
+        tables = {
+            name: [table._replace(regressors=tuple(names[r] for r in table.regressors)) for table in of]
+            for name, of in self.tables.items()
+        }
+        slopes = {name: getattr(self, name).rename(columns=names) for name in ("derivatives", "derivatives_std")}
+        return replace(self, regressors=tuple(names[name] for name in self.regressors), tables=tables, **slopes)
 
     def effects(self, coefficient: str) -> Callable[[tuple[str, ...], Matrix], tuple[Vector, Vector]]:
         """Return a function that evaluates parts of a coefficient.

@@ -17,9 +17,10 @@ from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.checks import check_choice
 from skdgp.export._model import PortableModel, Readout
 from skdgp.export._reduce import reduced_to_kb
+from skdgp.export._text import changes_text
 
 TOLERANCE = {"double": 1e-9, "float": 1e-4}
-"""Of the self-test, relative to the largest value."""
+"""Of the self-test, relative to the largest value; of deviations at least what :meth:`PortableModel.rounding` says."""
 ROUNDED = 2e-5  # largest change of a deviation, relative to the largest, by a root of 32-bit numbers
 MAX_BYTES = 2**26  # a compiler takes no larger source in reasonable time
 MAX_REGRESSORS = 32  # bits of an unsigned long
@@ -40,7 +41,8 @@ def write_c(
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
     regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
-    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value. Raises ValueError if ``precision`` or
+    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value, deviations to
+    :meth:`PortableModel.rounding` where that is more. Raises ValueError if ``precision`` or
     ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or there are more than 32
     regressors.
 
@@ -83,8 +85,9 @@ def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
         )
     if len(model.regressors) > MAX_REGRESSORS:
         raise ValueError(f"Got {len(model.regressors)} regressors, but expected at most {MAX_REGRESSORS}: name fewer.")
-    values = {"aero.h": _header(model, precision, size), "aero.c": _source(model, precision)}
-    values["test_aero.c"] = _test(model, precision)
+    written, names = model.with_identifiers()
+    header = _header(written, precision, size) | {"hash": model.content_hash, "renamed": changes_text(names) or "none"}
+    values = {"aero.h": header, "aero.c": _source(written, precision), "test_aero.c": _test(model, precision)}
     texts = {name: Template(_template(name)).substitute(value) for name, value in values.items()}
     return texts | {"Makefile": _template("Makefile")}
 
@@ -197,15 +200,14 @@ def _header(model, precision, size) -> dict[str, Any]:
     return {
         "aircraft": _comment(aircraft.name),
         "size": size,
-        "hash": model.content_hash,
         "stack": 8 * (functions + 4 * len(model.regressors) + 1),
         "real": precision,
-        "n_sources": len(_sources(model)),
+        "n_sources": len(model.columns),
         "d": len(model.regressors),
         "P": len(model.outputs),
-        "sources": _comment(", ".join(_sources(model))),
-        "inputs": _comment(", ".join(model.regressor_names)),
-        "outputs": _comment(", ".join(model.outputs)),
+        "sources": ", ".join(model.columns),
+        "inputs": ", ".join(model.regressor_names),
+        "outputs": ", ".join(model.outputs),
         "constants": "\n".join(f"#define AERO_{name} {float(value)!r}" for name, value in constants.items()),
     }
 
@@ -224,7 +226,7 @@ def _source(model, precision) -> dict[str, Any]:
         for column, size, n, used, centre, shift, root, gain in table.rows
     ] or ["{0, 0, 0, used, centres, shifts, roots, 0}"]
     texts = [
-        _names("aero_source_names", _sources(model)),
+        _names("aero_source_names", model.columns),
         _names("aero_input_names", model.regressor_names),
         _names("aero_output_names", model.outputs),
         *(
@@ -271,7 +273,8 @@ def _test(model, precision) -> dict[str, Any]:
     low, high = _edges(model, precision)
     bits = (((low > X) | (high < X)) * 2 ** np.arange(X.shape[1])).sum(axis=1)
     numbers = {"says_mean": mean, "says_std": std, "says_slope": slope}
-    numbers |= {"mean_size": np.abs(mean).max(axis=0), "std_size": std.max(axis=0)}
+    std_size = np.maximum(std.max(axis=0), model.rounding(X) / TOLERANCE[precision])
+    numbers |= {"mean_size": np.abs(mean).max(axis=0), "std_size": std_size}
     numbers |= {"slope_size": np.where(size > 0, size, 1.0)}
     texts = [
         _array("at", X, "static const aero_real"),
@@ -302,14 +305,9 @@ def _points(model) -> Matrix:
     return X
 
 
-def _sources(model) -> list[str]:
-    """Return every column of a flight that the regressors are computed from, each once."""
-    return list(dict.fromkeys(name for regressor in model.regressors for name in regressor.columns))
-
-
 def _formulas(model) -> Iterator[str]:
     """Yield the statement of each input."""
-    place = {name: k for k, name in enumerate(_sources(model))}
+    place = {name: k for k, name in enumerate(model.columns)}
     for k, regressor in enumerate(model.regressors):
         terms = [
             f"source[{place[name]}]" if factor == 1 else f"{factor!r} * source[{place[name]}]"
@@ -319,7 +317,7 @@ def _formulas(model) -> Iterator[str]:
         if regressor.power:
             rate = f" * ({regressor.length!r} / (2 * source[{place['airspeed']}]))"
             text = (f"({text})" if len(terms) > 1 else text) + rate * regressor.power
-        yield f"    x[{k}] = (aero_real)({text}); /* {_comment(regressor.name)} */"
+        yield f"    x[{k}] = (aero_real)({text}); /* {regressor.name} */"
 
 
 # -- C -------------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from skdgp.export._build_up import BuildUp, Table, build_up
 from skdgp.export._model import Block, PortableModel
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced
-from skdgp.export._xml import add_text, number_text, write_xml
+from skdgp.export._text import add_text, changes_text, check_distinct, identifiers, number_text, write_xml
 
 DOCTYPE = (
     '<!DOCTYPE DAVEfunc PUBLIC "-//AIAA//DTD for Flight Dynamic Models - Functions 2.0//EN"\n'
@@ -113,20 +113,23 @@ def write_dave_ml(
     if build is None and form == "tables":
         build = build_up(model, cast("Aircraft", aircraft), **options)
     if build is not None:
+        names = identifiers(build.regressors)
+        build = build.renamed(names)
         facts = _Facts(**{name: getattr(build, name) for name in _Facts._fields})
-        _add_head(root, facts)
+        _add_head(root, facts, names)
         _add_build_up(root, build)
         values = build.evaluate(build.samples)
     else:
-        portable = portable_model(model, cast("Aircraft", aircraft))
+        portable, names = portable_model(model, cast("Aircraft", aircraft)).with_identifiers()
         shown = reduced(portable, lambda m: sum(block.size for block in m.blocks), MAX_FUNCTIONS)
         of_std = reduced(portable, lambda m: sum(len(m.readouts[k].packed_root) for k in m.readout_of), MAX_ENTRIES)
         facts = _facts(portable, shown)
         _check_loss(facts.loss, of_std)
-        _add_head(root, facts)
+        _add_head(root, facts, names)
         _add_functions(root, shown, of_std, _correlation(model, portable, facts.samples))
         values = shown.predict(facts.samples)[:, _order(portable)]
     _add_checks(root, facts, values, n_checks, internal=build is None)
+    check_distinct((place.attrib["varID"] for place in root.findall("variableDef")), "the file")
     _indent(root)
     write_xml(path, root, DOCTYPE)
     return facts.loss
@@ -185,7 +188,7 @@ def _correlation(model: Any, portable: PortableModel, samples: Matrix) -> Matrix
     return mean / np.multiply.outer(size, size)
 
 
-def _add_head(root: Element, facts: _Facts) -> None:
+def _add_head(root: Element, facts: _Facts, names: dict[str, str]) -> None:
     """Write the header and the inputs."""
     header = SubElement(root, "fileHeader", name=f"Aerodynamics of {facts.aircraft.name}")
     SubElement(header, "author", name="skdgp", org="skdgp")
@@ -194,6 +197,7 @@ def _add_head(root: Element, facts: _Facts) -> None:
     SubElement(header, "description").text = (
         "Learned from flights. Body axes, x forward, y right, z down. Elevator > 0 pitches down, aileron > 0 rolls "
         f"right, rudder > 0 yaws left. Difference to the model and posterior deviation, root mean square: {loss}."
+        + (f" Names: {text}." if (text := changes_text(names)) else "")
     )
     for k, name in enumerate(facts.regressors):
         low, high = (number_text(limit) for limit in facts.limits[:, k])

@@ -36,8 +36,9 @@ from skdgp._flight.checks import check_choice
 from skdgp.dynamics._equations.motion import CONTROLS, IMPLICIT, STATES
 from skdgp.dynamics._simulation.simulate import FASTEST, SLOWEST, SPINNING
 from skdgp.dynamics._vehicle.loads import CENTRED, FORCES, MOMENTS, thrust_control
-from skdgp.export._c import _array, _braces, _comment, _names, _sources, _template, c_files
+from skdgp.export._c import _array, _braces, _names, _template, c_files
 from skdgp.export._model import PortableModel
+from skdgp.export._text import changes_text, check_distinct
 
 FMU_FILES = {"aircraft": "aircraft.fmu", "coefficients": "aero.fmu"}
 """The file of each form; its stem is the model identifier."""
@@ -129,23 +130,19 @@ def write_fmu(
     """
     check_choice("form", form, FMU_FILES)
     check_choice("fmi", fmi, FMI_VERSIONS)
-    variables = list(_aircraft(model) if form == "aircraft" else _coefficients(model))
-    names = [variable.name for variable in variables]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"Got a model of {twice}, but the FMU has other variables of these names: learn from columns of other "
-            "names."
-        )
+    written, renamed = model.with_identifiers()
+    variables = list(_aircraft(written) if form == "aircraft" else _coefficients(written))
+    check_distinct((variable.name for variable in variables), "the FMU")
     content = repr((model.content_hash, model.aircraft.to_dict(), variables, form, fmi))
     token = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
     root = "fmi" + fmi[0] + ".c"
     sources = {name: text for name, text in c_files(model).items() if name in ("aero.h", "aero.c")}
     sources |= {name: _template(name) for name in ("fmu.c", root)}
-    values = _model_values(model, variables, form) | {"token": token}
+    values = _model_values(written, variables, form) | {"token": token}
     sources["model.c"] = Template(_template(f"fmu_{form}.c")).substitute(values)
     identifier = Path(FMU_FILES[form]).stem
     members: dict[str, str | bytes] = {f"sources/{name}": text for name, text in sources.items()}
-    members["modelDescription.xml"] = _xml(_description(model, variables, identifier, fmi, token, root))
+    members["modelDescription.xml"] = _xml(_description(model, renamed, variables, identifier, fmi, token, root))
     if fmi == "3.0":
         build = ET.Element("fmiBuildDescription", fmiVersion=fmi)
         configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=identifier)
@@ -175,7 +172,7 @@ def _coefficients(model: PortableModel) -> Iterator[_Variable]:
     """Yield the variables of the coefficients alone, in the order of their value references."""
     start = _starts(model)
     yield _Variable("time", "t")
-    yield from (_Variable(name, "i", start.get(name, 0.0)) for name in _sources(model))
+    yield from (_Variable(name, "i", start.get(name, 0.0)) for name in model.columns)
     yield from (_Variable(name, "o") for name in model.outputs)
     yield from (_Variable(f"{name}_std", "d") for name in model.outputs)
     yield _Variable("beyond", "o")
@@ -189,7 +186,7 @@ def _aircraft(model: PortableModel) -> Iterator[_Variable]:
             f"Got a model without {lacking}, but an aircraft needs all of {', '.join(COEFFICIENTS)}: "
             "export form='coefficients', or learn them all."
         )
-    channels = [name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
+    channels = [name.removesuffix(TRUTH_SUFFIX) for name in model.columns]
     controls = [name for name in channels if name not in (*STATES, *IMPLICIT)]
     unknown = [name for name in controls if name in CHANNELS and name not in CONTROLS]
     if unknown:
@@ -238,13 +235,13 @@ def _starts(model: PortableModel) -> dict[str, float]:
 def _model_values(model: PortableModel, variables: list[_Variable], form: str) -> dict[str, Any]:
     """Return what the template of model.c is filled with."""
     places = {variable.name: k for k, variable in enumerate(variables)}
-    channels = [name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in _sources(model)]
-    names = {f"V_{name}": k for name, k in places.items() if name.isascii() and name.isidentifier()}
+    channels = [name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in model.columns]
+    names = {f"V_{name}": k for name, k in places.items()}
     names |= {"FIRST_COEFFICIENT": places[model.outputs[0]], "FIRST_DEVIATION": places[f"{model.outputs[0]}_std"]}
     names["FMU_VARIABLES"] = len(variables)
     tables = [
         "enum { " + ",\n".join(f"{name} = {k}" for name, k in names.items()) + " };",
-        "static " + _names("names", [_comment(v.name) for v in variables]),
+        "static " + _names("names", [v.name for v in variables]),
         f'static const char kind[FMU_VARIABLES + 1] = "{"".join(v.kind for v in variables)}";',
         _array("start", [v.start for v in variables]),
         _array("place", [places[name] for name in channels], "static const int"),
@@ -347,13 +344,20 @@ def _platform(fmi: str) -> tuple[str, str] | None:
 
 
 def _description(
-    model: PortableModel, variables: list[_Variable], identifier: str, fmi: str, token: str, root: str
+    model: PortableModel,
+    renamed: dict[str, str],
+    variables: list[_Variable],
+    identifier: str,
+    fmi: str,
+    token: str,
+    root: str,
 ) -> ET.Element:
     """Return modelDescription.xml."""
     second = fmi == "2.0"
     top = ET.Element("fmiModelDescription", fmiVersion=fmi, modelName=model.aircraft.name)
     top.set("guid" if second else "instantiationToken", token)
-    top.set("description", f"A posterior of Gaussian processes, by skdgp. Content {model.content_hash}")
+    names = f". Names: {text}" if (text := changes_text(renamed)) else ""
+    top.set("description", f"A posterior of Gaussian processes, by skdgp. Content {model.content_hash}{names}")
     top.set("generationTool", "skdgp")
     top.set("variableNamingConvention", "flat")
     simulation = ET.SubElement(top, "CoSimulation", modelIdentifier=identifier)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -58,6 +58,10 @@ class GaussianSum:
     blocks: list[list[Gaussians]]
     waves: Waves
     loss: pd.DataFrame
+
+    def renamed(self, names: Mapping[str, str]) -> GaussianSum:
+        """Return the functions with other names of their regressors."""
+        return replace(self, regressors=tuple(names[name] for name in self.regressors))
 
     def evaluate(self, X: Matrix) -> Matrix:
         """Return the coefficients (n, 6) at X (n, d)."""

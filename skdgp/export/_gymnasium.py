@@ -42,7 +42,8 @@ def gymnasium_env(
     holds ``start.solved`` controls, in their units and order: elevator, aileron, rudder [rad], and thrust [N], throttle
     or propeller_speed [rad/s]; the others stay as in the trim. A step holds them for ``dt`` and integrates as
     :func:`skdgp.dynamics.simulate` does. An episode terminates when an observation leaves ``observation_space``, or the
-    flight diverges, and is truncated after ``duration``. The last observation is clipped to the space. Raises
+    flight diverges, and is truncated after ``duration``. The last observation is clipped to the space. ``step`` raises
+    ``gymnasium.error.ResetNeeded`` before the first reset, ValueError for an action of another shape or NaN. Raises
     ImportError if Gymnasium is not installed; ValueError if the trim is not within the limits, such as above the
     ground, a name is unknown, or ``duration`` is too short.
 
@@ -121,6 +122,8 @@ def gymnasium_env(
             return task.reset(self.np_random)
 
         def step(self, action):
+            if task.simulator is None:
+                raise gymnasium.error.ResetNeeded("Got a step before an episode: call reset() first.")
             return task.step(action)
 
     return AircraftEnv()
@@ -144,6 +147,7 @@ class _Task:
         check_names(limits or {}, (*OBSERVED, *self.controls), "observations and controls of this aircraft")
         self.limits = self._limits() | dict(limits or {})
         self.low, self.high = self.box(OBSERVED)
+        self.simulator: Any = None
         begin = self.trim | self.held
         outside = {n: (begin[n], *pair) for n, pair in self.limits.items() if not pair[0] < begin[n] < pair[1]}
         if outside:
@@ -187,8 +191,13 @@ class _Task:
         return observation, info | {"random_state": random_state}
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Return what a step of Gymnasium returns."""
-        asked = np.clip(np.asarray(action, dtype=float), *self.box(self.controls)).tolist()
+        """Return what a step of Gymnasium returns; raise ValueError if the action is not a number for each control."""
+        asked = np.asarray(action, dtype=float)
+        if asked.shape != (len(self.controls),) or np.isnan(asked).any():
+            raise ValueError(
+                f"Got the action {action!r}, but expected a number for each of {', '.join(self.controls)}."
+            )
+        asked = np.clip(asked, *self.box(self.controls)).tolist()
         controls = self.held | dict(zip(self.controls, asked, strict=True))
         seen: dict[str, Any] = self.simulator.step(controls)
         if self.simulator.ended:

@@ -20,7 +20,7 @@ from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import BuildUp, build_up
 from skdgp.export._gaussians import GaussianSum, gaussian_sums
-from skdgp.export._xml import add_text, number_text, write_xml
+from skdgp.export._text import add_text, changes_text, file_name, identifiers, number_text, write_xml
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG = POUND_FORCE / FOOT
@@ -137,7 +137,7 @@ def write_jsbsim(
     written = [
         {c: functions[k] if functions and c in names else tables[k] for c in COEFFICIENTS} for k in range(1 + n_draws)
     ]
-    name = "".join(c if c.isalnum() or c in "-_" else "_" for c in aircraft.name)
+    name = file_name(aircraft.name)
     paths = []
     for k, parts in enumerate(written):
         own = name if k == 0 else f"{name}_{k:03d}"
@@ -152,9 +152,12 @@ def write_jsbsim(
 def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Element:
     """Return the file of an aircraft, with each coefficient of ``parts`` as tables or as functions."""
     root = Element("fdm_config", name=name, version="2.0", release="BETA")
+    names = identifiers(next(iter(parts.values())).regressors)
+    parts = {coefficient: part.renamed(names) for coefficient, part in parts.items()}
     found = next(iter(parts.values()))
     loss = pd.concat([part.loss.loc[[coefficient]] for coefficient, part in parts.items()])
-    root.append(ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in loss.to_string().splitlines())))
+    lines = [*loss.to_string().splitlines(), f"Names: {text}" if (text := changes_text(names)) else ""]
+    root.append(ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in lines)))
     header = SubElement(root, "fileheader")
     add_text(header, "description", f"{aircraft.name}, learned from flights by skdgp")
     _add_metrics(root, aircraft)
@@ -166,8 +169,7 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
     aerodynamics = SubElement(root, "aerodynamics")
     for regressor in found.regressors:
         function = SubElement(aerodynamics, "function", name=f"aero/regressor/{regressor}")
-        factors = _source(regressor, found.lengths, aircraft, controls)
-        _values(function if len(factors) == 1 else SubElement(function, "product"), *factors)
+        _product(function, *_source(regressor, found.lengths, aircraft, controls))
     functions = {name: part for name, part in parts.items() if isinstance(part, GaussianSum)}
     if functions:
         _add_waves(aerodynamics, next(iter(functions.values())), [COEFFICIENTS.index(name) for name in functions])
@@ -183,7 +185,16 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
         load = SubElement(place, "function", name=f"aero/{'moment' if coefficient in LENGTHS else 'force'}/{axis}")
         lengths = [LENGTHS[coefficient]] if coefficient in LENGTHS else []
         _product(load, "aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}")
+    _simplify(root)
     return root
+
+
+def _simplify(root: Element) -> None:
+    """Replace sums and products of one argument by the argument: JSBSim complains of each."""
+    for parent in root.iter():
+        for place, child in enumerate(parent):
+            while child.tag in ("sum", "product") and len(child) == 1:
+                parent[place] = child = child[0]
 
 
 def _add_metrics(root: Element, aircraft: Aircraft) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,10 @@ OPSET, IR_VERSION = 17, 8
 def onnx_model(model: PortableModel) -> Any:
     """Return an ``onnx.ModelProto`` from regressors ``x`` (n, d) to ``mean`` (n, P) and ``std`` (n, P), in double.
 
-    The regressors are in their units, in the order of ``model.regressor_names``, which is in the metadata, as are the
-    outputs, the range of the training data and the content hash. A reduced model (``export --max-kb``) is faster.
-    Raises ImportError if ONNX is not installed, ValueError if the model is too large, such as an exact one of many
-    samples.
+    The regressors are in their units, in the order of ``model.regressor_names``. The metadata holds regressors and
+    outputs as identifiers, "names" with the identifier of each name, the range of the training data and the content
+    hash. A reduced model (``export --max-kb``) is faster. Raises ImportError if ONNX is not installed, ValueError if
+    the model is too large, such as an exact one of many samples.
     """
     try:
         from onnx import TensorProto, checker, helper
@@ -57,10 +58,12 @@ def onnx_model(model: PortableModel) -> Any:
     made = helper.make_graph(graph.nodes, "aero", [x], results, graph.constants)
     opset = helper.make_opsetid("", OPSET)
     proto = helper.make_model(made, opset_imports=[opset], ir_version=IR_VERSION, producer_name="skdgp")
-    lists = {"regressors": model.regressor_names, "outputs": model.outputs}
+    written, names = model.with_identifiers()
+    lists = {"regressors": written.regressor_names, "outputs": written.outputs}
     lists |= {edge: tuple(map(repr, getattr(model.envelope, edge).tolist())) for edge in ("low", "high")}
     properties = {name: ",".join(values) for name, values in lists.items()}
-    helper.set_model_props(proto, properties | {"content_hash": model.content_hash})
+    properties |= {"names": json.dumps(names), "content_hash": model.content_hash}
+    helper.set_model_props(proto, properties)
     checker.check_model(proto)
     return proto
 

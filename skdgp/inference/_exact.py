@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
-from skdgp._compute.threads import n_threads, thread_map, threads_for
+from skdgp._compute.threads import few_threads, n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
 from skdgp.inference._posterior_paths import Paths, exact_paths
@@ -42,6 +42,11 @@ class ExactPosterior:
         self._rows = slice(None)
         self._solve()
 
+    @property
+    def size(self) -> int:
+        """Number of values N."""
+        return self.data.n_values
+
     def _solve(self):
         square, determinant = self._white @ self._white, self.factor.log_determinant()
         self.log_marginal_likelihood = -0.5 * (square + determinant + self.data.n_values * np.log(2 * np.pi))
@@ -52,27 +57,27 @@ class ExactPosterior:
 
         The result has the same bits for the same number of BLAS threads, unless rows were appended before.
         """
-        with threads_for(self.data.n_values):
+        with threads_for(self.size):
             return Factor(jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data)))
 
     @cached_property
     def _white(self):
         """L^-1 y, in the order of the factor's rows."""
-        with threads_for(self.data.n_values):
+        with threads_for(self.size):
             return self.factor.solve_lower(np.concatenate(self.data.y)[self._rows])
 
     @cached_property
     def alpha(self) -> np.ndarray:
         """K^-1 y of the stacked values, (N,)."""
         alpha = np.empty(self.data.n_values)
-        with threads_for(len(alpha)):
+        with threads_for(self.size):
             alpha[self._rows] = self.factor.solve_upper(self._white)
         return alpha
 
     def solve(self, B: Matrix) -> np.ndarray:
         """Return K^-1 B for rows of the stacked values, (N, m)."""
         solved = np.empty(B.shape)
-        with threads_for(len(B)):
+        with threads_for(self.size):
             half = self.factor.solve_lower(np.array(B[self._rows], order="F"))
             solved[self._rows] = self.factor.solve_upper(half)
         return solved
@@ -103,7 +108,7 @@ class ExactPosterior:
         new.kernel, new.noise, new.measured = self.kernel, self.noise, self.measured
         new.data = self.data.joined(data)
         new._rows = self._appended_rows([len(y) for y in data.y])
-        with threads_for(self.data.n_values):
+        with threads_for(self.size):
             half = self._solve_lower(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))
             new.factor, corner = self.factor.extended(half, covariance(self.kernel, self.noise, data))
             last = triangular_solve(corner, np.concatenate(data.y) - half.T @ self._white)
@@ -176,6 +181,7 @@ class ExactPosterior:
         step = max(1, int(CHUNK_BYTES / 8 / max(per_row, 1)))
         return [slice(a, min(a + step, n)) for a in range(0, max(n, 1), step)]
 
+    @few_threads
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:
@@ -215,11 +221,13 @@ class ExactPosterior:
         thread_map(add, make_tiles([len(Xs)] * self.kernel.n_outputs, max(1, side)))
         return mean
 
+    @few_threads
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
         half = self._solve_lower(self._cross(range(self.kernel.n_outputs), Xs))
         return self.kernel(Xs) - half.T @ half
 
+    @few_threads
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         P, d = self.kernel.n_outputs, np.shape(Xs)[1]
@@ -241,7 +249,8 @@ class ExactPosterior:
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior that are functions of the regressors."""
-        return exact_paths(self, n_paths, random_state)
+        with threads_for(self.size):
+            return exact_paths(self, n_paths, random_state)
 
 
 class Factor:

@@ -98,10 +98,12 @@ class Paths(Sequence):
         The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets.
         """
         X = self._check_points(X, 3) if np.ndim(X) == 3 else self._check_points(X, 2)[None]
-        return self._squeeze(self.bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
+        with threads_for(X.shape[1]):
+            return self._squeeze(self.bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
 
     def _values(self, X):
-        values = self.bundle.values(X)
+        with threads_for(X.shape[1]):
+            values = self.bundle.values(X)
         values *= self.scale
         values += self.center
         return self._squeeze(values)
@@ -130,11 +132,10 @@ def sparse_paths(posterior: Any, n_paths: int, random_state: Any) -> Paths:
     random_state = check_random_state(random_state)
     features, Lu = posterior.features, posterior.Lu
     prior, u = features.prior_paths(n_paths, FREQUENCIES, random_state)
-    with threads_for(features.size):
-        drawn = np.asfortranarray(random_state.standard_normal(u.shape).T)
-        w = posterior.white[:, None] + triangular_solve(posterior.LB, drawn, transposed=True)
-        w -= triangular_solve(Lu, np.asfortranarray(u.T))
-        coefficients = triangular_solve(Lu, np.asfortranarray(w), transposed=True).T
+    drawn = np.asfortranarray(random_state.standard_normal(u.shape).T)
+    w = posterior.white[:, None] + triangular_solve(posterior.LB, drawn, transposed=True)
+    w -= triangular_solve(Lu, np.asfortranarray(u.T))
+    coefficients = triangular_solve(Lu, np.asfortranarray(w), transposed=True).T
     return Paths(prior + features.paths(coefficients), n_paths, posterior.kernel.n_features)
 
 

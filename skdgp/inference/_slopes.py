@@ -16,6 +16,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import column_scale
+from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._compact import observed_values
 from skdgp.inference._likelihood import Data
@@ -82,6 +83,7 @@ class FunctionErrors(NamedTuple):
         return FunctionErrors(self.weights[..., outputs], shift + scale * self.centre, scale * self.scale)
 
 
+@one_blas_thread()  # equations of a hundred terms: on two threads they take several times as long on a busy machine
 def function_errors(posterior: Any) -> FunctionErrors | None:
     """Return the errors of the function of a posterior, or None if there are too few samples: see `slope_errors`."""
     data = _measured(posterior)
@@ -105,6 +107,7 @@ def _measured(posterior: Any) -> Data | None:
     return observed_values(posterior) if posterior.measured is None else Data.from_table(*posterior.measured)
 
 
+@one_blas_thread()
 def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 

@@ -27,7 +27,7 @@ from skdgp._compute.linalg import (
     triangular_solve,
     unexplained_variance,
 )
-from skdgp._compute.threads import thread_map, threads_for
+from skdgp._compute.threads import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._optimize import maximize
@@ -89,8 +89,13 @@ class SparsePosterior:
             self.sums = self.sums.unpacked(self.features, self.kernel.n_outputs)
         self._begin()
 
+    @property
+    def size(self) -> int:
+        """Number of features K."""
+        return self.features.size
+
     def _begin(self):
-        with threads_for(self.features.size):
+        with threads_for(self.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         if self.shares is not None:
             self.sums, self.statistics = self._compute_sums(self.shares)
@@ -102,7 +107,7 @@ class SparsePosterior:
     def _condition(self):
         """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b."""
         b = self.sums.inner
-        with threads_for(self.features.size):
+        with threads_for(self.size):
             self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
             self.white = cholesky_solve(self.LB, b)
             self.weights = triangular_solve(self.Lu, self.white, transposed=True)
@@ -118,7 +123,7 @@ class SparsePosterior:
     @cached_property
     def B_inverse(self) -> np.ndarray:
         """Covariance of the whitened features, (K, K)."""
-        with threads_for(self.features.size):
+        with threads_for(self.size):
             return symmetric(cholesky_inverse(self.LB.copy(order="F")))
 
     def _with(self, shares, statistics, sums, noise=None) -> SparsePosterior:
@@ -187,9 +192,10 @@ class SparsePosterior:
     @cached_property
     def roots(self) -> list[np.ndarray]:
         """The matrices of variances, computed at the first prediction of a standard deviation."""
-        with threads_for(self.features.size):
+        with threads_for(self.size):
             return self.readout.roots(self.Lu, self.B_inverse)
 
+    @few_threads
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         readout = self.readout
@@ -219,6 +225,7 @@ class SparsePosterior:
         """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
         return explained_variance(A, self.roots[i])
 
+    @few_threads
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
         P, n = self.kernel.n_outputs, len(Xs)
@@ -230,8 +237,10 @@ class SparsePosterior:
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior that are functions of the regressors."""
-        return sparse_paths(self, n_paths, random_state)
+        with threads_for(self.size):
+            return sparse_paths(self, n_paths, random_state)
 
+    @few_threads
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         parts = thread_map(partial(self._gradient, Xs, self.roots if return_variance else None), row_slices(len(Xs)))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from skdgp._compute.tables import unguarded
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._errors import FlightReadError, check_width
@@ -70,7 +71,8 @@ def _table(file, file_name):
     if cut:
         warnings.warn(f"{file_name}: {cut}, so it was cut off and is left out.", FlightDataWarning, stacklevel=4)
         table = table.iloc[:-1]
-    return to_si(table, units)
+    texts = {str(name): column.map(unguarded) for name, column in table.select_dtypes(exclude="number").items()}
+    return to_si(table.assign(**texts), units)
 
 
 def _forward(file, n_lines):
@@ -107,7 +109,7 @@ def _separator(file, above) -> str:
 def _split_headings(headings):
     """Return names, and the units of those in the vocabulary; other headings stay as they are."""
     names, units = [], {}
-    for heading in map(str.strip, headings):
+    for heading in map(unguarded, map(str.strip, headings)):
         match = HEADING.fullmatch(heading)
         name = match[1].strip() if match else heading
         if match and base_name(name) in CHANNELS:

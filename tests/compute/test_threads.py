@@ -9,7 +9,7 @@ from threading import Event
 import pytest
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute.threads import n_threads, thread_map
+from skdgp._compute.threads import SMALL, few_threads, n_threads, one_blas_thread, thread_map
 
 word = ContextVar("word", default="unset")
 
@@ -26,6 +26,27 @@ def test_one_setting_rules_both():
     for limit in (1, 2):
         with threadpool_limits(limit, user_api="blas"):
             assert n_threads() == limit
+
+
+def test_one_thread_until_the_last_holder_leaves(threads):
+    with one_blas_thread():
+        with one_blas_thread():
+            assert n_threads() == 1
+        assert n_threads() == 1
+    assert n_threads() == threads
+
+
+@pytest.mark.parametrize(("size", "rows"), [(SMALL - 1, SMALL - 1), (SMALL, 1), (1, SMALL)])
+def test_small_matrices_have_one_thread(threads, size, rows):
+    class Model:
+        @few_threads
+        def predict(self, X, more):
+            return n_threads(), more
+
+    model = Model()
+    model.size = size
+    assert model.predict([0.0] * rows, more=2) == (1 if max(size, rows) < SMALL else threads, 2)
+    assert n_threads() == threads
 
 
 def test_results_stand_in_the_order_of_the_tasks(threads):

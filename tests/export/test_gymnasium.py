@@ -132,6 +132,17 @@ def test_spaces_have_the_range_that_the_model_was_learned_from(uav, start):
     assert space["thrust"] == (0.0, pytest.approx(2 * start.controls["thrust"]))
 
 
+def test_an_action_is_a_number_for_each_control(make, start):
+    env = make(posterior=False)
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        env.step(hold(env, start))
+    env.reset(seed=0)
+    for action in (hold(env, start) * np.nan, hold(env, start)[1:], 0.0):
+        with pytest.raises(ValueError, match=r"Got the action .* a number for each of elevator, aileron, rudder"):
+            env.step(action)
+    assert env.step(np.full(len(hold(env, start)), np.inf))[1] < 1.0, "clipped to the space"
+
+
 def test_what_cannot_be_flown_is_refused(make, fitted, uav):
     with pytest.raises(ValueError, match=r"not within its limits, .*'altitude': \(120.0, 120, 300\).*choose another"):
         make(limits={"altitude": (120, 300)})

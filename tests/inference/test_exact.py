@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
+from skdgp._compute import threads as _threads
 from skdgp.inference import Data, ExactPosterior, _exact, _likelihood, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -232,6 +233,7 @@ class TestTiles:
         monkeypatch.setattr(_likelihood, "TILE", tile)
         monkeypatch.setattr(_likelihood, "HALF", 2)
         monkeypatch.setattr(_exact, "CHUNK_BYTES", 100)
+        monkeypatch.setattr(_threads, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
             again, again_gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
             posterior = posterior_of(problem)
@@ -243,6 +245,7 @@ class TestTiles:
 
     def test_the_same_call_gives_the_same_with_threads(self, one_problem, monkeypatch):
         monkeypatch.setattr(_likelihood, "TILE", 4)
+        monkeypatch.setattr(_threads, "SMALL", 0)
         with threadpool_limits(2, user_api="blas"):
             first, second = (
                 log_likelihood(one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True)

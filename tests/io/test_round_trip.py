@@ -14,7 +14,7 @@ from skdgp.io import read_flight
 
 FEW = settings(max_examples=60)
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
-FLIGHTS = ["a", "007", "1e3", "Höhe 3", "a, b", "x;y", 'the "last"']
+FLIGHTS = ["=1+1", "-1", "a", "007", "1e3", "Höhe 3", "a, b", "x;y", 'the "last"']
 STRANGE = ["wind, left", 'a "b"', "two\nlines", "x;y", "plain", "tab\there", "[deg]"]
 
 

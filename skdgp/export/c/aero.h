@@ -22,7 +22,8 @@ typedef ${real} aero_real;
 
 /* Sources, columns of a flight: ${sources}
  * Inputs, regressors:           ${inputs}
- * Outputs, coefficients:        ${outputs} */
+ * Outputs, coefficients:        ${outputs}
+ * Names of the flights that are written in another way: ${renamed} */
 extern const char *const aero_source_names[AERO_SOURCES];
 extern const char *const aero_input_names[AERO_INPUTS];
 extern const char *const aero_output_names[AERO_OUTPUTS];

@@ -40,7 +40,7 @@ int main(void)
         for (i = 0; i < AERO_OUTPUTS; i++) {
             wrong += alone[i] != mean[i];
             mean_error = larger(mean_error, mean[i] - says_mean[n][i], mean_size[i]);
-            std_error = larger(std_error, std[i] - says_std[n][i], std_size[i]);
+            std_error = larger(std_error, std[i] - says_std[n][i], std_size[n][i]);
             for (k = 0; k < AERO_INPUTS; k++)
                 slope_error = larger(slope_error, slope[i][k] - says_slope[n][i][k], slope_size[i][k]);
         }

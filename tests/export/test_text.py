@@ -1,0 +1,147 @@
+"""Names of columns that a format does not know are written as identifiers, and the files are read."""
+
+import json
+import re
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from zipfile import ZipFile
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.dynamics import Aircraft
+from skdgp.export import (
+    build_up,
+    load_portable,
+    onnx_model,
+    portable_model,
+    save_portable,
+    write_build_up,
+    write_c,
+    write_dave_ml,
+    write_fmu,
+    write_gazebo,
+    write_jsbsim,
+)  # fmt: skip
+from skdgp.export._text import changes_text, file_name, identifiers
+from skdgp.identification import make_identification_pipeline
+
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+HOSTILE = ["flap left", "flap_left", "é", "1flap", "a--b", "flap 😀", "x\x01y", "q??/", "*/", "-->", "p dot", "a,b\\"]
+NAME = 'a::b */ #error "é" \\ ??/ <&> $x --'
+
+
+def test_identifiers_are_distinct_and_stay():
+    names = [*HOSTILE, "CX", "alpha", "alpha_hat ", "", "日本"]
+    found = identifiers(names)
+    assert set(found) == set(names)
+    assert len(set(found.values())) == len(names)
+    assert all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", short) for short in found.values())
+    assert {name: found[name] for name in ("flap_left", "CX", "alpha")} == {n: n for n in ("flap_left", "CX", "alpha")}
+    assert found["p dot"] != "p_dot", "another column is not the roll acceleration"
+    assert identifiers(found.values()) == {short: short for short in found.values()}
+
+
+def test_changes_can_be_read_back():
+    names = identifiers(HOSTILE)
+    text = changes_text(names)
+    read = {json.loads(word): short for word, short in re.findall(r'("[^"]*") is (\w+)', text)}
+    assert read == {name: short for name, short in names.items() if name != short}
+    assert not re.search(r"--|\*|\?|[^ -~]", text)
+
+
+def test_files_have_a_name():
+    assert [file_name(text) for text in ("uav-2", "", "../é")] == ["uav-2", "aircraft", "____"]
+
+
+@pytest.fixture(scope="module")
+def learned():
+    """Return a pipeline of hostile columns, its aircraft and a row of its flight."""
+    rng, n = np.random.default_rng(0), 60
+    columns = ["alpha", "beta", "q", *HOSTILE]
+    flight = pd.DataFrame(rng.normal(0, 0.1, (n, len(columns))), columns=columns)
+    flight = flight.assign(airspeed=20.0, time=0.1 * np.arange(n))
+    Y = pd.DataFrame(flight[columns] @ rng.normal(size=(len(columns), 6)) + rng.normal(0, 0.01, (n, 6)))
+    aircraft = Aircraft(name=NAME, mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    pipeline = make_identification_pipeline(
+        aircraft, regressors=["alpha", "q_hat", *HOSTILE], reconstruction="passthrough", cutoff=None,
+        mixer="passthrough", regressor=DependentGPRegressor(structure="trend", max_iter=2),
+    )  # fmt: skip
+    pipeline.set_params(flightcheck="passthrough", flightsmoother="passthrough")
+    return pipeline.fit(flight, Y.set_axis(COEFFICIENTS, axis=1)), aircraft, flight.iloc[0]
+
+
+def test_c_compiles_and_names_the_columns(learned, tmp_path):
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc compiles the exported model, and is not installed")
+    write_c(tmp_path, portable_model(*learned[:2]))
+    words = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic", "-c", "aero.c"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert '"flap left" is flap_left_2' in (tmp_path / "aero.h").read_text()
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_fmu_is_well_formed(learned, fmi, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", "")  # source alone
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.warns(UserWarning, match="no binary"):
+        write_fmu(tmp_path / "a.fmu", portable_model(*learned[:2]), fmi=fmi)
+    with ZipFile(tmp_path / "a.fmu") as archive:
+        root = ET.fromstring(archive.read("modelDescription.xml"))
+    assert root.get("modelName") == NAME
+    assert "flap_left_2" in {variable.get("name") for variable in root.find("ModelVariables")}
+    assert '"flap left" is flap_left_2' in root.get("description")
+
+
+def test_onnx_names_the_columns(learned):
+    pytest.importorskip("onnx", reason='writes the graph: pip install "skdgp[export]"')
+    properties = {each.key: each.value for each in onnx_model(portable_model(*learned[:2])).metadata_props}
+    names = json.loads(properties["names"])
+    assert properties["regressors"].split(",") == ["alpha", "q_hat", *(names[name] for name in HOSTILE)]
+
+
+@pytest.mark.parametrize("form", ["functions", "tables"])
+def test_jsbsim_flies_the_columns(learned, form, tmp_path):
+    jsbsim = pytest.importorskip("jsbsim", reason="flies exports in JSBSim: pip install jsbsim")
+    pipeline, aircraft, row = learned
+    (path,) = write_jsbsim(tmp_path, pipeline, aircraft, form=form)
+    assert '"flap left" is flap_left_2' in path.read_text()
+    fdm = jsbsim.FGFDMExec(str(tmp_path))
+    fdm.set_debug_level(0)
+    assert fdm.load_model(path.stem)
+    fdm["ic/vt-fps"], fdm["ic/h-sl-ft"], fdm["ic/alpha-rad"] = 20.0 / 0.3048, 1000.0, row["alpha"]
+    fdm["ic/q-rad_sec"] = row["q"]
+    for name, short in identifiers(["alpha", "q_hat", *HOSTILE]).items():
+        if name in HOSTILE:
+            fdm[f"fcs/{short}"] = row[name]
+    fdm.run_ic()
+    found = [fdm[f"aero/coefficient/{name}"] for name in COEFFICIENTS]
+    np.testing.assert_allclose(found, pipeline.predict(pd.DataFrame([row]))[0], atol=1e-6)
+
+
+def test_other_xml_and_json(learned, tmp_path):
+    pipeline, aircraft, _ = learned
+    build = build_up(pipeline, aircraft, pairs="none", max_loss=np.inf)
+    write_gazebo(tmp_path / "a.sdf", build)
+    assert ET.parse(tmp_path / "a.sdf").getroot()[0].get("name") == file_name(NAME)
+    for k, (model, words) in enumerate([(pipeline, (aircraft,)), (build, ())]):
+        write_dave_ml(tmp_path / f"{k}.dml", model, *words)
+        root = ET.parse(tmp_path / f"{k}.dml").getroot()
+        tags = [element for element in root if element.tag.endswith("variableDef")]
+        assert "flap_left_2" in {element.get("varID") for element in tags}
+        assert '"flap left" is flap_left_2' in "".join(root[0].itertext())
+    write_build_up(tmp_path / "a.json", build)
+    assert list(json.loads((tmp_path / "a.json").read_text())["regressors"]) == ["alpha", "q_hat", *HOSTILE]
+    save_portable(tmp_path / "a.npz", portable_model(pipeline, aircraft))
+    assert load_portable(tmp_path / "a.npz").regressor_names == ("alpha", "q_hat", *HOSTILE)
+
+
+def test_a_name_of_the_file_is_refused(learned, uav, regressors, fitted, tmp_path):
+    model = build_up(fitted("trend"), uav, pairs="none", max_loss=np.inf)
+    renamed = model.renamed({name: name for name in model.regressors} | {"rudder": "CX_0"})
+    with pytest.raises(ValueError, match=r"a model of \['CX_0'\], but the file has other variables"):
+        write_dave_ml(tmp_path / "a.dml", renamed)

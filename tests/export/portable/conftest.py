@@ -30,7 +30,7 @@ KINDS = {
     "compact": QUICK,
     "compact-full": QUICK | {"covariance_type": "full"},
     "updated": QUICK,
-    "calibrated": QUICK,
+    "calibrated": QUICK | {"input_noise": 0.1},
 }
 AIRCRAFT = Aircraft(
     name="glider",

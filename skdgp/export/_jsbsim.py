@@ -255,9 +255,7 @@ def _propeller(function: Element, propeller: Any, coefficients: Sequence[float],
                 _product(speed, full - idle, THROTTLE)
 
 
-def _add_controls(
-    root: Element, found: BuildUp | GaussianSum, controls: Iterable[str], *, has_throttle: bool
-) -> None:
+def _add_controls(root: Element, found: BuildUp | GaussianSum, controls: Iterable[str], *, has_throttle: bool) -> None:
     control = SubElement(root, "flight_control", name="surfaces")
     for name in [*([] if has_throttle else [THROTTLE]), *(f"fcs/{name}" for name in controls)]:
         SubElement(control, "property", value="0").text = name

@@ -121,7 +121,7 @@ def _trimmed(options, model, thrust) -> Start:
     if options.controls is not None:
         table = read_flight(options.controls)
         mixing = as_aerodynamics(model.pipeline).mixing
-        known = dict(table.iloc[0])
+        known: Any = dict(table.iloc[0])
         if mixing is not None and set(mixing.surfaces) <= set(table):
             known |= dict(zip(mixing.controls, mixing.matrix @ [known[name] for name in mixing.surfaces], strict=True))
         _warn_out_of_trim(known, steady)
@@ -141,7 +141,7 @@ def _moved(options, steady) -> pd.DataFrame:
         time = np.arange(0.0, (options.duration or DURATION) + options.dt, options.dt)
         moves = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in opt.by_axis(options.doublet).items()}
         table = pd.DataFrame({"time": time} | moves)
-    axes = [name for name in table if name not in ("time", "flight")]
+    axes = [name for name in map(str, table) if name not in ("time", "flight")]
     check_names(axes, steady.controls, "trim's controls")
     return table.assign(**{name: steady.controls[name] + table[name] for name in axes})
 

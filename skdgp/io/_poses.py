@@ -34,6 +34,8 @@ SLOW = 1.0
 """Mean speed [m/s] below which nothing flies."""
 UNEXPLAINED, CLEARLY = 0.5, 0.5
 """A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
+UNSURE = 0.05
+"""Frames whose unexplained side forces differ by less [m/s^2] are named together, as in a steady turn; a guess."""
 
 
 def flight_from_poses(
@@ -266,7 +268,7 @@ def _check_frame(frame: str, attitude: Rotation, velocity: np.ndarray, force: np
         return
     fits = fits or {words: fit for words, fit in conjugate.items() if min(fit[:2]) > 0}
     least = min((fit[2] for fit in fits.values()), default=np.inf)
-    likely = [words for words, fit in fits.items() if fit[2] <= 1.01 * least + 1e-9]
+    likely = [words for words, fit in fits.items() if fit[2] <= least + UNSURE]
     remedy = "look at the quaternions, which must be scalar first, body to earth, and at the body's axes: no frame fits"
     remedy = f"try {' or '.join(likely)}" if likely else remedy
     raise ValueError(f"Got frame={frame!r} and poses with {reason}: {remedy}.")

@@ -144,6 +144,18 @@ def test_level_flight_upside_down_flight_backward_and_conjugates():
         flight_from_poses(time, position, scalar_first(attitude.inv()), frame="NED/FRD")
 
 
+def test_a_steady_turn_names_every_frame_that_it_fits():
+    """A constant bank cannot say to which side it turns the aircraft; the true frame is among those to try."""
+    time = np.arange(0, 2, 0.01)
+    north_west_up = np.stack([5 * np.sin(time), 5 - 5 * np.cos(time), np.full(time.size, 1.5)], axis=-1)
+    bank = np.full(time.size, -np.arctan(5 / G))
+    earth, body = FRAMES["NWU/FLU"]
+    attitude = earth * Rotation.from_euler("ZX", np.stack([time, bank], axis=-1)) * body
+    poses = in_frame("ENU/FRD", earth.apply(north_west_up), attitude)
+    with pytest.raises(ValueError, match=r"frame='ENU/FLU' and poses with a .* try .*frame='ENU/FRD'"):
+        flight_from_poses(time, *poses, frame="ENU/FLU")
+
+
 def test_wind_changes_the_air_data_alone():
     time, position, attitude, truth = flown()
     wind = np.array([2.0, -1.0, 0.5])

@@ -31,20 +31,27 @@ class Model:
             columns.append(x * (r["length"] / (2 * np.asarray(table["airspeed"]))) ** r["power"] if r["power"] else x)
         return np.column_stack(columns)
 
-    def predict(self, X):
-        """Mean and standard deviation (n, P) at regressors X (n, d), some thousands at most."""
+    def predict(self, X, input_noise=1.0):
+        """Mean and standard deviation (n, P) at regressors X (n, d), some thousands at most.
+
+        ``input_noise`` multiplies the variance of the noise of the regressors: 1 as in the flights of the fit, 0 for
+        exact regressors, of a simulation. Measured ones without it have deviations that are several times too small.
+        """
         a = self.arrays
         z = (np.asarray(X, dtype=float) - a["shift"]) / a["scale"]
         p = np.column_stack([np.ones(len(z)), z - a["trend_center"]])
         mean, variance = np.empty((2, len(z), len(self.head["outputs"])))
         for i, k in enumerate(a["readout_of"]):
             w, g = a[f"weights_{k}"], np.zeros((len(z), len(a[f"weights_{k}"])))
+            slope = np.tile(a["trend_weights"][i, 1:], (len(z), 1))
             blocks = (a[f"block_{name}"] for name in ("place", "gain", "shift", "root"))
             for (output, centre, column, size), gain, shift, root in zip(*blocks, strict=True):
                 if output == i:
                     away = (z - shift)[:, None] - a["centres"][centre : centre + size]
-                    away = away * root if root.ndim == 1 else away @ root
-                    g[:, column : column + size] += gain * np.exp(-0.5 * (away**2).sum(axis=2))
+                    root = np.diag(root) if root.ndim == 1 else root
+                    values = gain * np.exp(-0.5 * ((away @ root) ** 2).sum(axis=2))
+                    g[:, column : column + size] += values
+                    slope -= ((values * w[column : column + size])[:, None] @ (away @ root @ root.T))[:, 0]
             triangle = np.zeros((len(w), len(w)))
             triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
             half = p @ a[f"trend_root_{i}"]
@@ -52,6 +59,8 @@ class Model:
             prior = a["prior_variance"][i] + ((p * a["trend_scale"][i]) ** 2).sum(axis=1)
             mean[:, i] = p @ a["trend_weights"][i] + g @ w
             variance[:, i] = np.maximum(prior - (half**2).sum(axis=1), np.finfo(float).eps * prior)
+            slope = slope / a["scale"]
+            variance[:, i] += input_noise * ((slope @ a["input_covariance"]) * slope).sum(axis=1)
         return a["center"] + a["output_scale"] * mean, a["deviation_scale"] * np.sqrt(variance)
 
 

@@ -15,6 +15,7 @@ from skdgp.datasets import _example_flights
 ROOT = Path(__file__).resolve().parents[1]
 RUN_ELSEWHERE = {
     "export.md": "export/portable/test_command.py",  # its code reads a model, which that test lays ready
+    "export_jsbsim.md": "export/test_jsbsim.py",  # its code needs jsbsim
     "identification.md": "cli/test_identify.py",  # its code reads logs, which that test lays ready
     "autopilot_logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
     "scaling.md": "compute/test_dask.py",  # its code needs dask.distributed

@@ -148,6 +148,25 @@ def paths(default: int, use: str) -> Option:
     return option("--paths N", f"functions of the posterior {use} (default: {default})", kind, default=default)
 
 
+def by_axis(words: list[str]) -> dict[str, float]:
+    """Return numbers by axis, of words such as ``elevator=0.4``."""
+    return {axis: float(value) for axis, _, value in (word.partition("=") for word in words)}
+
+
+def axis_value(text: str) -> str:
+    """Return words such as ``elevator=0.4``."""
+    try:
+        by_axis([text])
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"got {text}, but expected AXIS=NUMBER such as elevator=0.4") from None
+    return text
+
+
+def axis_values(name: str, help: str) -> Option:
+    """Return an option that has numbers by axis."""
+    return option(f"{name} AXIS=X", help, axis_value, nargs="+", default=[])
+
+
 def none_of(words: str) -> str | None:
     """Return None for "none", which the command line says for it."""
     return None if words == "none" else words

@@ -117,12 +117,12 @@ def check_writable(suffix: str) -> None:
         raise ImportError('Parquet needs pyarrow, which is not installed: pip install "skdgp[parquet]", or write CSV.')
 
 
-def picture_writers(name: str, draw: Callable, *data) -> dict[str, Writer]:
+def picture_writers(name: str, draw: Callable, *data, **more) -> dict[str, Writer]:
     """Return what writes the picture that ``draw`` of a display makes; nothing, and a warning, without matplotlib."""
     if find_spec("matplotlib") is None:
         warnings.warn('No picture: it needs pip install "skdgp[plot]".', stacklevel=2)
         return {}
     from matplotlib.figure import Figure
 
-    display = draw(*data, ax=Figure(layout="constrained"))
+    display = draw(*data, **more, ax=Figure(layout="constrained"))
     return {name: lambda path: display.figure_.savefig(path, dpi=150)}

@@ -11,6 +11,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from skdgp._cli import _options as opt
+from skdgp._cli._options import axis_value as _axis_value
+from skdgp._cli._options import axis_values as _axis_values
+from skdgp._cli._options import by_axis as _by_axis
 from skdgp._cli._output import Run, table_writer
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
@@ -154,23 +157,6 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     if not options.full:
         lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
     return "\n".join([*lines, "", *map(str, files)])
-
-
-def _by_axis(words: list[str]) -> dict[str, float]:
-    """Return numbers by axis, of words such as ``elevator=0.4``."""
-    return {axis: float(value) for axis, _, value in (word.partition("=") for word in words)}
-
-
-def _axis_value(text: str) -> str:
-    try:
-        _by_axis([text])
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"got {text}, but expected AXIS=NUMBER such as elevator=0.4") from None
-    return text
-
-
-def _axis_values(name: str, help: str) -> opt.Option:
-    return opt.option(f"{name} AXIS=X", help, _axis_value, nargs="+", default=[])
 
 
 def _ends(name: str, help: str) -> opt.Option:

@@ -15,7 +15,8 @@ from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import json_text, text_writer
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, WIND
-from skdgp._flight.checks import check_columns
+from skdgp._flight.checks import check_columns, check_names
+from skdgp.design import doublet
 from skdgp.dynamics import SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.dynamics._simulation.trajectory import REASONS
@@ -26,6 +27,10 @@ from skdgp.plotting._style import display_unit
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 DURATION = 10.0
+PULSE = 1.0
+"""Start and length of the pulses of a doublet [s], about a quarter of a period of 1.5 rad/s; a guess."""
+OUT_OF_TRIM = 0.005
+"""Largest difference of a table's first row to the trim without a warning [rad, or part of the throttle]; a guess."""
 START = (*AIR_DATA, *EULER, *RATES, "altitude")
 THRUST = ("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n")
 MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
@@ -34,22 +39,25 @@ MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoot
 
 @dataclass(frozen=True)
 class Start:
-    """Initial state, controls and air of a simulation; ``log`` is the flight that it starts from."""
+    """Initial state, controls and air of a simulation; ``log`` or ``trim`` is what it starts from."""
 
     state: dict[str, float]
     controls: dict | pd.DataFrame
     wind: list[float] | pd.DataFrame | None
     duration: float
     log: pd.DataFrame | None = None
+    trim: Trim | None = None
 
 
 def simulate(run: Run) -> None:
     """Fly a model, from a moment of a log with its controls from there on, or from a trim with its controls held.
 
     The mean of the model is flown, and functions drawn from its posterior, each an aircraft that the data allow: the
-    band of 95 % of them is how certain the trajectory is. --controls TABLE flies other controls: columns time [s], the
-    first row the start, elevator, aileron, rudder [rad], throttle; from a trim, what the table lacks is held. The air
-    is still, unless --wind says otherwise, or the wind is estimated from the log.
+    band of 95 % of them is how certain the trajectory is. From a trim, --doublet AXIS=X moves a control by X about its
+    trim, +X from 1 to 2 s and -X from 2 to 3 s. --deviations TABLE holds deviations from the trim, and --controls TABLE
+    the controls themselves, which a trim does not change: columns time [s], the first row the start, elevator, aileron,
+    rudder [rad], throttle. What the table lacks is held. The air is still, unless --wind says otherwise, or the wind is
+    estimated from the log.
 
     Writes into DIR, all or none:
       trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
@@ -62,7 +70,7 @@ def simulate(run: Run) -> None:
     For example:
       python -m skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
       python -m skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
-      python -m skdgp simulate results/model.joblib --trim 35 --controls doublet.csv --paths 100 -o doublet
+      python -m skdgp simulate results/model.joblib --trim 35 --doublet elevator=0.03 --paths 100 -o doublet
     """
     options = run.options
     suffix = f".{options.format}"
@@ -82,8 +90,8 @@ def simulate(run: Run) -> None:
             sampled = simulate_flight(*initial, **conditions, n_paths=options.paths, random_state=options.seed)
         files[f"bands{suffix}"] = table_writer(trajectory_bands(sampled).drop(columns="start"), suffix)
     numbers = _numbers(options, start, trajectory, sampled)
-    drawn = trajectory if sampled is None else sampled
-    files |= picture_writers("trajectory.png", TrajectoryDisplay.from_trajectories, drawn, start.log)
+    drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)
+    files |= picture_writers("trajectory.png", TrajectoryDisplay.from_trajectories, drawn, start.log, mean=mean)
     files["simulation.json"] = text_writer(json_text(numbers))
     run.print(_text(numbers, run.write(files)), numbers)
 
@@ -91,11 +99,15 @@ def simulate(run: Run) -> None:
 def _start(options, model, thrust) -> Start:
     if (options.flight is None) == (options.trim is None):
         raise ValueError("Got both or none of --flight and --trim, but expected one of them to start from.")
-    belonging = {"flight": ("at", "servos", "airborne"), "trim": ("altitude", "climb", "turn_rate", "bank")}
+    of_trim = ("altitude", "climb", "turn_rate", "bank", "deviations", "doublet")
+    belonging = {"flight": ("at", "servos", "airborne"), "trim": of_trim}
     other = "trim" if options.trim is None else "flight"
-    given = [f"--{name.replace('_', '-')}" for name in belonging[other] if getattr(options, name) is not None]
+    given = [f"--{name.replace('_', '-')}" for name in belonging[other] if getattr(options, name) not in (None, [])]
     if given:
         raise ValueError(f"Got {', '.join(given)} without --{other}, to which it belongs: leave it out.")
+    moving = [f"--{name}" for name in ("controls", "deviations", "doublet") if getattr(options, name)]
+    if len(moving) > 1:
+        raise ValueError(f"Got {' and '.join(moving)}, but expected one of them: give one table of all controls.")
     return _trimmed(options, model, thrust) if options.flight is None else _logged(options, model)
 
 
@@ -106,13 +118,44 @@ def _trimmed(options, model, thrust) -> Start:
     steady = cast(Trim, trim(model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path))
     state = {name: getattr(steady, name) for name in (*AIR_DATA, "phi", "theta", "altitude")}
     state |= dict(zip(RATES, steady.rates, strict=True))  # by the air, which the wind carries along
-    if options.controls is None:
-        return Start(state, steady.controls, options.wind, options.duration or DURATION)
-    table = read_flight(options.controls)
-    mixing = as_aerodynamics(model.pipeline).mixing
-    mixed = mixing.controls if mixing is not None and set(mixing.surfaces) <= set(table) else ()
-    constant = {name: value for name, value in steady.controls.items() if name not in (*table, *mixed)}
-    return Start(state, table.assign(**constant), options.wind, _duration(options, table))
+    if options.controls is not None:
+        table = read_flight(options.controls)
+        mixing = as_aerodynamics(model.pipeline).mixing
+        known: Any = dict(table.iloc[0])
+        if mixing is not None and set(mixing.surfaces) <= set(table):
+            known |= dict(zip(mixing.controls, mixing.matrix @ [known[name] for name in mixing.surfaces], strict=True))
+        _warn_out_of_trim(known, steady)
+    elif options.deviations is not None or options.doublet:
+        known = table = _moved(options, steady)
+    else:
+        return Start(state, steady.controls, options.wind, options.duration or DURATION, trim=steady)
+    constant = {name: value for name, value in steady.controls.items() if name not in known}
+    return Start(state, table.assign(**constant), options.wind, _duration(options, table), trim=steady)
+
+
+def _moved(options, steady) -> pd.DataFrame:
+    """Return the controls of a trim with the deviations of the options."""
+    if options.deviations is not None:
+        table = read_flight(options.deviations)
+    else:
+        time = np.arange(0.0, (options.duration or DURATION) + options.dt, options.dt)
+        moves = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in opt.by_axis(options.doublet).items()}
+        table = pd.DataFrame({"time": time} | moves)
+    axes = [name for name in map(str, table) if name not in ("time", "flight")]
+    check_names(axes, steady.controls, "trim's controls")
+    return table.assign(**{name: steady.controls[name] + table[name] for name in axes})
+
+
+def _warn_out_of_trim(first, steady) -> None:
+    """Warn if the first controls are far from those of the trim: the table may hold deviations."""
+    far = {n: v for n, v in steady.controls.items() if n in first and abs(first[n] - v) > OUT_OF_TRIM}
+    if far:
+        found = ", ".join(f"{name} {first[name]:.4g} (trim {value:.4g})" for name, value in far.items())
+        warnings.warn(
+            f"The first row of --controls is not the trim: {found}. If the table holds deviations from the trim, give "
+            "--deviations TABLE.",
+            stacklevel=2,
+        )
 
 
 def _logged(options, model) -> Start:
@@ -164,7 +207,7 @@ def _numbers(options, start, trajectory, paths) -> dict:
     return {
         "model": options.model,
         "start": {name: first[name] for name in START},
-        "controls": dict(start.controls) if isinstance(start.controls, dict) else None,
+        "trim": None if start.trim is None else start.trim.controls | {"thrust": start.trim.thrust},
         "duration": start.duration,
         "flown": last["time"] - first["time"],
         "ended": next((REASONS[why] for why in trajectory["ended"] if why), None),
@@ -190,6 +233,10 @@ def _text(numbers, files) -> str:
     lines = [f"flown {numbers['flown']:.4g} s, to the end"]
     if numbers["ended"] is not None:
         lines = [f"ended after {numbers['flown']:.4g} of {numbers['duration']:.4g} s: {numbers['ended']}"]
+    if numbers["trim"] is not None:
+        units = {"throttle": "", "thrust": " N", "propeller_speed": " rad/s"}
+        shown = (f"{name} {value:.4g}{units.get(name, ' rad')}" for name, value in numbers["trim"].items())
+        lines.append(f"trim: {', '.join(shown)}")
     beyond, paths = numbers["beyond"], numbers["paths"]
     if beyond is None:
         lines.append("always within what the model was learned from")
@@ -220,7 +267,7 @@ SIMULATE = Command(
     {
         "": [
             *(opt.MODEL, opt.AIRCRAFT, opt.FOLDER),
-            opt.option("--controls TABLE", "the controls to fly with"),
+            opt.option("--controls TABLE", "the controls to fly with: deflections [rad], not deviations from a trim"),
             opt.option(
                 "--wind N E D",
                 "velocity of the air [m/s], north, east, down (default: estimated from the log, else 0 0 0)",
@@ -238,6 +285,10 @@ SIMULATE = Command(
             opt.option("--at S", "when, on the clock of the log [s]", opt.number()),
             *(opt.SERVOS, opt.AIRBORNE),
             opt.option("--trim V", "start from steady flight at this airspeed [m/s]", opt.positive("m/s")),
+            opt.axis_values(
+                "--doublet", "deviations [rad]: up from 1 to 2 s, down from 2 to 3 s, such as elevator=0.03"
+            ),
+            opt.option("--deviations TABLE", "deviations of the controls from the trim"),
             opt.option("--altitude M", "of the trim [m] (default: 0)", opt.number()),
             opt.option("--climb RAD", "flight-path angle [rad] (default: 0; without thrust it follows)", opt.number()),
             opt.option("--turn-rate RAD/S", "of the heading [rad/s] (default: 0)", opt.number()),

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
-from skdgp._flight.channels import EARTH_VELOCITY, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import ALL_SURFACES, EARTH_VELOCITY, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_codes, flight_segments
 
 LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
@@ -30,6 +30,8 @@ ENOUGH = 5
 """Least number of changes from which an angle is judged."""
 FASTEST_RATE = 50.0
 """Rates beyond this [rad/s], eight turns a second, are in other units."""
+LARGEST_DEFLECTION = 0.7
+"""Surfaces that go beyond it [rad], 40 degrees, may be commands from -1 to 1; the largest of seven logs is 0.31."""
 
 
 def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
@@ -149,7 +151,7 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
         if not pd.api.types.is_numeric_dtype(flight[name]):
             raise ValueError(f"Got column {name!r} of type {flight[name].dtype}, but expected numbers.")
     segments = flight_segments(flight["time"].to_numpy(float), flight.get("flight"))
-    for check in (_airspeed, _density, _angles, _rates, _accelerations):
+    for check in (_airspeed, _density, _angles, warn_of_commands, _rates, _accelerations):
         check(flight)
     return segments
 
@@ -208,6 +210,19 @@ def _angles(flight: pd.DataFrame) -> None:
                 f"The median |{name}| is {np.nanmedian(values):.2f} rad ({np.rad2deg(np.nanmedian(values)):.0f} "
                 "deg), but expected radians: these look like degrees."
             )
+
+
+def warn_of_commands(flight: pd.DataFrame) -> None:
+    """Warn of surfaces that are probably commands from -1 to 1: beyond `LARGEST_DEFLECTION`, or at 1 exactly."""
+    values = {name: np.abs(_values(flight, name)) for name in ALL_SURFACES if name in flight}
+    large = {name: np.nanpercentile(each, 99) for name, each in values.items() if _any_finite(each)}
+    large = {name: top for name, top in large.items() if top > LARGEST_DEFLECTION or (values[name] == 1).sum() > 1}
+    if large:
+        found = ", ".join(f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)" for name, top in large.items())
+        _warn(
+            f"Got surfaces up to {found}, more than most servos reach: if these are commands from -1 to 1, multiply "
+            "each by its largest deflection [rad]."
+        )
 
 
 def _rates(flight: pd.DataFrame) -> None:

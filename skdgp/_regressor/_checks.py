@@ -16,6 +16,7 @@ from skdgp._compute.tables import column_names
 
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
 Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish
+SCALED = 10.0  # regressors of standard deviations from 1 / SCALED to SCALED need no scaling; a guess
 MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
 LARGE_CHANGE = 0.5  # change by compaction, in standard deviations, that causes a warning without a tolerance
 
@@ -214,8 +215,8 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
         )
 
 
-def warn_of_search(best, max_iter: int) -> None:
-    """Warn if the search for hyperparameters was interrupted or has not converged."""
+def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None:
+    """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
         _warn(
             f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
@@ -223,10 +224,13 @@ def warn_of_search(best, max_iter: int) -> None:
             ConvergenceWarning,
         )
     elif not best.converged:
+        unscaled = [
+            name for name, std in zip(names, X.std(axis=0), strict=True) if std > SCALED or 0 < std < 1 / SCALED
+        ]
+        scale = f", or scale the regressors {unscaled} (StandardScaler)" if unscaled else ""
         _warn(
             f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations again the log "
-            f"likelihood is expected to rise by {best.remaining:.2g} nats. Raise max_iter, or scale the regressors "
-            "(StandardScaler).",
+            f"likelihood is expected to rise by {best.remaining:.2g} nats. Raise max_iter{scale}.",
             ConvergenceWarning,
         )
 

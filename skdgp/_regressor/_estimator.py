@@ -336,7 +336,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         modelled = clock if self.drift == "likelihood" else None
         found = task.run(choose, self, X, Z, modelled)
         posterior, learned = found.fit.posterior, found.fit.learned
-        _checks.warn_of_search(learned, self.max_iter)
+        _checks.warn_of_search(learned, self.max_iter, X, self._regressor_names())
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if learned.drift is not None:
             variance, memory = learned.drift

@@ -127,7 +127,7 @@ def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
     rounded = [_Rounded.of(readout) for readout in model.readouts]
     readouts = [Readout(readout.weights, root.in_full()) for readout, root in zip(model.readouts, rounded, strict=True)]
     X = _points(model)
-    std, other = (m.predict(X, return_std=True)[1] for m in (model, replace(model, readouts=tuple(readouts))))
+    std, other = (m.predict(X, True, False)[1] for m in (model, replace(model, readouts=tuple(readouts))))
     visible = np.abs(other - std).max(axis=0) > ROUNDED * std.max(axis=0)
     return [None if visible[model.readout_of == k].any() else root for k, root in enumerate(rounded)]
 
@@ -267,7 +267,7 @@ def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
 
 def _test(model, precision) -> dict[str, Any]:
     X = _rounded(_points(model), precision)
-    mean, std = model.predict(X, return_std=True)
+    mean, std = model.predict(X, return_std=True, include_input_noise=False)
     slope = model.predict_gradient(X)
     size = np.abs(slope * model.scale).max(axis=(0, 2))[:, None] / model.scale
     low, high = _edges(model, precision)

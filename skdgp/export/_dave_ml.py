@@ -151,7 +151,7 @@ def _facts(model: PortableModel, shown: PortableModel) -> _Facts:
     samples, order = model.envelope.samples, _order(model)
     if not len(samples):  # of a compact model: its inducing inputs lie among them
         samples = model.centres[:MAX_FUNCTIONS] * model.scale + model.shift
-    mean, std = (values[:, order] for values in model.predict(samples, return_std=True))
+    mean, std = (values[:, order] for values in model.predict(samples, True, False))
     off = shown.predict(samples)[:, order] - mean
     loss, deviation = (np.sqrt(np.mean(values**2, axis=0)) for values in (off, std))
     limits = np.stack([model.envelope.low, model.envelope.high])

@@ -86,8 +86,9 @@ def write_jsbsim(
     lose at most ``max_loss``, and so are the draws.
 
     The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
-    The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm`` or ``fcs/propeller_speed`` [rad/s];
-    without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if a
+    The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
+    ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property ``external_reactions/thrust/magnitude``
+    [lbf]. Raises ValueError if a
     parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of Gaussian
     processes and a linear trend (functions, and tables that lose more than ``max_loss``).
 
@@ -165,7 +166,7 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
     SubElement(root, "ground_reactions")
     _add_thrust(root, aircraft)
     controls = [r for r in found.regressors if r not in SOURCES and _rate(r) is None and r not in IMPLICIT]
-    _add_controls(root, found, controls)
+    _add_controls(root, found, controls, has_throttle=root.find("propulsion") is not None)
     aerodynamics = SubElement(root, "aerodynamics")
     for regressor in found.regressors:
         function = SubElement(aerodynamics, "function", name=f"aero/regressor/{regressor}")
@@ -236,6 +237,17 @@ def _add_thrust(root: Element, aircraft: Aircraft) -> None:
         factor = -propeller.rotation / (POUND_FORCE * FOOT)
         _propeller(function, propeller, propeller.torque_coefficients, 5, factor)
         _vector(moment, "direction", direction)
+    if propeller is not None and propeller.speed_range is not None:
+        _add_engine(root)
+
+
+def _add_engine(root: Element) -> None:
+    """Write an engine without power: JSBSim's trim moves the throttles of its engines, and no other property."""
+    engine = SubElement(SubElement(root, "propulsion"), "engine")
+    add_text(SubElement(engine, "electric_engine", name="throttle"), "power", 0.0, unit="WATTS")
+    thruster = SubElement(engine, "thruster")
+    SubElement(thruster, "direct", name="none")
+    _vector(thruster, "location", (0.0, 0.0, 0.0), unit="M")
 
 
 def _propeller(function: Element, propeller: Any, coefficients: Sequence[float], power: int, factor: float) -> None:
@@ -254,11 +266,10 @@ def _propeller(function: Element, propeller: Any, coefficients: Sequence[float],
                 _product(speed, full - idle, THROTTLE)
 
 
-def _add_controls(root: Element, found: BuildUp | GaussianSum, controls: Iterable[str]) -> None:
+def _add_controls(root: Element, found: BuildUp | GaussianSum, controls: Iterable[str], *, has_throttle: bool) -> None:
     control = SubElement(root, "flight_control", name="surfaces")
-    SubElement(control, "property", value="0").text = THROTTLE
-    for name in controls:
-        SubElement(control, "property", value="0").text = f"fcs/{name}"
+    for name in [*([] if has_throttle else [THROTTLE]), *(f"fcs/{name}" for name in controls)]:
+        SubElement(control, "property", value="0").text = name
     channel = SubElement(control, "channel", name="surfaces")
     for name, (command, position) in SURFACES.items():
         if name not in found.regressors:

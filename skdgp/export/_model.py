@@ -186,8 +186,9 @@ class PortableModel:
 
     with c ``center``, s ``output_scale``, t ``deviation_scale``, a ``prior_variance``, v ``trend_weights``, tau
     ``trend_scale``, T ``trend_roots``, and w and U of the output's :class:`Readout`, which acts on the last k entries
-    of h. This is the posterior of the function at exact regressors:
-    ``DependentGPRegressor.predict(X, return_std=True, include_input_noise=False)``.
+    of h. This is the posterior of the function at exact regressors. At measured ones, whose noise has the covariance S
+    (``input_covariance``), their noise adds :math:`(t_i / s_i)^2 J_i S J_i^T` to the variance, with the slopes J of the
+    mean: on most flights the larger part of it.
 
     Parameters
     ----------
@@ -214,7 +215,7 @@ class PortableModel:
     drift_variance, drift_memory : ndarray (P,)
         Of the errors along a flight, ``tau^2 exp(-|t - t'| / T)``; zero where there is none.
     input_covariance : ndarray (d, d)
-        Noise of the regressors of the flights; it is no part of the deviation.
+        Covariance S of the noise of the regressors of the flights.
     envelope : Envelope
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
@@ -331,16 +332,19 @@ class PortableModel:
             raise ValueError("Got regressors that are not finite, but expected finite ones: leave out these rows.")
         return X
 
-    def predict(self, X: Any, return_std: bool = False) -> Any:
-        """Return the mean of the coefficients and, with ``return_std``, their standard deviation at exact regressors.
+    def predict(self, X: Any, return_std: bool = False, include_input_noise: Any = True) -> Any:
+        """Return the mean of the coefficients and, with ``return_std``, their standard deviation.
 
-        X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, at exact states
-        with their sources. Measured noise is not removed: that is the pipeline's task. Both results are (n, P), outputs
-        in the order of ``outputs``; the deviation is that of the coefficient, without measurement noise. Errors are
-        those of ``regressor_values``.
+        X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, with their
+        sources. Noise of the columns is not removed: that is the pipeline's task. Both results are (n, P), outputs in
+        the order of ``outputs``; the deviation is that of the coefficient, without the noise of its measurements.
+        ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy as those of the
+        fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a simulation). Errors
+        are those of ``regressor_values``.
         """
         Z = (self.regressor_values(X) - self.shift) / self.scale
-        parts = [self._predict(Z[rows], return_std) for rows in self._chunks(len(Z))]
+        noise = np.broadcast_to(np.asarray(include_input_noise, dtype=float), len(Z))
+        parts = [self._predict(Z[rows], return_std, noise[rows]) for rows in self._chunks(len(Z))]
         mean, std = (np.concatenate(part) for part in zip(*parts, strict=True))
         return (mean, std) if return_std else mean
 
@@ -381,7 +385,7 @@ class PortableModel:
                 basis[:, block.columns] += block.functions(Z, self.centres[block.rows])
         return basis
 
-    def _predict(self, Z, return_std):
+    def _predict(self, Z, return_std, input_noise):
         mean, std = np.zeros((2, len(Z), len(self.outputs)))
         trend = self._trend(Z)
         for i, k in enumerate(self.readout_of):
@@ -389,6 +393,10 @@ class PortableModel:
             mean[:, i] = trend @ self.trend_weights[i] + basis @ readout.weights
             if return_std:
                 std[:, i] = self._deviation(i, trend, basis @ readout.root)
+        if return_std and input_noise.any() and self.input_covariance.any():
+            slopes = self._gradient(Z) / self.output_scale[:, None]
+            variance = np.einsum("npd,de,npe->np", slopes, self.input_covariance, slopes, optimize=True)
+            std = np.sqrt(std**2 + input_noise[:, None] * variance)
         return self.center + self.output_scale * mean, self.deviation_scale * std
 
     def _deviation(self, i: int, trend: Matrix, half: Matrix) -> Vector:

@@ -19,11 +19,9 @@ from skdgp._flight.poses import LEAST_SAMPLES, Motion, Rotations, smooth_motion,
 from skdgp.io._units import check_magnitudes
 
 UPRIGHT, TURNED = Rotation.identity(), Rotation.from_euler("x", np.pi)
-FRAMES = {
-    "NED/FRD": (UPRIGHT, UPRIGHT),
-    "NWU/FLU": (TURNED, TURNED),
-    "ENU/FLU": (Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]]), TURNED),
-}
+EARTH = {"NED": UPRIGHT, "NWU": TURNED, "ENU": Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])}
+BODY = {"FRD": UPRIGHT, "FLU": TURNED}
+FRAMES = {f"{earth}/{body}": (EARTH[earth], BODY[body]) for earth in EARTH for body in BODY}
 """Earth and body axes of the poses: their rotations to north-east-down and from forward-right-down."""
 GRAVITY_NED = np.array([0.0, 0.0, GRAVITY])
 UNIT = 1e-2
@@ -36,6 +34,8 @@ SLOW = 1.0
 """Mean speed [m/s] below which nothing flies."""
 UNEXPLAINED, CLEARLY = 0.5, 0.5
 """A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
+UNSURE = 0.05
+"""Frames whose unexplained side forces differ by less [m/s^2] are named together, as in a steady turn; a guess."""
 
 
 def flight_from_poses(
@@ -73,7 +73,7 @@ def flight_from_poses(
     quaternion : array-like of shape (n, 4)
         Attitude, body to earth, scalar first; of either sign. :func:`skdgp.dynamics.euler_to_quaternion` gives it
         of Euler angles.
-    frame : {"NED/FRD", "NWU/FLU", "ENU/FLU"}
+    frame : {"NED/FRD", "NED/FLU", "NWU/FRD", "NWU/FLU", "ENU/FRD", "ENU/FLU"}
         Earth and body axes of the poses: north, east, down, west, up; forward, right, down, left, up. Another
         horizontal direction may stand for north.
     flight : str or array-like of shape (n,), default="flight"
@@ -268,8 +268,9 @@ def _check_frame(frame: str, attitude: Rotation, velocity: np.ndarray, force: np
         return
     fits = fits or {words: fit for words, fit in conjugate.items() if min(fit[:2]) > 0}
     least = min((fit[2] for fit in fits.values()), default=np.inf)
-    likely = [words for words, fit in fits.items() if fit[2] <= 1.01 * least + 1e-9]
-    remedy = f"try {' or '.join(likely)}" if likely else "quaternions must be scalar first, body to earth"
+    likely = [words for words, fit in fits.items() if fit[2] <= least + UNSURE]
+    remedy = "look at the quaternions, which must be scalar first, body to earth, and at the body's axes: no frame fits"
+    remedy = f"try {' or '.join(likely)}" if likely else remedy
     raise ValueError(f"Got frame={frame!r} and poses with {reason}: {remedy}.")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
-from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped
+from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped, warn_of_commands
 from skdgp.io._errors import FlightReadError
 
 TO_SI = {
@@ -90,7 +90,10 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
 
 
 def check_magnitudes(table: pd.DataFrame) -> None:
-    """Raise FlightReadError if the numbers of a column are in degrees, per cent, g or milliseconds."""
+    """Raise FlightReadError if the numbers of a column are in degrees, per cent, g or milliseconds.
+
+    Warn of surfaces that are probably commands from -1 to 1.
+    """
     large = {name: _typical_maximum(table, name) for name in (*LIMITS, *GYROS) if name in table}
     degrees = {name: round(large[name], 1) for name in LIMITS if name in table and large[name] > LIMITS[name]}
     for name in GYROS:
@@ -116,6 +119,7 @@ def check_magnitudes(table: pd.DataFrame) -> None:
                 f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near 9.8 m/s^2: this "
                 "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'."
             )
+    warn_of_commands(table)
     step = np.median(np.diff(table["time"].to_numpy(float))) if len(table) > 1 else 0.0
     if step > LONGEST_STEP:
         raise FlightReadError(

@@ -26,9 +26,10 @@ MAX_PATHS = 40  # more would look like an area
 class TrajectoryDisplay(Display):
     r"""Trajectories of :func:`skdgp.dynamics.simulate`: one with standard deviations, or an ensemble.
 
-    Of an ensemble the band holds the central share of the paths at each time, and the line is their median. Of one
-    trajectory with ``return_std=True`` the band is that of a normal distribution. Marks on the upper edge show where a
-    path leaves the range of the training data. Angles are drawn in degrees.
+    Of an ensemble the band holds the central share of the paths at each time, and the line is the trajectory ``mean``
+    where it is given, else the median of the paths, which no aircraft flies. Of one trajectory with ``return_std=True``
+    the band is that of a normal distribution. Marks on the upper edge show where a path leaves the range of the
+    training data. Angles are drawn in degrees.
 
     Parameters
     ----------
@@ -38,6 +39,8 @@ class TrajectoryDisplay(Display):
         The states, SI units and radians; NaN after the end of a path.
     std : (n, k), optional
         Standard deviations, of one path.
+    mean : (n, k), optional
+        The trajectory of the model's mean, beside an ensemble.
     truth : (n, k), optional
         The true states.
     beyond : (n,), optional
@@ -68,6 +71,7 @@ class TrajectoryDisplay(Display):
     time: Vector
     values: Array
     std: Matrix | None = None
+    mean: Matrix | None = None
     truth: Matrix | None = None
     beyond: Vector | None = None
     names: Any = DEFAULT_COLUMNS
@@ -89,10 +93,11 @@ class TrajectoryDisplay(Display):
         level = check_level(level)
 
         def draw(ax, k):
-            name = self.names[k]
-            factor = display_unit(name)[0]
+            factor = display_unit(self.names[k])[0]
             values = factor * self.values[:, :, k]
             low, middle, high = _band(values, None if self.std is None else factor * self.std[:, k], level)
+            middle = middle if self.mean is None else factor * self.mean[:, k]
+            name = "simulated" if self.mean is not None or len(values) == 1 else "median of the paths"
             band, paths, truth = None, [], None
             if low is not None:
                 label = f"{100 * level:.4g} % " + ("of the paths" if self.std is None else "band")
@@ -100,11 +105,11 @@ class TrajectoryDisplay(Display):
             if show_paths:
                 for path in values[:: -(-len(values) // MAX_PATHS)]:
                     paths += ax.plot(self.time, path, color=PALETTE["blue"], linewidth=0.4, alpha=0.4)
-            (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label="simulated")
+            (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label=name)
             if self.truth is not None:
                 style = {"color": ROLES["truth"], "linewidth": 1.2, "label": "flown"}
                 (truth,) = ax.plot(self.time, factor * self.truth[:, k], "--", **style)
-            ax.set_ylabel(axis_label(name))
+            ax.set_ylabel(axis_label(self.names[k]))
             tidy(ax)
             return line, band, paths, truth, self._mark_beyond(ax)
 
@@ -130,6 +135,7 @@ class TrajectoryDisplay(Display):
         trajectories: pd.DataFrame,
         truth: pd.DataFrame | None = None,
         *,
+        mean: pd.DataFrame | None = None,
         start: Any = None,
         columns: Any = DEFAULT_COLUMNS,
         **plot_options: Any,
@@ -142,6 +148,8 @@ class TrajectoryDisplay(Display):
             One trajectory, or the paths of one start (column ``path``).
         truth : DataFrame, optional
             The recorded flight, with the same columns; interpolated to the times of the simulation.
+        mean : DataFrame, optional
+            Beside the paths of one start, the trajectory that the mean of the model flies: the line.
         start : optional
             Start to draw, where there are several; by default the first.
         columns : names
@@ -160,13 +168,19 @@ class TrajectoryDisplay(Display):
         n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
         values = trajectories[names].to_numpy(float, copy=True).reshape(n_paths, len(time), len(names))
+        if mean is not None:
+            check_columns(mean, names, what="mean")
+            if len(mean) != len(time):
+                raise ValueError(f"Got a mean of {len(mean)} rows, but expected the {len(time)} of each path.")
+            values = np.concatenate([mean[names].to_numpy(float)[None], values])
         for k in (k for k, name in enumerate(names) if name in EULER):
             values[:, :, k] = unwrapped_paths(values[:, :, k])
         bands = [f"{name}_std" for name in names]
         beyond = (trajectories["beyond"] != "").to_numpy() if "beyond" in trajectories else None
         return cls(
             time=time,
-            values=values,
+            values=values if mean is None else values[1:],
+            mean=None if mean is None else values[0],
             std=trajectories[bands].to_numpy(float) if n_paths == 1 and set(bands) <= set(trajectories) else None,
             truth=None if truth is None else _interpolated(truth, time, names, values[0, 0]),
             beyond=None if beyond is None else beyond.reshape(n_paths, -1).mean(axis=0),

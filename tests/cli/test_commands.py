@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _output, _plan, _predict, main
+from skdgp._cli import _output, _plan, _predict, _simulate, main
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, Turbulence, stability_derivatives, trim
 from skdgp.identification import _identification, load_model, predict_flight, save_model
@@ -232,6 +232,37 @@ class TestSimulate:
         assert flown["aileron"].iloc[-1] == 0.05
         assert np.ptp(flown["elevator"]) == 0
 
+    def test_deviations_and_a_doublet_are_about_the_trim(self, run, tmp_path):
+        """Both fly the same controls: those of the trim, which are printed, and the deviations."""
+        time = np.arange(0, 3.3, 0.02)
+        moved = np.select([time < 0.99, time < 1.99, time < 2.99], [0.0, 0.03, -0.03], 0.0)
+        pd.DataFrame({"time": time, "elevator": moved}).to_csv(tmp_path / "moved.csv", index=False)
+        words = ("simulate", "--trim", "35", "--duration", "3.2", "--paths", "0")
+        said = run(*words, "--doublet", "elevator=0.03")
+        assert run(*words, "--deviations", tmp_path / "moved.csv", output="table")["end"] == pytest.approx(said["end"])
+        flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
+        np.testing.assert_allclose(flown["elevator"] - said["trim"]["elevator"], moved[: len(flown)], atol=1e-12)
+        assert (flown["aileron"] == said["trim"]["aileron"]).all()
+
+    @pytest.mark.parametrize("off", [0.004, 0.006])
+    def test_a_table_that_starts_out_of_trim_is_said(self, path, model, tmp_path, capsys, off):
+        held = trim(model.pipeline, model.aircraft, 35.0).controls
+        left, right = (held["elevator"] + off + sign * held["aileron"] for sign in (1, -1))
+        table = pd.DataFrame({"time": [0, 0.1, 0.2], "elevon_left": left, "elevon_right": right})
+        table.to_csv(tmp_path / "held.csv", index=False)
+        words = ["--trim", "35", "--controls", str(tmp_path / "held.csv"), "--paths", "0", "-o", str(tmp_path / "out")]
+        assert main(["simulate", path, *words]) == 0
+        assert ("give --deviations TABLE" in capsys.readouterr().err) == (off > 0.005)
+
+    def test_the_picture_holds_the_trajectory_of_the_file(self, run, tmp_path, monkeypatch):
+        drawn = []
+        monkeypatch.setattr(_simulate, "picture_writers", lambda *data, **more: drawn.append((*data, more)) or {})
+        run("simulate", "--trim", "35", "--doublet", "elevator=0.03", "--duration", "1.2", "--paths", "3")
+        _, _, paths, _, more = drawn[0]
+        flown, names = pd.read_csv(tmp_path / "out" / "trajectory.csv"), ["airspeed", "theta", "q"]
+        np.testing.assert_allclose(more["mean"][names], flown[names], rtol=1e-9, atol=1e-12)
+        assert paths["path"].nunique() == 3
+
     def test_elevons_of_a_table_stand_for_what_they_mix(self, run, tmp_path):
         time = np.arange(0, 0.41, 0.1)
         pd.DataFrame({"time": time, "elevon_left": 0.05, "elevon_right": -0.05}).to_csv(tmp_path / "a.csv", index=False)
@@ -304,6 +335,12 @@ class TestSimulate:
             (["--flight", "test.csv", "--at", "25", "--duration", "99"], "lasts 99 s: give a shorter duration"),
             (["--flight", "none.csv", "--at", "25"], "Got none.csv, but there is no such file"),
             (["--trim", "350"], "There is no trim of brumby"),
+            (["--flight", "test.csv", "--at", "25", "--doublet", "elevator=1"], "Got --doublet without --trim"),
+            (["--trim", "35", "--doublet", "elevatr=.1"], "trim's controls lack 'elevatr' .nearest: 'elevator'"),
+            (
+                ["--trim", "35", "--doublet", "rudder=.1", "--deviations", "a.csv"],
+                "--deviations and --doublet, but exp",
+            ),
             (["--trim", "35", "--controls", "none.csv"], "Got none.csv, but there is no such file"),
         ],
     )

@@ -1,12 +1,16 @@
 """JSBSim loads the exports, and finds the coefficients, loads and accelerations of this package."""
 
+import re
 import xml.etree.ElementTree as ET
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from sklearn.pipeline import make_pipeline
 
 from skdgp.calibration import CalibratedRegressor
+from skdgp.datasets import _example_flights
 from skdgp.dynamics import Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
 from skdgp.export._gaussians import gaussian_sums
@@ -154,8 +158,40 @@ def test_trim_is_that_of_jsbsim(load, fitted, uav, regressors, tmp_path):
     fdm["external_reactions/thrust/magnitude"] = expected.controls["thrust"] / POUND_FORCE
     fdm["simulation/do_simple_trim"] = 1
     wanted = {name: getattr(expected, name) for name in ("alpha", "phi", "theta")} | expected.controls
-    del wanted["thrust"]
+    assert wanted.pop("thrust") == expected.thrust
     assert {name: fdm[SOURCES[name][0]] for name in wanted} == pytest.approx(wanted, abs=1e-4)
+
+
+@pytest.mark.parametrize("airspeed", [22.0, 25.0, 30.0])
+def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_path):
+    """JSBSim's full trim finds the throttle too, from controls at zero: that of this package."""
+    propeller = Propeller(0.5, (0.1, -0.05, -0.08), torque_coefficients=(0.01, 0.002), speed_range=(100.0, 900.0))
+    aircraft = Aircraft.from_dict(uav.to_dict() | {"propeller": propeller})
+    write_jsbsim(tmp_path, fitted("trend"), aircraft)
+    (tmp_path / "flat.xml").write_text(PLANET)
+    fdm = load("uav", planet=str(tmp_path / "flat.xml"))
+    fdm["ic/vt-fps"], fdm["ic/h-sl-ft"] = airspeed / FOOT, 1000.0
+    fdm.run_ic()
+    fdm["simulation/do_simple_trim"] = 1
+    density = fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
+    expected = trim(fitted("trend"), aircraft, airspeed, density=density)
+    wanted = {name: getattr(expected, name) for name in ("alpha", "phi", "theta")} | expected.controls
+    assert {name: fdm[SOURCES[name][0]] for name in wanted} == pytest.approx(wanted, abs=1e-4)
+    assert fdm["forces/fbx-external-lbs"] * POUND_FORCE == pytest.approx(expected.thrust, rel=1e-3)
+
+
+def test_code_of_the_page_flies_steadily(tmp_path, monkeypatch):
+    """The commands of export_jsbsim.md, whose trim by JSBSim is that of this package, flown for 10 s."""
+    pytest.importorskip("jsbsim", reason="flies the page: pip install jsbsim")
+    text = (Path(__file__).resolve().parents[2] / "docs" / "export_jsbsim.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_example_flights, "_flights", partial(_example_flights._flights, duration=75.0))
+    names = {}
+    exec("\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)), names)
+    fdm, steady = names["fdm"], names["steady"]
+    assert fdm["aero/alpha-rad"] == pytest.approx(steady.alpha, rel=0.01)
+    assert fdm["fcs/throttle-cmd-norm"] == pytest.approx(steady.controls["throttle"], rel=0.01)
+    assert fdm["velocities/vt-fps"] * FOOT == pytest.approx(35.0, rel=1e-3)
 
 
 def test_the_file_states_its_loss_and_signs(built, uav, tmp_path):

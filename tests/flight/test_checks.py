@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._flight.checks import check_radians
+from skdgp._flight.checks import check_flight, check_radians
 
 
 def orbit(seconds=60.0, rate=40.0, *, noise=0.005, turn=0.2, seed=0):
@@ -90,3 +90,21 @@ def test_other_angles_and_single_states_have_no_turns():
         check_radians(orbit().assign(theta=2.0), ["theta"])
     with pytest.raises(ValueError, match=r"Got psi up to 7\.8"):
         check_radians(pd.DataFrame({"psi": [7.8]}), ["psi"])
+
+
+def surfaces(elevator, rows):
+    time = 0.01 * np.arange(1000)
+    return pd.DataFrame({"time": time, "elevator": np.where(np.arange(1000) < rows, elevator, 0.1), "rudder": 0.2})
+
+
+@pytest.mark.parametrize(("elevator", "rows"), [(0.9, 900), (1.0, 5), (-1.0, 5)])
+def test_commands_from_minus_one_to_one_are_warned_of(elevator, rows):
+    """Beyond what servos move, or at the end of a command's range though rarely."""
+    with pytest.warns(
+        UserWarning, match=r"surfaces up to elevator [^,]*, more than .* commands from -1 to 1, multiply"
+    ):
+        check_flight(surfaces(elevator, rows), ["time"])
+
+
+def test_deflections_of_thirty_degrees_are_angles():
+    check_flight(surfaces(0.5, 900), ["time"])

@@ -35,6 +35,21 @@ def test_the_band_holds_its_share_of_the_paths_and_headings_do_not_tear():
     assert [ax.get_ylabel() for ax in display.axes_.flat] == ["$V$ [m/s]", r"$\psi$ [deg]"]
 
 
+def test_the_line_is_the_trajectory_of_the_mean():
+    """On the turn of the paths; without it the line is called what it is, the median of the paths."""
+    paths, turned = ensemble(), 3.0 + 0.28 * TIME
+    mean = pd.DataFrame({"time": TIME + 7, "airspeed": 31.0, "psi": np.angle(np.exp(1j * turned))})
+    display = TrajectoryDisplay.from_trajectories(paths, mean=mean, columns=["psi", "airspeed"], ax=Figure())
+    np.testing.assert_allclose(display.lines_[0].get_ydata(), np.rad2deg(turned), atol=1e-9)
+    assert (display.lines_[1].get_ydata() == 31.0).all()
+    of_paths = TrajectoryDisplay.from_trajectories(paths, columns=["psi"], ax=Figure())
+    assert [one.lines_[0].get_label() for one in (display, of_paths)] == ["simulated", "median of the paths"]
+    low, high = (np.ptp(one.bands_[0].get_paths()[0].vertices[:, 1]) for one in (display, of_paths))
+    assert low == pytest.approx(high)
+    with pytest.raises(ValueError, match="a mean of 3 rows, but expected the 200 of each path"):
+        TrajectoryDisplay.from_trajectories(paths, mean=mean[:3], columns=["psi"], ax=Figure())
+
+
 def test_truth_is_drawn_on_the_turn_of_the_simulation():
     truth = pd.DataFrame({"time": TIME + 7, "psi": np.mod(3.0 + 0.3 * TIME, 2 * np.pi), "airspeed": 30.0})
     display = TrajectoryDisplay.from_trajectories(ensemble(), truth, columns=["psi"], ax=Figure())

@@ -20,7 +20,7 @@ from skdgp.dynamics._control.linearize import check_settled
 from skdgp.dynamics._equations.motion import IMPLICIT, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.loads import FORCES, MOMENTS, Thrust, thrust_control
+from skdgp.dynamics._vehicle.loads import CENTRED, FORCES, MOMENTS, Thrust, aerodynamic_loads, thrust_control
 
 ENGINE = ("thrust", "throttle", "propeller_speed")
 THRUSTS = ("thrust", "propeller_speed", *FORCES, *MOMENTS)
@@ -60,6 +60,8 @@ class Trim:
         p, q, r [rad/s].
     coefficients : ndarray of shape (6,)
         CX CY CZ Cl Cm Cn.
+    thrust : float
+        Of the engine, along its line [N].
     solved : tuple of str
         The unknowns; the rest was given.
     residual : float
@@ -80,6 +82,7 @@ class Trim:
     theta: float
     rates: Array
     coefficients: Array
+    thrust: float
     solved: tuple[str, ...]
     residual: float
     beyond: dict
@@ -94,7 +97,7 @@ class Trim:
         """Return the trim as a table of one row; ``beyond`` lists names."""
         named = {name: getattr(self, name) for name in ("airspeed", "altitude", "climb", "turn_rate")}
         named |= {name: getattr(self, name) for name in ("alpha", "beta", "phi", "theta")}
-        named |= dict(zip(RATE_NAMES, self.rates, strict=True)) | self.controls
+        named |= dict(zip(RATE_NAMES, self.rates, strict=True)) | self.controls | {"thrust": self.thrust}
         named |= dict(zip(COEFFICIENTS, self.coefficients, strict=True))
         return pd.DataFrame([named | {"residual": self.residual, "beyond": ", ".join(self.beyond)}])
 
@@ -202,6 +205,8 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     aerodynamics = steady.motion.aerodynamics
     limits = [[], []] if aerodynamics.limits is None else aerodynamics.limits.tolist()
     bounds = zip(aerodynamics.regressors, now.regressors.tolist(), *limits, strict=aerodynamics.limits is not None)
+    aircraft = steady.motion.aircraft
+    engine = now.force - aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)[0]
     named = {k: float(known[k]) for k in ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")}
     return Trim(
         state=state,
@@ -210,6 +215,7 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         **named,
         rates=state[RATES].copy(),
         coefficients=now.coefficients,
+        thrust=float(engine @ (aircraft.thrust_line or CENTRED).direction),
         solved=steady.unknowns,
         residual=float(np.abs(steady.residual(x, airspeed)[:6]).max()),
         beyond={name: (value, low, high) for name, value, low, high in bounds if not low <= value <= high},

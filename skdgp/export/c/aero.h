@@ -37,7 +37,8 @@ ${constants}
 /* Inputs of the sources: non-dimensional rates, mixed controls. */
 void aero_inputs(const aero_real source[AERO_SOURCES], aero_real x[AERO_INPUTS]);
 
-/* Mean of every coefficient and, unless std is NULL, its standard deviation at exact inputs. */
+/* Mean of every coefficient and, unless std is NULL, its standard deviation at exact inputs, as of a simulation.
+ * Noise of measured inputs with covariance S adds slope S slope^T to the variance, on most flights its larger part. */
 void aero_predict(const aero_real x[AERO_INPUTS], aero_real mean[AERO_OUTPUTS], aero_real std[AERO_OUTPUTS]);
 
 /* Slopes of the means, d mean[i] / d x[k]. */

@@ -30,7 +30,7 @@ KINDS = {
     "compact": QUICK,
     "compact-full": QUICK | {"covariance_type": "full"},
     "updated": QUICK,
-    "calibrated": QUICK,
+    "calibrated": QUICK | {"input_noise": 0.1},
     "precise": QUICK | {"max_iter": 20},  # little noise: the variance is a millionth of the prior
 }
 AIRCRAFT = Aircraft(

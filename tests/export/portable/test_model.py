@@ -12,13 +12,22 @@ from skdgp.export import portable_model
 from skdgp.preprocessing import RegressorSelector
 
 
-def test_equals_the_pipeline(kind, model, portable, flight):
-    exact_inputs = {} if kind == "calibrated" else {"include_input_noise": False}
-    mean, std = model.pipeline.predict(flight, return_std=True, **exact_inputs)
-    ours, deviation = portable.predict(flight, return_std=True)
+@pytest.mark.parametrize("input_noise", [True, 2.0, False])
+def test_equals_the_pipeline(kind, model, portable, flight, input_noise):
+    words = {"include_input_noise": input_noise}
+    mean, std = model.pipeline.predict(flight, return_std=True, **({} if kind.startswith("calibrated") else words))
+    ours, deviation = portable.predict(flight, return_std=True, **({} if kind.startswith("calibrated") else words))
     np.testing.assert_allclose(ours, mean, rtol=1e-12, atol=1e-12 * np.abs(mean).max())
     assert (np.abs(deviation - std) <= np.maximum(1e-9 * std, portable.rounding(flight))).all()
     np.testing.assert_allclose(portable.predict(flight), ours, rtol=1e-9, atol=1e-10)
+
+
+def test_noise_of_each_row(portable_of, flight):
+    """Rougher air is a factor for each row; exact rows have the deviation of the function alone."""
+    noisy, factors = portable_of("noisy"), np.arange(30.0)
+    exact, fit, rough = (noisy.predict(flight, True, factor)[1] for factor in (False, True, factors))
+    assert (fit > exact).all()
+    np.testing.assert_allclose(rough**2 - exact**2, factors[:, None] * (fit**2 - exact**2), rtol=1e-6, atol=1e-18)
 
 
 def test_slopes_are_those_of_the_simulation(model, portable, flight):

@@ -143,8 +143,13 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
         f"{name:<18}" + "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source")) + f" {row['source']}"
         for name, row in limits.iterrows()
     ] or ["none, not even a floor: set them by --growth, --max-bank, --floor ..."]
-    lines += ["", f"{'standard error of':<18}{'before':>10}{'after':>10}"]
-    lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in planned.errors.iterrows()]
+    errors = planned.errors.rename(columns={"std": "std now"})
+    lines += ["", f"{'standard error of':<18}" + "".join(f"{name:>10}" for name in errors)]
+    lines += [f"{name:<18}" + "".join(f"{one:>10.2g}" for one in row) for name, row in errors.iterrows()]
+    if planned.merged:
+        lines += [
+            "before: std_unmerged of derivatives.csv; std now: its std, with what alpha_dot and beta_dot may hold"
+        ]
     pairs = planned.confounded
     if len(pairs):
         shown = [

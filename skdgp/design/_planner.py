@@ -40,6 +40,7 @@ from skdgp.dynamics import (
     Turbulence,
     as_aerodynamics,
     linearize,
+    stability_derivatives,
     trim,
 )
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
@@ -613,5 +614,12 @@ class Planner:
             self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
-            dict(zip(self.before.regressors, self.at.tolist(), strict=True)), self.weights,
+            dict(zip(self.before.regressors, self.at.tolist(), strict=True)), self.weights, self._merged(),
         )  # fmt: skip
+
+    def _merged(self) -> dict[str, float]:
+        """Return the deviations of derivatives by what is merged, none of a model without such errors."""
+        if self.aerodynamics.slope_errors is None:
+            return {}
+        table = stability_derivatives(self.model, self.aircraft, self.trims, n_paths=2, thrust=self.thrust)
+        return np.sqrt((table["std_merged"] ** 2).groupby(level=1).mean()).to_dict()

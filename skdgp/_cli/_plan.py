@@ -147,9 +147,7 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     lines += ["", f"{'standard error of':<18}" + "".join(f"{name:>10}" for name in errors)]
     lines += [f"{name:<18}" + "".join(f"{one:>10.2g}" for one in row) for name, row in errors.iterrows()]
     if planned.merged:
-        lines += [
-            "before: std_unmerged of derivatives.csv; std now: its std, with what alpha_dot and beta_dot may hold"
-        ]
+        lines += ["before: std_unmerged of derivatives; std now: its std, with what alpha_dot and beta_dot may hold"]
     pairs = planned.confounded
     if len(pairs):
         shown = [

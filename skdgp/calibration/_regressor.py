@@ -208,8 +208,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
 
         With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated interval of probability
         ``level``: of a new measurement, as calibrated, or, without ``include_noise``, of the function, scaled alike.
-        ``return_cov`` is the joint covariance (P n, P n) of the function at exact X, scaled alike. Raises ValueError if both are
-        requested.
+        ``return_cov`` is the joint covariance (P n, P n) of the function at exact X, scaled alike. Raises ValueError
+        if both are requested.
         """
         check_is_fitted(self)
         if return_cov:

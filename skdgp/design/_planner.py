@@ -55,6 +55,8 @@ MOST = np.pi / 2
 """Deflection that no surface has [rad]."""
 UNBOUNDED = ("thrust", "propeller_speed")
 """Axes that are no deflections."""
+MOST_PATHS, MOST_SECONDS = 10_000, 1800.0
+"""Aircraft drawn: a risk of 5 % is then known to .2 %; and duration of a plan: the search takes a minute or two [s]."""
 WORTH = 0.002
 """Least part by which a flight lowers the errors of the goal: for less it is not flown."""
 VAGUE = 1e-8
@@ -229,8 +231,12 @@ def _check_options(
                 f"Got {name}={value!r}, but expected {'numbers' if several else 'a number'}"
                 f"{' > 0' if least == 0 else ''}."
             )
-    if not (isinstance(n_paths, int | np.integer) and n_paths >= 0):
-        raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 or more.")
+    if not (isinstance(n_paths, int | np.integer) and 0 <= n_paths <= MOST_PATHS):
+        raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 to {MOST_PATHS}.")
+    if seconds > MOST_SECONDS:
+        raise ValueError(
+            f"Got seconds={seconds:g}, but expected at most {MOST_SECONDS:g}: plan a shorter flight, and fly it again."
+        )
     for name, given in (("limits", limits), ("detents", detents)):
         check_names(given or (), axes, "axes to move")
         for axis, limit in (given or {}).items():

@@ -233,8 +233,11 @@ def test_a_damaged_plan_is_refused_with_what_is_damaged(plan, tmp_path, where, v
         read_plan(tmp_path / "plan.json")
 
 
-def test_a_file_that_is_no_plan_is_refused(tmp_path):
-    (tmp_path / "plan.json").write_text("no plan")
+@pytest.mark.parametrize(
+    "words", ["no plan", 100_000 * "[" + 100_000 * "]", 100_000 * '{"known": ' + "0" + 100_000 * "}"]
+)
+def test_a_file_that_is_no_plan_is_refused(tmp_path, words):
+    (tmp_path / "plan.json").write_text(words)
     with pytest.raises(ValueError, match=r"expected the plan.json that python -m skdgp plan writes"):
         read_plan(tmp_path / "plan.json")
 

@@ -367,11 +367,17 @@ class Planner:
         if altitude is None:
             altitude = flown_quantities(self.aerodynamics).get("altitude", (0.0, 100.0))[1]
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
-        return [
-            cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
-            for speed in airspeeds
-            for bank in banks
-        ]
+        try:
+            return [
+                cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
+                for speed in airspeeds
+                for bank in banks
+            ]
+        except ValueError as error:
+            low, high = flown_quantities(self.aerodynamics).get("airspeed", (0.0, np.inf))
+            if (low <= airspeeds).all() and (airspeeds <= high).all():
+                raise
+            raise ValueError(f"{error} Flown were {low:.3g} to {high:.3g} m/s.") from None
 
     def _nothing(self, fisher: Array) -> Information:
         """Return no information, in the shape of some."""

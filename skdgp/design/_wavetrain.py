@@ -111,8 +111,8 @@ class Wavetrain:
         Raises
         ------
         ValueError
-            If the rate is too low for an input, there would be more than a million rows, the pause is negative, inputs that overlap exceed a limit of their
-            axis, or ``trim`` lacks an axis.
+            If the rate is too low for an input, there would be more than a million rows, the pause is negative, inputs
+            that overlap exceed a limit of their axis, or ``trim`` lacks an axis.
 
         Examples
         --------

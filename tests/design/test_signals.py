@@ -189,7 +189,7 @@ def test_power_of_the_spectrum_is_as_given():
         (lambda: multisine(10.0, [1, 2], rms=1.0, power=[1.0, 0.0]), "a number > 0"),
         (lambda: orthogonal_multisines({"elevator": 0.1, "rudder": 0.1}, 4.0, (0.3, 0.5)), "fly longer"),
         (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "Got no axis"),
-        (lambda: orthogonal_multisines({"elevator": 0.1}, 3600.0, (0.1, 50.0)), "at most 5000: at most 100 s, or up to 1.39 Hz"),
+        (lambda: orthogonal_multisines({"elevator": 0.1}, 3600.0, (0.1, 50.0)), "at most 5000: at most 100 s"),
         (lambda: chirp(3600.0, (0.1, 50.0), 0.1), "at most 5000: at most 100 s"),
         (lambda: multisine(10.0, [1, 10**9], rms=0.1), "at most 5000"),
         (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=10**9), "number from 1 to 1000"),

@@ -135,6 +135,8 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
                 f"{row['start']:>5.1f} s  {row['name']:<{width}}{row['scale']:>10.0%}{risk:>8}{-row['gain']:>9.0%}"
             )
     flown = {trim.airspeed for trim in planned.trims}
+    if not np.isnan(planned.risk):
+        lines.append(f"{'':<7}  {'risk of the flight, of any of these':<{width + 10}}{planned.risk:>8.1%}")
     lines += [f"{speed:g} m/s: nothing planned there" for speed in sorted({*options.airspeed} - flown)]
     limits = abort_limits(planned.limits).join(planned.expected(range(len(rows))), rsuffix="est")
     until = f"expected, up to {RESPONSE:g} s after the inputs; the risk counts {REACTION:g} s"

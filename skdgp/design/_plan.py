@@ -63,6 +63,8 @@ class Plan:
     merged : dict of str to float
         ``std_merged`` of derivatives at the trims (root mean square), of :func:`skdgp.dynamics.stability_derivatives`:
         what alpha_dot and beta_dot may hold of them. No flight lowers it without these regressors.
+    gusts : tuple of float, optional
+        Standard deviations [m/s] of the gusts u, v, w in which risks were predicted; None: in calm air.
     """
 
     trains: tuple[Wavetrain, ...]
@@ -79,6 +81,12 @@ class Plan:
     at: Mapping[str, float]
     weights: Mapping[str, Array] = field(default_factory=dict)
     merged: Mapping[str, float] = field(default_factory=dict)
+    gusts: tuple[float, ...] | None = None
+
+    @property
+    def risk(self) -> float:
+        """Predicted probability that any manoeuvre leaves the envelope, if they are independent."""
+        return float(1.0 - np.prod(1.0 - self.manoeuvres["risk"]))
 
     @property
     def seconds(self) -> float:
@@ -137,6 +145,8 @@ class Plan:
             "at": dict(self.at),
             "step": step,
             "manoeuvres": rows,
+            "risk": self.risk,
+            "gusts": self.gusts,
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),
             "confounded": self.confounded.to_dict("records"),

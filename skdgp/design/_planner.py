@@ -627,7 +627,14 @@ class Planner:
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
             dict(zip(self.before.regressors, self.at.tolist(), strict=True)), self.weights, self._merged(),
+            self._gusts(),
         )  # fmt: skip
+
+    def _gusts(self) -> tuple[float, ...] | None:
+        """Return the standard deviations of the gusts that were checked."""
+        gusts = self.rehearsals[0].gusts
+        found = self.aerodynamics.turbulence if isinstance(gusts, str) else gusts
+        return None if found is None or not self.aerodynamics.is_uncertain else tuple(map(float, found.intensity))
 
     def _merged(self) -> dict[str, float]:
         """Return the deviations of derivatives by what is merged, none of a model without such errors."""

@@ -191,8 +191,7 @@ def _go(plan: Plan) -> str:
     if plan.gusts is None:
         rows = [["gusts", "calm air: no gust was checked", "any that is felt"]]
     else:
-        along, _, up = plan.gusts
-        wind, swing = (f"{number(value, '.1f')}{THIN}m/s" for value in (WIND_TO_GUST * up, 2.0 * along))
+        wind, swing = (f"{number(v, '.1f')}{THIN}m/s" for v in (WIND_TO_GUST * plan.gusts[2], 2.0 * plan.gusts[0]))
         rows = [
             [f"wind 6{THIN}m above ground", f"at most {wind}", "above"],
             ["airspeed in trimmed flight, hands off", f"within ±{swing} for 10{THIN}s", "beyond"],
@@ -273,7 +272,7 @@ def _limit_table(plan: Plan) -> str:
     limits, kinds = abort_limits(plan.limits), _kinds(plan)
     named = {name: rows for (name, *_), rows in kinds.items()}  # of two sizes the last
     if not len(named) == len(kinds) <= MOST_KINDS:
-        named = {"all manoeuvres": range(len(plan.manoeuvres))}
+        named = {"all manoeuvres": [*range(len(plan.manoeuvres))]}
     expected = {name: plan.expected(rows) for name, rows in named.items()}
     lines = []
     for name in QUANTITIES:
@@ -327,17 +326,9 @@ def _teaching(plan: Plan) -> str:
             '<p class="note">Errors that are still correlated, so that a combination of the two is known better than '
             f"each: {text(', '.join(named)).replace(HAT, '')}{more}.</p>"
         )
-    gains = [
-        [f"{k + 1}. {text(row['name'])}", percent(-row["gain"], ".0f")]
-        for k, row in enumerate(plan.manoeuvres.to_dict("records"))
-    ]
-    caption = "Change of the errors of the goal (geometric mean) by each manoeuvre, after those before it."
-    each = table(["manoeuvre", "errors [%]"], gains, caption=caption, classes="narrow")
-    alone = "".join(
-        f"<li><b>{text(name)}</b>: {_most_taught(plan, rows)}</li>" for (name, *_), rows in _kinds(plan).items()
-    )
-    head = "<h2>For the engineer: what the flight teaches</h2>"
-    return f'<section class="flight">{head}{tiles}{shown}{each}<ul>{alone}</ul></section>'
+    alone = "".join(f"<li><b>{text(kind[0])}</b>: {_most_taught(plan, one)}</li>" for kind, one in _kinds(plan).items())
+    shown = f"<h2>For the engineer: what the flight teaches</h2>{tiles}{shown}<ul>{alone}</ul>"
+    return f'<section class="flight">{shown}</section>'
 
 
 def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw: bool) -> str:
@@ -435,7 +426,7 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
 
 
 def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
-    """Return in words the derivatives of the goal whose errors these manoeuvres alone reduce most."""
+    """Return what these manoeuvres do to the errors in their turn, and to which of the goal if they alone are flown."""
     goal = list(plan.goal)
     before = errors_of(plan.before, plan.weights)[goal]
     after = errors_of(sum((plan.parts[k] for k in rows), plan.before), plan.weights)[goal]
@@ -445,11 +436,13 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
         if left[name] > 0 else f"{_derivative(name)} known to ±{number(after[name], '.2g')}"
         for name in map(str, left.index[:most]) if left[name] < SOME
     ]  # fmt: skip
-    return (
+    turns = ", ".join(percent(-plan.manoeuvres["gain"].iloc[k], ".0f") for k in rows)
+    words = (
         f"If only this is flown, it leaves {', '.join(shown)}."
         if shown
         else "It teaches nothing of the goal by itself."
     )
+    return f"errors of the goal in its turn (geometric mean) {turns}{THIN}%. {words}"
 
 
 def _train(plan: Plan, k: int) -> str:

@@ -149,7 +149,9 @@ def made(plan, uav, name, inputs, limits=None):
     duration = max(signal.duration for signal in inputs.values())
     train = design.Wavetrain({axis: {1.0: signal} for axis, signal in inputs.items()}, limits or {})
     row = plan["manoeuvres"][0] | {"name": name, "duration": duration}
-    table = pd.DataFrame([{"train": 0, "start": 1.0} | {key: row[key] for key in ("name", "duration", "pause")}])
+    table = pd.DataFrame(
+        [{"train": 0, "start": 1.0, "risk": np.nan} | {key: row[key] for key in ("name", "duration", "pause")}]
+    )
     flight = flown([]).assign(flight=0)
     one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, table, flight, (), pd.DataFrame(), uav, {})
     return plan | {key: one.to_dict()[key] for key in ("step", "manoeuvres")}

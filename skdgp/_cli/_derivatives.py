@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from textwrap import wrap
 from typing import Any, cast
 
 import numpy as np
@@ -17,7 +18,9 @@ from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
 from skdgp.plotting import DerivativeDisplay
 
 DEGREE = np.pi / 180
-COLUMN = 11
+COLUMN, WIDTH = 11, 110
+NOTABLE = 0.9
+"""Part of a deviation that is left without what is merged, from which on it is not worth a word."""
 
 
 def derivatives(run: Run) -> None:
@@ -65,7 +68,7 @@ def _warn_of_beyond(trims: list[Trim]) -> None:
 
 def _point(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
     """Return the numbers of one airspeed."""
-    numbers = ["value", "std", "lower", "upper"]
+    numbers = ["value", "std", "lower", "upper", "std_unmerged"]
     return {
         **{name: getattr(one, name) for name in ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")},
         "beyond": {name: list(values) for name, values in one.beyond.items()},
@@ -108,6 +111,10 @@ def _matrix(table: pd.DataFrame) -> list[str]:
             lines.append(
                 f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in std.loc[str(name)])
             )
+    if "std_merged" in table:
+        held = table[table["std_unmerged"] < NOTABLE * table["std"]]
+        named = [f"{name} {row['std_unmerged']:.2g} (without {row['merged']})" for name, row in held.iterrows()]
+        lines += ["", *wrap(f"std_unmerged, which plan counts: {', '.join(named) or 'the same'}", WIDTH)]
     return lines
 
 

@@ -138,6 +138,8 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
                 f"{row['start']:>5.1f} s  {row['name']:<{width}}{row['scale']:>10.0%}{risk:>8}{-row['gain']:>9.0%}"
             )
     flown = {trim.airspeed for trim in planned.trims}
+    if not np.isnan(planned.risk):
+        lines.append(f"{'':<7}  {'risk of the flight, of any of these':<{width + 10}}{planned.risk:>8.1%}")
     lines += [f"{speed:g} m/s: nothing planned there" for speed in sorted({*options.airspeed} - flown)]
     limits = abort_limits(planned.limits).join(planned.expected(range(len(rows))), rsuffix="est")
     until = f"expected, up to {RESPONSE:g} s after the inputs; the risk counts {REACTION:g} s"
@@ -146,8 +148,11 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
         f"{name:<18}" + "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source")) + f" {row['source']}"
         for name, row in limits.iterrows()
     ] or ["none, not even a floor: set them by --growth, --max-bank, --floor ..."]
-    lines += ["", f"{'standard error of':<18}{'before':>10}{'after':>10}"]
-    lines += [f"{name:<18}{row['before']:>10.2g}{row['after']:>10.2g}" for name, row in planned.errors.iterrows()]
+    errors = planned.errors.rename(columns={"std": "std now"})
+    lines += ["", f"{'standard error of':<18}" + "".join(f"{name:>10}" for name in errors)]
+    lines += [f"{name:<18}" + "".join(f"{one:>10.2g}" for one in row) for name, row in errors.iterrows()]
+    if planned.merged:
+        lines += ["before: std_unmerged of derivatives; std now: its std, with what alpha_dot and beta_dot may hold"]
     pairs = planned.confounded
     if len(pairs):
         shown = [

@@ -22,7 +22,7 @@ from skdgp._regressor import check_targets
 from skdgp.calibration import _conformal as conformal
 from skdgp.inference._posterior_paths import Path, Paths
 from skdgp.metrics._metrics import check_level
-from skdgp.metrics._scorers import predict_with_noise, unwrap
+from skdgp.metrics._scorers import accepts, predict_with_noise, unwrap
 
 
 def _estimator_has(name: str) -> Callable[[Any], bool]:
@@ -208,14 +208,15 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
 
         With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated interval of probability
         ``level``: of a new measurement, as calibrated, or, without ``include_noise``, of the function, scaled alike.
-        ``return_cov`` is the joint covariance (P n, P n) of the function, scaled alike. Raises ValueError if both are
-        requested.
+        ``return_cov`` is the joint covariance (P n, P n) of the function at exact X, scaled alike. Raises ValueError
+        if both are requested.
         """
         check_is_fitted(self)
         if return_cov:
             if return_std:
                 raise ValueError("Got return_std and return_cov, but expected one of them.")
-            mean, covariance = unwrap(self.estimator_).predict(_check_X(X), return_cov=True)
+            exact = {"include_input_noise": False} if accepts(self.estimator_, "include_input_noise") else {}
+            mean, covariance = unwrap(self.estimator_).predict(_check_X(X), return_cov=True, **exact)
             scale = np.repeat(self.std_scale_, len(mean))
             return mean, covariance * scale[:, None] * scale
         if not return_std:

@@ -84,7 +84,7 @@ def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
         raise FileNotFoundError(f"Got {plan} as the plan, but there is no such file.")
     try:
         found = json.loads(Path(plan).read_text(encoding="utf-8"))
-    except ValueError:  # no JSON, or no text
+    except (ValueError, RecursionError):  # no JSON, too deep, or no text
         found = None
     for part, read in PARTS.items():
         try:

@@ -23,8 +23,8 @@ UNKNOWN = 1e-10
 """Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
 NO_SHARE = 1e-6
 """Share of a regressor in such a combination below which it does not matter."""
-SECANT = 0.25
-"""Part of the range of a regressor over which a posterior's slope is taken; absolute without a range."""
+STEP = 0.02
+"""Part of the range of a regressor over which a posterior's slope is taken to either side; absolute without a range."""
 SMALL = 0.05
 
 
@@ -304,9 +304,10 @@ def _inverse(fisher: Matrix) -> Matrix:
 
 
 def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
-    r"""Return what a model knows of its derivatives: the inverse of their posterior covariance.
+    r"""Return what a model knows of its derivatives: the inverse of the covariance of their errors.
 
-    A slope is that over a quarter of the range of its regressor to either side.
+    They are those of :func:`skdgp.dynamics.stability_derivatives` without what is merged: of the posterior, and of a
+    model learned from flights also ``std_random`` and ``std_method``. Its standard errors are ``std_unmerged`` there.
 
     Parameters
     ----------
@@ -340,7 +341,7 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
     """
     aerodynamics = as_aerodynamics(model)
     at, d = np.asarray(at, dtype=float), len(aerodynamics.regressors)
-    size = np.full(d, SMALL) if aerodynamics.limits is None else SECANT * np.ptp(aerodynamics.limits, axis=0)
+    size = np.full(d, SMALL) if aerodynamics.limits is None else STEP * np.ptp(aerodynamics.limits, axis=0)
     size = np.where(size > 0, size, SMALL)
     points = np.concatenate([at[None], at + np.diag(size), at - np.diag(size)])
     slopes = np.concatenate([np.zeros((d, 1)), np.diag(0.5 / size), -np.diag(0.5 / size)], axis=1)
@@ -349,6 +350,11 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
     covariance = aerodynamics.covariance(points).reshape(6, 1 + 2 * d, 6, 1 + 2 * d)
     rows = [COEFFICIENTS.index(name) for name in coefficients]
     found = np.stack([linear @ covariance[k, :, k] @ linear.T for k in rows])
+    errors = None if aerodynamics.slope_errors is None else aerodynamics.slope_errors(at[None])
+    if errors is not None:
+        of_slopes = np.concatenate([errors.random[0], errors.method[0]], axis=-1)[rows]  # (P, d, k)
+        both = np.concatenate([-(at @ of_slopes)[:, None], of_slopes], axis=1)
+        found += both @ both.swapaxes(1, 2)
     scale = np.sqrt(np.maximum(np.einsum("pdd->pd", found), np.finfo(float).tiny))
     scaled = found / scale[:, :, None] / scale[:, None] + 1e-9 * np.eye(1 + d)
     fisher = np.linalg.inv(scaled) / scale[:, :, None] / scale[:, None]

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.fft import irfft, rfft
 from scipy.optimize import brentq, minimize
 from sklearn.utils import check_random_state
 
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed, Vector
-from skdgp.design._signals import ROUNDING, Limits, Signal, checked_band, freeze
+from skdgp.design._signals import ROUNDING, Limits, Signal, check_periods, checked_band, freeze
 
 POWERS = (4, 8, 16, 32, 64, 128, 256)
 """Of the norms that approach the peak in the search for phases."""
 SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
 """Samples per period of the highest harmonic: in the search for phases, and for a peak."""
+MOST_STEPS, MOST_SAMPLES, MOST_STARTS = 200, 30_000_000, 1000
+"""Of a search: for one norm, of all its steps together (some seconds), and searches for one signal."""
 LEAST_COVERAGE = 0.7
 """Share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly."""
 
@@ -73,12 +77,21 @@ class Multisine(Signal):
         if not np.isfinite([*self.amplitudes, *self.phases]).all():
             raise ValueError("Got amplitudes or phases that are NaN or infinite, but expected finite numbers.")
         freeze(self, int, "harmonics")
+        check_periods(self.duration, max(given) / self.duration)
         freeze(self, float, "amplitudes", "phases")
 
     def __call__(self, time: ArrayLike) -> Array:
         x = np.asarray(time, dtype=float) / self.duration
-        inside = (x >= 0) & (x < 1)
-        return _waves(x, self.harmonics, self.phases) @ np.array(self.amplitudes) * inside
+        total = np.zeros(x.shape)
+        for k, amplitude, phase in zip(
+            self.harmonics, self.amplitudes, self.phases, strict=True
+        ):  # one at a time: memory
+            total += amplitude * np.sin(2.0 * np.pi * k * x + phase)
+        return total * ((x >= 0) & (x < 1))
+
+    @property
+    def rms(self) -> float:
+        return float(np.linalg.norm(self.amplitudes) / np.sqrt(2.0))
 
     @property
     def peak(self) -> float:
@@ -96,7 +109,7 @@ class Multisine(Signal):
     @property
     def relative_peak_factor(self) -> float:
         r""":math:`(\max s - \min s) / (2\sqrt 2\,\mathrm{rms})`, which is 1 for a single sine."""
-        signal = _waves(_grid(self.harmonics, PEAK_SAMPLES), self.harmonics, self.phases) @ np.array(self.amplitudes)
+        signal = _sampled(self.harmonics, self.amplitudes, self.phases, PEAK_SAMPLES)
         return float(np.ptp(signal) / (2.0 * np.linalg.norm(self.amplitudes)))
 
     def scaled(self, factor: float) -> Self:
@@ -111,7 +124,8 @@ class Multisine(Signal):
         Parameters
         ----------
         n_starts : int, default=8
-            Number of searches: one from Schroeder's phases, the others from random ones.
+            Number of searches, 1 to 1000: one from Schroeder's phases, the others from random ones. Long signals of
+            high frequencies get fewer steps in each, so that all take some seconds at most.
         random_state : int, RandomState instance or None
             Of the random phases.
 
@@ -119,31 +133,37 @@ class Multisine(Signal):
         -------
         Multisine
         """
+        if not (isinstance(n_starts, Integral) and 1 <= n_starts <= MOST_STARTS):
+            raise ValueError(f"Got n_starts={n_starts!r}, but expected a whole number from 1 to {MOST_STARTS}.")
         amplitudes = np.array(self.amplitudes)
         random = check_random_state(random_state)
+        steps = MOST_SAMPLES // (SEARCH_SAMPLES * max(self.harmonics) * len(POWERS) * n_starts)
+        steps = min(max(steps, 1), MOST_STEPS)
         starts = [_schroeder(amplitudes**2)] + [
             random.uniform(0.0, 2.0 * np.pi, len(amplitudes)) for _ in range(n_starts - 1)
         ]
         with one_blas_thread():
-            found = [replace(self, phases=_flattest(self.harmonics, amplitudes, start).tolist()) for start in starts]
+            found = [
+                replace(self, phases=_flattest(self.harmonics, amplitudes, start, steps).tolist()) for start in starts
+            ]
         return min(found, key=lambda one: one.relative_peak_factor)._from_zero()
 
     def _from_zero(self) -> Multisine:
         """Return it shifted in time to the zero crossing of least slope, so that it begins and ends at zero."""
-        x = _grid(self.harmonics, PEAK_SAMPLES)
-        amplitudes = np.array(self.amplitudes)
+        harmonics, amplitudes = np.array(self.harmonics), np.array(self.amplitudes)
 
         def value(x: float) -> float:
-            return float(_waves(np.array(x), self.harmonics, self.phases) @ amplitudes)
+            return float(np.sin(2.0 * np.pi * x * harmonics + self.phases) @ amplitudes)
 
-        signal = _waves(x, self.harmonics, self.phases) @ amplitudes
+        signal = _sampled(self.harmonics, amplitudes, self.phases, PEAK_SAMPLES)
+        x = np.arange(len(signal)) / len(signal)
         following = np.roll(signal, -1)
         crossings = np.flatnonzero(signal * following <= 0)
         k = crossings[np.argmin(np.abs(following - signal)[crossings])]
         low, high = float(x[k]), float(x[k]) + 1.0 / len(x)
         crosses = value(low) * value(high) < 0  # else one of them is the zero
         at = brentq(value, low, high, xtol=1e-16) if crosses else min(low, high, key=lambda x: abs(value(x)))
-        phases = np.mod(self.phases + 2.0 * np.pi * np.array(self.harmonics) * at, 2.0 * np.pi)
+        phases = np.mod(self.phases + 2.0 * np.pi * harmonics * at, 2.0 * np.pi)
         return replace(self, phases=phases.tolist())
 
 
@@ -285,23 +305,19 @@ def _dealt(harmonics: np.ndarray, m: int, n: int) -> list[np.ndarray]:
     return [spread[k::m] for k in range(m)]
 
 
-def _grid(harmonics: Sequence[int], samples: int) -> Vector:
-    """Return a period in [0, 1) at ``samples`` per period of the highest harmonic."""
+def _sampled(harmonics: Sequence[int], amplitudes: ArrayLike, phases: ArrayLike, samples: int) -> Vector:
+    """Return a multisine over its period, at ``samples`` per period of the highest harmonic."""
     n = samples * max(harmonics)
-    return np.arange(n) / n
-
-
-def _waves(x: Array, harmonics: Sequence[int], phases: ArrayLike) -> Array:
-    """Return the sines at parts x (...) of the period, (..., n)."""
-    return np.sin(2.0 * np.pi * x[..., None] * np.array(harmonics, dtype=float) + np.array(phases))
+    spectrum = np.zeros(n // 2 + 1, dtype=complex)
+    spectrum[list(harmonics)] = -0.5j * n * np.asarray(amplitudes) * np.exp(1j * np.asarray(phases))
+    return irfft(spectrum, n)
 
 
 def _bound(harmonics: Sequence[int], amplitudes: ArrayLike, phases: ArrayLike) -> float:
     """Return a bound of a multisine: the largest sample, and what a curve can rise between two, step^2 / 8 |s''|."""
-    weights = np.asarray(amplitudes, dtype=float)
-    signal = _waves(_grid(harmonics, PEAK_SAMPLES), harmonics, phases) @ weights
-    step = 2.0 * np.pi * np.array(harmonics) / (PEAK_SAMPLES * max(harmonics))
-    return float(np.abs(signal).max() + step**2 @ np.abs(weights) / 8.0)
+    signal = _sampled(harmonics, amplitudes, phases, PEAK_SAMPLES)
+    step = 2.0 * np.pi * np.array(harmonics) / len(signal)
+    return float(np.abs(signal).max() + step**2 @ np.abs(np.asarray(amplitudes, dtype=float)) / 8.0)
 
 
 def _schroeder(power: Vector) -> Vector:
@@ -310,16 +326,13 @@ def _schroeder(power: Vector) -> Vector:
     return -2.0 * np.pi * np.array([np.arange(k, 0, -1) @ shares[:k] for k in range(len(shares))])
 
 
-def _flattest(harmonics: Sequence[int], amplitudes: Vector, phases: Vector) -> Vector:
-    """Return the phases of a local minimum of the range of a multisine."""
-    angles = 2.0 * np.pi * _grid(harmonics, SEARCH_SAMPLES)[:, None] * np.array(harmonics)
-    sines, cosines = np.sin(angles), np.cos(angles)
+def _flattest(harmonics: Sequence[int], amplitudes: Vector, phases: Vector, most: int) -> Vector:
+    """Return the phases of a local minimum of the range of a multisine, found in ``most`` steps for each norm."""
     weights = amplitudes / np.linalg.norm(amplitudes)
 
     def size(phases: Vector, p: int) -> tuple[float, Vector]:
         """Return the sum of the p-norms of the positive and the negative part, and its gradient."""
-        sine, cosine = weights * np.sin(phases), weights * np.cos(phases)
-        signal = sines @ cosine + cosines @ sine
+        signal = _sampled(harmonics, weights, phases, SEARCH_SAMPLES)
         total, by_signal = 0.0, np.zeros_like(signal)
         for sign in (1.0, -1.0):
             part = np.maximum(sign * signal, 0.0)
@@ -327,8 +340,10 @@ def _flattest(harmonics: Sequence[int], amplitudes: Vector, phases: Vector) -> V
             mean = np.mean(ratio**p)
             total += part.max() * mean ** (1.0 / p)
             by_signal += sign * mean ** (1.0 / p - 1.0) * ratio ** (p - 1) / len(signal)
-        return total, cosine * (by_signal @ cosines) - sine * (by_signal @ sines)
+        return total, weights * np.real(np.exp(1j * phases) * np.conj(rfft(by_signal)[list(harmonics)]))
 
     for p in POWERS:
-        phases = minimize(size, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": 200}).x
+        phases = minimize(
+            size, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": most, "maxfun": 2 * most}
+        ).x
     return phases

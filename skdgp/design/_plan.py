@@ -60,6 +60,11 @@ class Plan:
         Regressors about which derivatives are meant: the mean of all trims that were asked for.
     weights : dict of str to ndarray (P, 1 + d, 1 + d)
         Of covariances, for the goals "function" and "free-flight".
+    merged : dict of str to float
+        ``std_merged`` of derivatives at the trims (root mean square), of :func:`skdgp.dynamics.stability_derivatives`:
+        what alpha_dot and beta_dot may hold of them. No flight lowers it without these regressors.
+    gusts : tuple of float, optional
+        Standard deviations [m/s] of the gusts u, v, w in which risks were predicted; None: in calm air.
     """
 
     trains: tuple[Wavetrain, ...]
@@ -75,6 +80,13 @@ class Plan:
     aircraft: Aircraft
     at: Mapping[str, float]
     weights: Mapping[str, Array] = field(default_factory=dict)
+    merged: Mapping[str, float] = field(default_factory=dict)
+    gusts: tuple[float, ...] | None = None
+
+    @property
+    def risk(self) -> float:
+        """Predicted probability that any manoeuvre leaves the envelope, if they are independent."""
+        return float(1.0 - np.prod(1.0 - self.manoeuvres["risk"]))
 
     @property
     def seconds(self) -> float:
@@ -84,9 +96,16 @@ class Plan:
 
     @property
     def errors(self) -> pd.DataFrame:
-        """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known."""
+        """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known.
+
+        They are without ``merged``. With it, ``std`` is the standard deviation before the flight that
+        :func:`skdgp.dynamics.stability_derivatives` returns, whose ``std_unmerged`` is ``before``.
+        """
         columns = {name: errors_of(getattr(self, name), self.weights) for name in ("before", "after")}
-        return pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
+        found = pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
+        if self.merged:
+            found["std"] = np.hypot(found["before"], pd.Series(self.merged, dtype=float).reindex(found.index))
+        return found
 
     def inputs(self, k: int) -> dict[str, Signal]:
         """Return the inputs of a row of ``manoeuvres`` by axis."""
@@ -126,6 +145,8 @@ class Plan:
             "at": dict(self.at),
             "step": step,
             "manoeuvres": rows,
+            "risk": self.risk,
+            "gusts": self.gusts,
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),
             "confounded": self.confounded.to_dict("records"),

@@ -40,6 +40,7 @@ from skdgp.dynamics import (
     Turbulence,
     as_aerodynamics,
     linearize,
+    stability_derivatives,
     trim,
 )
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
@@ -54,6 +55,8 @@ MOST = np.pi / 2
 """Deflection that no surface has [rad]."""
 UNBOUNDED = ("thrust", "propeller_speed")
 """Axes that are no deflections."""
+MOST_PATHS, MOST_SECONDS = 10_000, 1800.0
+"""Aircraft drawn: a risk of 5 % is then known to .2 %; and duration of a plan: the search takes a minute or two [s]."""
 WORTH = 0.002
 """Least part by which a flight lowers the errors of the goal: for less it is not flown."""
 VAGUE = 1e-8
@@ -228,8 +231,12 @@ def _check_options(
                 f"Got {name}={value!r}, but expected {'numbers' if several else 'a number'}"
                 f"{' > 0' if least == 0 else ''}."
             )
-    if not (isinstance(n_paths, int | np.integer) and n_paths >= 0):
-        raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 or more.")
+    if not (isinstance(n_paths, int | np.integer) and 0 <= n_paths <= MOST_PATHS):
+        raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 to {MOST_PATHS}.")
+    if seconds > MOST_SECONDS:
+        raise ValueError(
+            f"Got seconds={seconds:g}, but expected at most {MOST_SECONDS:g}: plan a shorter flight, and fly it again."
+        )
     for name, given in (("limits", limits), ("detents", detents)):
         check_names(given or (), axes, "axes to move")
         for axis, limit in (given or {}).items():
@@ -360,11 +367,17 @@ class Planner:
         if altitude is None:
             altitude = flown_quantities(self.aerodynamics).get("altitude", (0.0, 100.0))[1]
         level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
-        return [
-            cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
-            for speed in airspeeds
-            for bank in banks
-        ]
+        try:
+            return [
+                cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
+                for speed in airspeeds
+                for bank in banks
+            ]
+        except ValueError as error:
+            low, high = flown_quantities(self.aerodynamics).get("airspeed", (0.0, np.inf))
+            if (low <= airspeeds).all() and (airspeeds <= high).all():
+                raise
+            raise ValueError(f"{error} Flown were {low:.3g} to {high:.3g} m/s.") from None
 
     def _nothing(self, fisher: Array) -> Information:
         """Return no information, in the shape of some."""
@@ -613,5 +626,19 @@ class Planner:
             self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
             pd.concat(flights, ignore_index=True), parts,
             pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
-            dict(zip(self.before.regressors, self.at.tolist(), strict=True)), self.weights,
+            dict(zip(self.before.regressors, self.at.tolist(), strict=True)), self.weights, self._merged(),
+            self._gusts(),
         )  # fmt: skip
+
+    def _gusts(self) -> tuple[float, ...] | None:
+        """Return the standard deviations of the gusts that were checked."""
+        gusts = self.rehearsals[0].gusts
+        found = self.aerodynamics.turbulence if isinstance(gusts, str) else gusts
+        return None if found is None or not self.aerodynamics.is_uncertain else tuple(map(float, found.intensity))
+
+    def _merged(self) -> dict[str, float]:
+        """Return the deviations of derivatives by what is merged, none of a model without such errors."""
+        if self.aerodynamics.slope_errors is None:
+            return {}
+        table = stability_derivatives(self.model, self.aircraft, self.trims, n_paths=2, thrust=self.thrust)
+        return np.sqrt((table["std_merged"] ** 2).groupby(level=1).mean()).to_dict()

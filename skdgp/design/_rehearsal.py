@@ -158,12 +158,14 @@ class Rehearsal:
     def hold(self) -> Hold:
         """Trimmed flight and the room around it; raise ValueError if gusts alone leave the envelope."""
         paths = self.drawn(self._still, self.n_paths, self.gusts)
-        risk, causes = self.risk(paths[paths["time"] <= self.response + 1e-6])
+        begun = paths[paths["time"] <= self.response + 1e-6]
+        risk, causes = self.risk(begun)
         if risk > self.envelope.risk:
             raise ValueError(
                 f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and {self.point.altitude:.0f} m "
                 f"leaves in {risk:.0%} of cases within {self.response:g} s, by {causes}, but expected at most "
-                f"{self.envelope.risk:.0%}: widen this limit, choose another airspeed or altitude, or weaker gusts."
+                f"{self.envelope.risk:.0%}: {self._possible(begun)}widen this limit, choose another airspeed or "
+                "altitude, or weaker gusts."
             )
         limits = self.envelope.bounds(self.aerodynamics)
         is_set = [name.removeprefix(GROWTH) in self.limits for name in limits]  # a control has no response
@@ -171,6 +173,16 @@ class Rehearsal:
         low, high = np.array([*limits.values()]).T
         centre = self.channels(self.still)
         return Hold(centre, self._by_path(paths, len(centre)), low, high, margin, self._allowed)
+
+    def _possible(self, paths: pd.DataFrame) -> str:
+        """Return the airspeeds that keep in the envelope in gusts as those of some flights, if theirs does not."""
+        bounds = [pair for name, pair in self.envelope.bounds(self.aerodynamics).items() if name.endswith("airspeed")]
+        off = paths.groupby("flight", sort=False)["airspeed"].agg(["min", "max"]) - self.point.airspeed
+        low = max(pair[0] for pair in bounds) - off["min"].quantile(0.5 * self.envelope.risk)
+        high = min(pair[1] for pair in bounds) - off["max"].quantile(1 - 0.5 * self.envelope.risk)
+        if not np.isfinite(high - low) or low <= self.point.airspeed <= high:
+            return ""
+        return f"fly at {low:.3g} to {high:.3g} m/s, " if low < high else "no airspeed stays in its range, "
 
     @property
     def _allowed(self) -> int:

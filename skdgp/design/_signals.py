@@ -20,8 +20,10 @@ ROUNDING = 1e-9
 """By which a limit may be exceeded, relative to it."""
 RMS_SAMPLES = 10_000
 """Samples of a signal."""
-RATE_SAMPLES = 2000
-"""Samples per period of the highest frequency of a sweep."""
+RATE_SAMPLES, MOST_RATE_SAMPLES = 2000, 4_000_000
+"""Samples per period of the highest frequency of a sweep, and of a sweep at most, for the bound of its rate."""
+MOST_PERIODS = RMS_SAMPLES // 2
+"""Of the highest frequency of a signal: its samples then have two of each; 100 s at 50 Hz, ten minutes at 8 Hz."""
 AnySignal = TypeVar("AnySignal", bound="Signal")
 
 
@@ -255,7 +257,7 @@ class Chirp(Signal):
 
     @property
     def speed(self) -> float:
-        n = int(RATE_SAMPLES * self.duration * self.band[1]) + 1
+        n = min(int(RATE_SAMPLES * self.duration * self.band[1]) + 1, MOST_RATE_SAMPLES)
         values, step = self(np.linspace(0.0, self.duration, n + 1)), self.duration / n
         fastest = np.pi * (2.0 * self.band[1] + 0.5 / (self.fade * self.duration))
         return float(np.abs(np.diff(values)).max() / step + 0.5 * step * self.peak * fastest**2)
@@ -411,10 +413,23 @@ def freeze(signal: Signal, kind: Callable, *names: str) -> None:
 
 
 def checked_band(band: tuple[float, float], duration: float) -> tuple[float, float]:
-    """Return lowest and highest frequency [Hz]; raise ValueError if they or the duration [s] are not finite and > 0."""
+    """Return lowest and highest frequency [Hz]; raise ValueError if they or the duration [s] are not finite and > 0.
+
+    And if they have more than `MOST_PERIODS`.
+    """
     if not 0 < duration < np.inf:
         raise ValueError(f"Got a duration of {duration} s, but expected one > 0.")
     low, high = map(float, band)
     if not 0 < low < high < np.inf:
         raise ValueError(f"Got a band of {low:g} to {high:g} Hz, but expected 0 < lowest < highest.")
+    check_periods(duration, high)
     return low, high
+
+
+def check_periods(duration: float, high: float) -> None:
+    """Raise ValueError if a signal has more than `MOST_PERIODS` of its highest frequency."""
+    if duration * high > MOST_PERIODS:
+        raise ValueError(
+            f"Got {duration:g} s of up to {high:g} Hz, {duration * high:.3g} periods, but expected at most "
+            f"{MOST_PERIODS}: at most {MOST_PERIODS / high:.3g} s, or up to {MOST_PERIODS / duration:.3g} Hz."
+        )

@@ -14,6 +14,8 @@ from skdgp._flight.checks import check_names
 from skdgp.design._signals import ROUNDING, Limits, Signal, Steps
 
 AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
+MOST_ROWS = 1_000_000
+"""Of a table: five hours at 50 Hz."""
 SAMPLES_PER_PERIOD = 10
 """Least number in the shortest period of a signal: held for a sample, it is then late by a twentieth of the period."""
 
@@ -109,8 +111,8 @@ class Wavetrain:
         Raises
         ------
         ValueError
-            If the rate is too low for an input, the pause is negative, inputs that overlap exceed a limit of their
-            axis, or ``trim`` lacks an axis.
+            If the rate is too low for an input, there would be more than a million rows, the pause is negative, inputs
+            that overlap exceed a limit of their axis, or ``trim`` lacks an axis.
 
         Examples
         --------
@@ -129,6 +131,11 @@ class Wavetrain:
                     f"Got a rate of {rate:g} Hz, but an input of the {axis} has periods of {signal.period:.3g} s: "
                     f"expected at least {SAMPLES_PER_PERIOD / signal.period:.3g} Hz, or a lower band or longer pulses."
                 )
+        if (length := self.duration + pause) * rate > MOST_ROWS:
+            raise ValueError(
+                f"Got {length:g} s at {rate:g} Hz, {length * rate:.3g} rows, but expected at most {MOST_ROWS}: at most "
+                f"{MOST_ROWS / length:.3g} Hz, or {MOST_ROWS / rate:.3g} s."
+            )
         time = np.arange(round(np.ceil((self.duration + pause) * rate - ROUNDING)) + 1) / rate
         columns = {axis: self(axis, time) for axis in self.axes}
         for axis, values in columns.items():

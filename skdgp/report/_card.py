@@ -42,9 +42,21 @@ GOALS = {
     "free-flight": ("free flight", "after 2 s: of alpha, beta, bank and pitch [rad]"),
 }
 """In words: the goals that are no derivatives."""
+NAMED = ". Before is std_unmerged of the command derivatives, std now is std: with what alpha_dot and beta_dot may hold"
 LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.rad2deg(1.0)), "deg")}
 NO_BREAK = "\u00a0"
-SIGN = '<div class="sign"><p>Planned</p><p>Pilot</p><p>Flown: date, time, remarks</p></div>'
+CREW = ("Date", "Place, aircraft", "Pilot", "Ground station", "Engineer", "Wind at 6 m, gusts", "Mass", "Go or no-go")
+FLOWN = ("Flown at", "Remarks", "Signed")
+MOST_KINDS = 4
+"""Of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight."""
+WIND_TO_GUST = 10.0
+"""Wind 6 m above ground over the standard deviation of vertical gusts below 1000 ft (MIL-F-8785C, 3.7.3)."""
+MODES = (
+    ("inputs", "MANUAL (ArduPilot), Manual (PX4), or the stick by hand: the risk is that of controls that nothing "
+     "corrects. A mode that holds attitude or path (FBWA, CRUISE, Stabilized) makes the responses smaller."),
+    ("pauses", "FBWB or CRUISE (ArduPilot), Altitude (PX4), or by hand: back to the trim."),
+)  # fmt: skip
+"""Of the autopilot, during and between the manoeuvres."""
 
 
 def write_flight_card(
@@ -52,9 +64,10 @@ def write_flight_card(
 ) -> Path:
     """Write the flight card of a plan as one HTML file, to print on A4 and to fly from, and return its path.
 
-    Its first page says how to trim and to enter, the order of the manoeuvres, when to abort, and what the flight
-    teaches. A page for each kind of manoeuvre shows the inputs as pictures and, where a pilot can fly them, as steps;
-    the responses expected of 95 % of the aircraft drawn; its limits, its risk and what it teaches.
+    First come the crew's pages: who flies when, in which wind and gusts, how to trim and to enter, in which mode of the
+    autopilot, when to abort, the order of the manoeuvres, and their risk and that of the flight. A page for each kind
+    of manoeuvre shows the inputs as pictures and, where a pilot can fly them, as steps; the responses expected of 95 %
+    of the aircraft drawn; and its risk. The last page is the engineer's: what the flight teaches.
 
     Parameters
     ----------
@@ -92,10 +105,11 @@ def write_flight_card(
     """
     created = datetime.now().astimezone() if created is None else created
     draw = can_draw()
-    body = [_headline(plan), _entry(plan), _limits(plan), _order(plan), _teaching(plan)]
+    body = [_fields(CREW), _headline(plan), _go(plan), _entry(plan), _limits(plan), _order(plan)]
     if not draw:
         body.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
     body += [_manoeuvre(plan, kind, full or {}, draw) for kind in _kinds(plan).values()]
+    body.append(_teaching(plan))
     meta = f"{_count(len(plan.manoeuvres), 'manoeuvre')} of {_count(len(_kinds(plan)), 'kind')}"
     meta += f" · planned {created:%d %B %Y, %H:%M}"
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
@@ -152,22 +166,45 @@ def _kinds(plan: Plan) -> dict[tuple, list[int]]:
     return kinds
 
 
+def _fields(names: Sequence[str]) -> str:
+    """Return fields to fill in by hand."""
+    return f'<div class="sign">{"".join(f"<p>{name}</p>" for name in names)}</div>'
+
+
 def _headline(plan: Plan) -> str:
-    errors, rows = plan.errors, plan.manoeuvres
-    known = np.isfinite(errors).all(axis=None)
-    ratio = np.exp(np.log(errors["after"] / errors["before"]).mean()) if known else np.nan
-    whole = [GOALS[name][0] for name in plan.goal if name in GOALS]
-    others = [name for name in plan.goal if name not in GOALS]
-    what = " and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])])
+    rows = plan.manoeuvres
     tiles = [
         (f"{number(plan.seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
         (f"{len(rows)}", "manoeuvres, one after another" if len(rows) > 1 else "manoeuvre"),
-        (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre to leave the limits"),
-        (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {text(what)} is left (geometric mean)"),
+        (percent(plan.risk) + "<small>%</small>", "risk of the flight: that any manoeuvre leaves a limit"),
+        (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre"),
     ]
-    if not known:
-        tiles[3] = ("new", f"nothing was known of {text(what)}")
+    return _tiles(tiles)
+
+
+def _tiles(tiles: Sequence[tuple[str, str]]) -> str:
     return f'<div class="head">{"".join(f"<div><b>{n}</b><span>{words}</span></div>" for n, words in tiles)}</div>'
+
+
+def _go(plan: Plan) -> str:
+    """Return in which wind and gusts the flight may begin."""
+    if plan.gusts is None:
+        rows = [["gusts", "calm air: no gust was checked", "any that is felt"]]
+    else:
+        wind, swing = (f"{number(v, '.1f')}{THIN}m/s" for v in (WIND_TO_GUST * plan.gusts[2], 2.0 * plan.gusts[0]))
+        rows = [
+            [f"wind 6{THIN}m above ground", f"at most {wind}", "above"],
+            ["airspeed in trimmed flight, hands off", f"within ±{swing} for 10{THIN}s", "beyond"],
+        ]
+    rows.append(["wind and crosswind for take-off and landing", "within the aircraft's own limits", "beyond"])
+    caption = "When the flight may begin. Risks and expected responses are those "
+    if plan.gusts is None:
+        caption += "of calm air."
+    else:
+        along, _, up = (f"{number(value, '.2f')}{THIN}m/s" for value in plan.gusts)
+        caption += f"of gusts with standard deviations of {along} horizontally and {up} vertically: below 300{THIN}m "
+        caption += "those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller than this."
+    return f"<section><h2>Go or no-go</h2>{table(['', 'go', 'no-go'], rows, caption=caption)}</section>"
 
 
 def _entry(plan: Plan) -> str:
@@ -191,32 +228,25 @@ def _entry(plan: Plan) -> str:
         "are not back; the order may be interrupted between manoeuvres, not within one.</li>"
     )
     caption = "Trim, as the model expects it; deflections of the controls are positions, not deviations."
-    return f"<section><h2>Trim and entry</h2>{table(head, rows, caption=caption)}<ol>{steps}</ol></section>"
+    modes = "".join(f"<div><dt>{when}</dt><dd>{mode}</dd></div>" for when, mode in MODES)
+    modes = f'<h3>Mode of the autopilot</h3><dl class="facts">{modes}</dl>'
+    return f"<section><h2>Trim and entry</h2>{table(head, rows, caption=caption)}<ol>{steps}</ol>{modes}</section>"
 
 
 def _order(plan: Plan) -> str:
-    head = [
-        "manoeuvre",
-        "begins<br>[s]",
-        "lasts<br>[s]",
-        "size [% of<br>deflection allowed]",
-        "risk [%]",
-        "errors [%]",
-        "flown",
-    ]
+    head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size [% of<br>deflection allowed]", "risk [%]", "flown"]
     rows: list[list[str]] = []
     for k, row in enumerate(plan.manoeuvres.to_dict("records")):
         if len(plan.trims) > 1 and (k == 0 or row["train"] != plan.manoeuvres["train"].iloc[k - 1]):
             rows.append([_train(plan, row["train"])])
         numbers = [number(row["start"], ".1f"), number(row["duration"], ".1f"), percent(row["scale"], ".0f")]
-        last = [percent(row["risk"]), percent(-row["gain"], ".0f"), "☐"]
-        rows.append([f"{k + 1}. {text(row['name'])}", *numbers, *last])
+        rows.append([f"{k + 1}. {text(row['name'])}", *numbers, percent(row["risk"]), "☐"])
+    rows.append(["<b>the flight</b>", "", number(plan.seconds, ".1f"), "", f"<b>{percent(plan.risk)}</b>", ""])
     caption = (
         "Order of flight. Risk: predicted probability of leaving a limit; if K of N simulated flights leave one, it is "
-        "(K + 1) / (N + 2), never zero. Errors: change of the errors of the goal (geometric mean) by this manoeuvre "
-        "after those before it."
+        "(K + 1) / (N + 2), never zero. That of the flight: of any of them, if they are independent."
     )
-    return f"<section><h2>Order of flight</h2>{table(head, rows, caption=caption)}</section>"
+    return f"<section><h2>Order of flight</h2>{table(head, rows, caption=caption)}{_fields(FLOWN)}</section>"
 
 
 def _limits(plan: Plan) -> str:
@@ -234,40 +264,56 @@ def _limits(plan: Plan) -> str:
             '<p class="note">The plan also keeps rates and deflections near what was flown before; the risk of a '
             "manoeuvre counts these too.</p>"
         )
-    return f"<section><h2>Abort limits</h2>{words}{_limit_table(plan, range(len(plan.manoeuvres)))}</section>"
+    return f"<section><h2>Abort limits</h2>{words}{_limit_table(plan)}</section>"
 
 
-def _limit_table(plan: Plan, rows: Sequence[int]) -> str:
-    """Return the limits, and what is expected of some manoeuvres."""
-    limits, expected = abort_limits(plan.limits), plan.expected(rows)
-    cells = [(frame, end) for frame in (limits, expected) for end in ("low", "high")]
-    lines = [
-        [_name(name), _unit(name), *(_value(name, *cell) for cell in cells), limits["source"].get(name, "no limit")]
-        for name in QUANTITIES
-    ]
-    head = ["", "unit", "abort<br>below", "abort<br>above", "expected<br>lowest", "expected<br>highest", "limit is"]
+def _limit_table(plan: Plan) -> str:
+    """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
+    limits, kinds = abort_limits(plan.limits), _kinds(plan)
+    named = {name: rows for (name, *_), rows in kinds.items()}  # of two sizes the last
+    if not len(named) == len(kinds) <= MOST_KINDS:
+        named = {"all manoeuvres": [*range(len(plan.manoeuvres))]}
+    expected = {name: plan.expected(rows) for name, rows in named.items()}
+    lines = []
+    for name in QUANTITIES:
+        ends = (_value(name, limits, end) for end in ("low", "high"))
+        ranges = (f"{_value(name, one, 'low')} … {_value(name, one, 'high')}" for one in expected.values())
+        lines.append([_name(name), _unit(name), *ends, limits["source"].get(name, "no limit"), *ranges])
+    head = ["", "unit", "abort<br>below", "abort<br>above", "limit is", *(f"expected:<br>{text(n)}" for n in expected)]
     of = "95 % of the aircraft and gusts drawn" if "alpha_low" in plan.flight else "the mean of the model"
     caption = (
         f"Limits, and what is expected of {of}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held. "
         f"This may pass a limit: the risk counts only {REACTION:g}{THIN}s, in which nobody acts."
     )
-    return table(head, lines, caption=caption, classes="narrow")
+    return table(head, lines, caption=caption)
 
 
 def _teaching(plan: Plan) -> str:
+    """Return the engineer's page."""
     errors = plan.errors
+    known = np.isfinite(errors[["before", "after"]]).all(axis=None)
+    ratio = np.exp(np.log(errors["after"] / errors["before"]).mean()) if known else np.nan
+    whole = [GOALS[name][0] for name in plan.goal if name in GOALS]
+    others = [name for name in plan.goal if name not in GOALS]
+    what = text(" and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])]))
+    tile = (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {what} is left (geometric mean)")
+    tiles = _tiles([tile if known else ("new", f"nothing was known of {what}")])
     if len(errors) <= MOST_LISTED:
-        head, known = ["", "before", "after", "left [%]"], np.isfinite(errors["before"]) & (errors["before"] > 0)
+        known = np.isfinite(errors["before"]) & (errors["before"] > 0)
         rows = [
-            [_derivative(str(name)), _milli(row["before"]), _milli(row["after"]), percent(row["left"], ".0f")]
+            [_derivative(str(name)), *map(_milli, row.drop("left")), percent(row["left"], ".0f")]
             for name, row in errors.assign(left=(errors["after"] / errors["before"]).where(known)).iterrows()
         ]
-        caption = "Standard errors of the goal, before and after the flight, in thousandths"
+        head = ["", *errors.rename(columns={"std": "std now"}), "left [%]"]
+        caption = (
+            f"Standard errors of the goal, before and after the flight, in thousandths{NAMED if plan.merged else ''}"
+        )
         caption += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
         shown = table(head, rows, caption=caption, classes="narrow")
     else:
-        head, rows = _by_coefficient(errors, ("after", "before"))
-        caption = "Standard errors of the derivatives, after the flight and, in grey, before it, in thousandths."
+        head, rows = _by_coefficient(errors, ("after", "before", *(["std"] if plan.merged else [])))
+        caption = "Standard errors of the derivatives, in thousandths: after the flight and, in grey, before it"
+        caption += f", and std now{NAMED}." if plan.merged else "."
         shown = table(head, rows, caption=caption)
     pairs = plan.confounded
     if len(pairs):
@@ -280,7 +326,9 @@ def _teaching(plan: Plan) -> str:
             '<p class="note">Errors that are still correlated, so that a combination of the two is known better than '
             f"each: {text(', '.join(named)).replace(HAT, '')}{more}.</p>"
         )
-    return f"<section><h2>What the flight teaches</h2>{shown}{SIGN}</section>"
+    alone = "".join(f"<li><b>{text(kind[0])}</b>: {_most_taught(plan, one)}</li>" for kind, one in _kinds(plan).items())
+    shown = f"<h2>For the engineer: what the flight teaches</h2>{tiles}{shown}<ul>{alone}</ul>"
+    return f'<section class="flight">{shown}</section>'
 
 
 def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw: bool) -> str:
@@ -294,10 +342,8 @@ def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw:
     ]
     if not np.isnan(row["risk"]):
         facts.append(f"Risk of leaving a limit: {percent(row['risk'])}{THIN}%.")
-    facts.append(_most_taught(plan, rows))
     words, steps = _steps(inputs, trim.controls, full)
-    left = f"<p>{' '.join(facts)}</p><p><b>{words}</b></p>{steps}"
-    parts = [f"<h2>{text(row['name'])}</h2>", f'<div class="pair"><div>{left}</div>{_limit_table(plan, rows)}</div>']
+    parts = [f"<h2>{text(row['name'])}</h2><p>{' '.join(facts)}</p><p><b>{words}</b></p>{steps}"]
     parts += [_pictures(plan, rows[0], inputs)] if draw else []
     return f'<section class="flight">{"".join(parts)}</section>'
 
@@ -380,7 +426,7 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
 
 
 def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
-    """Return in words the derivatives of the goal whose errors these manoeuvres alone reduce most."""
+    """Return what these manoeuvres do to the errors in their turn, and to which of the goal if they alone are flown."""
     goal = list(plan.goal)
     before = errors_of(plan.before, plan.weights)[goal]
     after = errors_of(sum((plan.parts[k] for k in rows), plan.before), plan.weights)[goal]
@@ -390,11 +436,13 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
         if left[name] > 0 else f"{_derivative(name)} known to ±{number(after[name], '.2g')}"
         for name in map(str, left.index[:most]) if left[name] < SOME
     ]  # fmt: skip
-    return (
+    turns = ", ".join(percent(-plan.manoeuvres["gain"].iloc[k], ".0f") for k in rows)
+    words = (
         f"If only this is flown, it leaves {', '.join(shown)}."
         if shown
         else "It teaches nothing of the goal by itself."
     )
+    return f"errors of the goal in its turn (geometric mean) {turns}{THIN}%. {words}"
 
 
 def _train(plan: Plan, k: int) -> str:

@@ -372,7 +372,7 @@ class TestDerivatives:
         assert point["alpha"] == pytest.approx(at.alpha)
         assert list(point["derivatives"]) == list(table.index)
         for name in ("CL_alpha", "Cm_q", "Cn_rudder"):
-            expected = table.loc[name, ["value", "std", "lower", "upper"]].to_dict()
+            expected = table.loc[name, ["value", "std", "lower", "upper", "std_unmerged"]].to_dict()
             assert point["derivatives"][name] == pytest.approx(expected)
         assert {"short period", "phugoid", "Dutch roll"} <= set(point["modes"])
         assert point["modes"]["Dutch roll"]["frequency_std"] > 0
@@ -446,6 +446,10 @@ class TestPlan:
         errors = judged["plan"]["errors"]["Cn_rudder"]
         assert errors["expected"] == said["errors"]["Cn_rudder"]["after"]
         assert errors["model"] == pytest.approx(errors["before"], rel=0.01)  # it is that of the plan
+        known = run("derivatives", "--airspeed", "35", "--altitude", "300", "--paths", "500")
+        known = known["points"][0]["derivatives"]["Cn_rudder"]  # to the scatter of 500 draws
+        assert said["errors"]["Cn_rudder"]["before"] == pytest.approx(known["std_unmerged"], rel=0.1)
+        assert said["errors"]["Cn_rudder"]["std"] == pytest.approx(known["std"], rel=0.1)
         assert "The plan and the flight" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     def test_what_an_earlier_plan_wrote_does_not_stay(self, path, run, tmp_path, capsys):

@@ -149,7 +149,9 @@ def made(plan, uav, name, inputs, limits=None):
     duration = max(signal.duration for signal in inputs.values())
     train = design.Wavetrain({axis: {1.0: signal} for axis, signal in inputs.items()}, limits or {})
     row = plan["manoeuvres"][0] | {"name": name, "duration": duration}
-    table = pd.DataFrame([{"train": 0, "start": 1.0} | {key: row[key] for key in ("name", "duration", "pause")}])
+    table = pd.DataFrame(
+        [{"train": 0, "start": 1.0, "risk": np.nan} | {key: row[key] for key in ("name", "duration", "pause")}]
+    )
     flight = flown([]).assign(flight=0)
     one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, table, flight, (), pd.DataFrame(), uav, {})
     return plan | {key: one.to_dict()[key] for key in ("step", "manoeuvres")}
@@ -233,8 +235,11 @@ def test_a_damaged_plan_is_refused_with_what_is_damaged(plan, tmp_path, where, v
         read_plan(tmp_path / "plan.json")
 
 
-def test_a_file_that_is_no_plan_is_refused(tmp_path):
-    (tmp_path / "plan.json").write_text("no plan")
+@pytest.mark.parametrize(
+    "words", ["no plan", 100_000 * "[" + 100_000 * "]", 100_000 * '{"known": ' + "0" + 100_000 * "}"]
+)
+def test_a_file_that_is_no_plan_is_refused(tmp_path, words):
+    (tmp_path / "plan.json").write_text(words)
     with pytest.raises(ValueError, match=r"expected the plan.json that python -m skdgp plan writes"):
         read_plan(tmp_path / "plan.json")
 

@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.design import coefficient_noise, doublet, expected_information, multisine
+from skdgp.design import coefficient_noise, doublet, expected_information, multisine, posterior_information
+from skdgp.dynamics import stability_derivatives
 
 TIME = np.arange(0.0, 8.0, 0.04)
 NOISE = pd.DataFrame(
@@ -136,3 +137,20 @@ def test_rows_that_cannot_be_used_are_said(flight, uav):
     ):
         with pytest.raises(ValueError, match=words):
             expected_information(table, uav, ["alpha"], NOISE)
+
+
+def test_what_a_model_knows_is_what_its_derivatives_say_of_themselves(uav):
+    """Learned with noisy regressors, to the scatter of 400 draws: one number, whoever asks."""
+    rng, names = np.random.default_rng(0), ["alpha", "q_hat", "elevator"]
+    X = 0.1 * rng.normal(size=(80, 3))
+    slopes = np.array([[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]])
+    Y = pd.DataFrame(X @ slopes + 0.01 * rng.normal(size=(80, 6)), columns=["CX", "CY", "CZ", "Cl", "Cm", "Cn"])
+    model = DependentGPRegressor(structure="trend", input_noise=0.02).fit(pd.DataFrame(X, columns=names), Y)
+    state = np.array([0, 0, -100, 20, 0, 1, 1, 0, 0, 0, 0, 0, 0.0])
+    table = stability_derivatives(model, uav, state, {"elevator": 0.0}, n_paths=400, thrust=None)
+    found = posterior_information(model, [np.arctan2(1.0, 20.0), 0.0, 0.0]).std
+    for name in ("Cm_alpha", "Cm_q", "Cm_elevator", "CZ_q"):
+        coefficient, regressor = name.split("_")
+        known = found.loc[coefficient, "q_hat" if regressor == "q" else regressor]
+        assert known == pytest.approx(table.loc[name, "std_unmerged"], rel=0.06)
+    assert table.loc["Cm_q", "std"] > 3 * table.loc["Cm_q", "std_unmerged"]

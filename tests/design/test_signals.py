@@ -143,6 +143,16 @@ def test_phases_are_the_same_for_the_same_seed_and_better_with_more_starts():
     assert many.relative_peak_factor <= few.relative_peak_factor < signal.relative_peak_factor
 
 
+@pytest.mark.parametrize("signal", [chirp(100.0, (0.1, 50.0), 0.1), multisine(100.0, range(100, 5001, 700), rms=0.1)])
+def test_bounds_of_the_longest_signals_are_as_sure_if_not_as_close(signal):
+    time = np.linspace(0.0, 100.0, 200_001)
+    values = signal(time)
+    rate = abs(np.diff(values)).max() / time[1]
+    assert abs(values).max() <= signal.peak <= 1.01 * abs(values).max()
+    assert rate <= signal.speed <= 1.03 * rate
+    assert signal.rms == pytest.approx(np.sqrt(np.mean(values**2)), rel=0.01)
+
+
 def test_power_of_the_spectrum_is_as_given():
     inputs = orthogonal_multisines({"elevator": 0.1}, 10.0, (0.5, 2.0), power=lambda f: 1 / f, n_starts=1)
     one = inputs["elevator"]
@@ -176,6 +186,11 @@ def test_power_of_the_spectrum_is_as_given():
         (lambda: multisine(10.0, [1, 2], rms=1.0, power=[1.0, 0.0]), "a number > 0"),
         (lambda: orthogonal_multisines({"elevator": 0.1, "rudder": 0.1}, 4.0, (0.3, 0.5)), "fly longer"),
         (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "Got no axis"),
+        (lambda: orthogonal_multisines({"elevator": 0.1}, 3600.0, (0.1, 50.0)), "at most 5000: at most 100 s"),
+        (lambda: chirp(3600.0, (0.1, 50.0), 0.1), "at most 5000: at most 100 s"),
+        (lambda: multisine(10.0, [1, 10**9], rms=0.1), "at most 5000"),
+        (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=10**9), "number from 1 to 1000"),
+        (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=0), "number from 1 to 1000"),
         (lambda: orthogonal_multisines({"elevator": 0.0}, 4.0, (0.2, 0.5)), "forbids every input"),
         (lambda: orthogonal_multisines({"elevator": 0.1}, 0.0, (0.2, 0.5)), "duration of 0"),
         (lambda: chirp(np.inf, (0.1, 1.0), 0.1), "duration of inf"),

@@ -121,19 +121,48 @@ def test_what_is_expected_may_pass_a_limit_after_the_time_that_the_risk_counts(h
 
 def test_limits_are_the_narrower_and_in_degrees(html):
     words = words_of(html)
-    assert f"alpha deg {np.rad2deg(-0.05):.1f} {np.rad2deg(0.2):.1f} −57.3 57.3 asked, flown".replace("-", "−") in words
-    assert "altitude m 60 – −6 6 asked" in words
-    assert "load factor g – – −3.0 3.0 no limit" in words
+    assert (
+        f"alpha deg {np.rad2deg(-0.05):.1f} {np.rad2deg(0.2):.1f} asked, flown −57.3 … 57.3 −57.3 … 57.3".replace(
+            "-", "−"
+        )
+        in words
+    )
+    assert "altitude m 60 – asked −6 … 6 −6 … 6" in words
+    assert "load factor g – – no limit −3.0 … 3.0" in words
+    assert words.count("abort below") == 1
+
+
+def test_the_crew_knows_who_flies_when_and_at_which_risk(plan, html, tmp_path):
+    """Of the flight: 1 - .97 .984 .97. Gusts of .6 m/s upwards are those of a wind of 6 m/s."""
+    words = words_of(html)
+    assert plan.risk == pytest.approx(1 - 0.97 * 0.984 * 0.97)
+    assert "the flight 15.0 7.4 " in words
+    assert "7.4 % risk of the flight: that any manoeuvre leaves a limit 3.0 % largest" in words
+    assert all(name in words for name in ("Date", "Pilot", "MANUAL (ArduPilot), Manual (PX4)"))
+    assert "gusts calm air: no gust was checked" in words
+    gusty = write_flight_card(tmp_path / "card.html", replace(plan, gusts=(0.9, 0.9, 0.6)))
+    said = words_of(gusty.read_text(encoding="utf-8"))
+    assert re.search(r"above ground at most 6\.0 m/s above .* hands off within ±1\.8 m/s", said)
+
+
+def test_errors_that_no_flight_lowers_stand_beside_the_others(plan, tmp_path):
+    """The squares of .5 and 1.2 add up to that of 1.3."""
+    one = replace(plan, merged={"Cm_q": 1.2, "Cm_alpha": 0.0})
+    assert one.errors["std"].to_dict() == pytest.approx({"Cm_alpha": 0.5, "Cm_q": 1.3})
+    words = words_of(write_flight_card(tmp_path / "card.html", one).read_text(encoding="utf-8"))
+    assert re.search(r"before after std now left \[%\] C m alpha 500 100 500 20 C m q 500 250 1300 50 ", words)
 
 
 def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):
     """Both pulses: 4 + 60 + 36 = 25 times 4, so a fifth of the error; the sines: 4 + 12 = 4 times 4, a half."""
     words = words_of(html)
-    assert len(re.findall('<section class="flight">', html)) == 2
+    assert len(re.findall('<section class="flight">', html)) == 2 + 1  # the last is the engineer's
     assert "No. 1, 3 of the order, at 2.0 s, 12.0 s." in words
     assert "If only this is flown, it leaves 20 % of the error of C m alpha ." in words
     assert "If only this is flown, it leaves 50 % of the error of C m q ." in words
-    assert re.search(r"m alpha 500 100 20 ", words)  # thousandths
+    crew, engineer = words.split("For the engineer")
+    assert re.search(r"m alpha 500 100 20 ", engineer)  # thousandths
+    assert "20 % of the error" not in crew
 
 
 def test_without_posterior_or_matplotlib_it_says_so(plan, tmp_path, monkeypatch):

@@ -84,7 +84,8 @@ def stability_derivatives(
         - ``std_random``: errors correlated between samples and between outputs, estimated block by block,
         - ``std_method``: difference to the slopes of a polynomial with past regressors as instruments, less where these
           scatter: it shows slopes that gusts flatten; and what third powers change,
-        - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative.
+        - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative. ``std_unmerged`` is without
+          it: what more flights of the same kind lower, and what :func:`skdgp.design.plan` plans for.
 
         ``n_effective`` is the number of independent samples that would determine the slope as well. Without stored
         samples (compact models) ``std_random``, ``std_method`` and ``n_effective`` are missing. A model by formula has
@@ -207,7 +208,8 @@ class _Frame:
         if "merged" in columns:
             sources = columns.pop("merged").astype(int)
             merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]
-            table = table.assign(**columns, merged=merged)
+            unmerged = np.sqrt(sum(columns[name] ** 2 for name in PARTS[:-1] if name in columns))
+            table = table.assign(**columns, std_unmerged=unmerged, merged=merged)
         return table
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from inspect import signature
 from itertools import takewhile
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -379,8 +380,10 @@ class _Chain:
         return None if errors is None else errors.in_units(self.shift, self.scale, self.order)
 
     def covariance(self, X: Array) -> Array:
-        """Return the joint posterior covariance (6 n, 6 n)."""
-        covariance = self.regressor.predict((X - self.shift) / self.scale, return_cov=True)[1]
+        """Return the joint posterior covariance (6 n, 6 n) at regressors that are exact, as those of the paths."""
+        predict = self.regressor.predict
+        exact = {"include_input_noise": False} if "include_input_noise" in signature(predict).parameters else {}
+        covariance = predict((X - self.shift) / self.scale, return_cov=True, **exact)[1]
         blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
         return blocks[self.order][:, :, self.order].reshape(6 * len(X), 6 * len(X))
 

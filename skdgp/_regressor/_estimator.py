@@ -597,9 +597,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         ``random``: errors correlated between neighbouring samples and between outputs, of a polynomial of second order,
         :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the difference d of the
         slopes of this model to those of a polynomial with past regressors as instruments, which the noise of now did
-        not move; it counts as :math:`d |d| / \sqrt{d^2 + s^2}`, with the standard deviation s of the latter. And what
-        third powers change. Polynomials are of second order where there are 10 samples for each term (50 with
-        instruments), else of first. Rows must be in the order of the log.
+        not move; it counts as :math:`d |d| / \sqrt{d^2 + s^2}`, with the standard deviation s of the latter. Then what
+        third powers change, and what noise of each regressor may flatten, as far as the residuals of all outputs leave
+        room for it. Polynomials are of second order where there are 10 samples for each term (50 with instruments),
+        else of first. Rows must be in the order of the log.
 
         Parameters
         ----------

@@ -119,7 +119,7 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     determine, least squares does. Where a posterior has learned from other samples than those ``measured``, such as
     mirrored ones, polynomials are of the measured ones.
 
-    Noise in a regressor flattens the slopes w of least squares by it. The same noise is in the residuals of all outputs,
+    Noise in a regressor flattens the slopes w of least squares. The same noise is in the residuals of all outputs,
     which have the covariance :math:`\Sigma`. With p, the variance of the regressor that the others do not explain, it
     can be no more than what leaves :math:`\Sigma` positive definite, so true slopes lie between w and w + g:
 

@@ -307,6 +307,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         UserWarning
             If an output or a regressor is constant, samples with equal targets are repeated, or there are more inducing
             inputs than samples.
+        FewRowsWarning
+            If there are fewer than 10 independent rows for each regressor: bands are too narrow then.
         ConvergenceWarning
             If the search for hyperparameters was interrupted (the best ones so far are kept) or stopped at
             ``max_iter`` before it converged.
@@ -337,6 +339,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         found = task.run(choose, self, X, Z, modelled)
         posterior, learned = found.fit.posterior, found.fit.learned
         _checks.warn_of_search(learned, self.max_iter)
+        _checks.warn_of_few_rows(Z - posterior.predict(X), X.shape[1], found.structure)
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if learned.drift is not None:
             variance, memory = learned.drift

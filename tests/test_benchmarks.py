@@ -36,6 +36,7 @@ SCRIPTS = (
     "real",
     "standard_errors",
     "goals",
+    "few_rows",
 )
 
 

@@ -18,7 +18,7 @@ from skdgp._compute.tables import column_names
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
 Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish
 MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
-LEAST_ROWS = 10  # independent rows for each regressor from which on bands hold: table in docs/sharp_bits.md
+LEAST_ROWS = 10  # independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
 WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
 LARGE_CHANGE = 0.5  # change by compaction, in standard deviations, that causes a warning without a tolerance
 

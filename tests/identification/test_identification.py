@@ -216,8 +216,7 @@ def example():
 @pytest.fixture(scope="module")
 def result(example):
     aircraft, train, test = example
-    with pytest.warns(FewRowsWarning), warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    with pytest.warns((FewRowsWarning, ConvergenceWarning)):
         return identify(train, aircraft, test=test, samples=40, regressor=QUICK, horizons=[1.0])
 
 

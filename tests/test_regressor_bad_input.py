@@ -373,9 +373,7 @@ class TestFewRows:
         return X, X @ rng.normal(size=(d, 2)) / np.sqrt(d) + 0.1 * lasting
 
     def test_are_said(self):
-        with pytest.warns(
-            FewRowsWarning, match=r"Got 30 rows for 8 regressors, 3.8 for each, but expected at"
-        ):
+        with pytest.warns(FewRowsWarning, match=r"Got 30 rows for 8 regressors, 3.8 for each, but expected at"):
             quick().fit(*self.linear(30, 8))
 
     def test_that_errors_which_last_leave_are_said(self):

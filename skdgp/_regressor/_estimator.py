@@ -339,7 +339,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         found = task.run(choose, self, X, Z, modelled)
         posterior, learned = found.fit.posterior, found.fit.learned
         _checks.warn_of_search(learned, self.max_iter)
-        _checks.warn_of_few_rows(Z - posterior.predict(X), X.shape[1], found.structure)
+        if not learned.interrupted:
+            _checks.warn_of_few_rows(Z - posterior.predict(X), X.shape[1], found.structure)
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if learned.drift is not None:
             variance, memory = learned.drift

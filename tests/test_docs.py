@@ -11,17 +11,26 @@ import pytest
 
 from skdgp._flight.channels import CHANNELS
 from skdgp.datasets import _example_flights
+from skdgp.datasets._brumby import REGRESSORS, brumby_coefficients, brumby_derivatives
+from skdgp.dynamics import Aerodynamics, stability_derivatives
 
 ROOT = Path(__file__).resolve().parents[1]
+KNOWN = Aerodynamics(
+    brumby_coefficients,
+    [name if CHANNELS[name].unit == "rad" else f"{name}_hat" for name in REGRESSORS],
+    gradient=brumby_derivatives,
+)
+"""The example aircraft as it is."""
 RUN_ELSEWHERE = {
+    "README.md": "test_docs.py",  # its code is judged below
     "export.md": "export/portable/test_command.py",  # its code reads a model, which that test lays ready
     "export_jsbsim.md": "export/test_jsbsim.py",  # its code needs jsbsim
     "identification.md": "cli/test_identify.py",  # its code reads logs, which that test lays ready
     "autopilot_logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
     "scaling.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
-UNJUDGED = {"README.md", "command_line.md", "ten_minutes.md"}  # what their models learned matters little: short fits do
-SHORT = {"README.md", "ten_minutes.md"}  # and short flights
+UNJUDGED = {"command_line.md", "ten_minutes.md"}  # what their models learned matters little: short fits do
+SHORT = {"ten_minutes.md"}  # and short flights
 CALM = {"reconstruction.md"}  # has the first 40 s of a flight that no other page has: no more of it is simulated
 PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
 
@@ -50,6 +59,26 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
     if "matplotlib" in page.read_text(encoding="utf-8"):
         plt = pytest.importorskip("matplotlib.pyplot")
         plt.close("all")
+
+
+@pytest.mark.filterwarnings("ignore:The fit stopped at max_iter")
+def test_front_page_shows_the_known_derivatives(short_flights, capsys):
+    """What its code prints, of the first 25 s of each flight, and what its text says that it prints."""
+    page, names = ROOT / "README.md", {}
+    (code,) = blocks(page)
+    exec(compile(code, page.name, "exec"), names)
+    printed = re.findall(r"^(C\w+_\w+) +(\S+) +(\S+)$", capsys.readouterr().out, re.MULTILINE)
+    known = stability_derivatives(KNOWN, names["aircraft"], names["point"])["value"]
+    assert len(printed) == 3
+    for name, value, std in printed:
+        assert abs(float(value) - known[name]) < 2 * float(std) < 0.4 * abs(known[name]), name
+    (text,) = re.findall(r"^The known derivatives .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    known_words, found_words = text.split("The model finds")
+    stated = [float(word) for word in re.findall(r"-?\.\d+", known_words)]
+    assert stated == pytest.approx([known[name] for name, *_ in printed], rel=0.03)
+    found = [(float(value), float(std)) for value, std in re.findall(r"(-?\.\d+) ± (\.\d+)", found_words)]
+    for truth, (value, std) in zip(stated, found, strict=True):
+        assert abs(value - truth) < 2 * std < 0.4 * abs(truth)
 
 
 def test_code_of_every_page_runs_somewhere():

@@ -10,7 +10,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.gaussian_process.kernels import RBF
 from sklearn.utils._param_validation import InvalidParameterError
 
-from skdgp import DependentGPRegressor
+from skdgp import DependentGPRegressor, FewRowsWarning
 from skdgp._compute import linalg
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -360,3 +360,42 @@ class TestMemory:
         assert quick(n_inducing=5).fit(X, Y).inference_ == "sparse"
         Y[0] = np.nan
         assert quick(n_inducing=5).fit(X, Y).inference_ == "exact"
+
+
+class TestFewRows:
+    """A linear truth with 10 % noise; where too few rows tell it, bands are too narrow."""
+
+    @staticmethod
+    def linear(n, d, memory=1):
+        rng = np.random.default_rng(n + d)
+        X, noise = rng.normal(size=(n, d)), rng.normal(size=(n + memory - 1, 2))
+        lasting = np.apply_along_axis(np.convolve, 0, noise, np.full(memory, memory**-0.5), "valid")
+        return X, X @ rng.normal(size=(d, 2)) / np.sqrt(d) + 0.1 * lasting
+
+    def test_are_said(self):
+        with pytest.warns(FewRowsWarning, match=r"Got 30 rows for 8 regressors, 3.8 for each, but expected at"):
+            quick().fit(*self.linear(30, 8))
+
+    def test_that_errors_which_last_leave_are_said(self):
+        with pytest.warns(FewRowsWarning, match=r"Got 400 rows, worth \d\d independent .* last (1|2)\d rows, for 8"):
+            quick(structure="trend").fit(*self.linear(400, 8, memory=20))
+
+    def test_errors_in_another_order_do_not_last(self):
+        """The same rows, shuffled, have errors that count as independent."""
+        X, Y = self.linear(400, 8, memory=20)
+        order = np.random.default_rng(0).permutation(400)
+        self.fit_in_silence(quick(structure="trend"), X[order], Y[order])
+
+    @pytest.mark.parametrize(("n", "structure"), [(30, "trend"), (120, "joint")])
+    def test_are_enough(self, n, structure):
+        """For the trend alone, whose bands hold with few rows, or if there are more than ten for each regressor."""
+        self.fit_in_silence(quick(structure=structure), *self.linear(n, 8))
+
+    def test_of_a_function_of_one_regressor_are_enough(self):
+        x = np.linspace(0.0, 6.0, 40)[:, None]
+        self.fit_in_silence(quick(max_iter=20), x, np.sin(x) + 0.1 * np.random.default_rng(0).normal(size=x.shape))
+
+    def fit_in_silence(self, model, X, Y):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", FewRowsWarning)
+            model.fit(X, Y)

@@ -11,6 +11,7 @@ import pandas as pd
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
+from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.tables import column_names
 
@@ -18,7 +19,13 @@ X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither 
 Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish
 SCALED = 10.0  # regressors of standard deviations from 1 / SCALED to SCALED need no scaling; a guess
 MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
+LEAST_ROWS = 10  # independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
+WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
 LARGE_CHANGE = 0.5  # change by compaction, in standard deviations, that causes a warning without a tolerance
+
+
+class FewRowsWarning(UserWarning):
+    """There are too few independent rows for the number of regressors: bands are too narrow."""
 
 
 def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
@@ -213,6 +220,28 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
             f"{repeated} of {len(X)} samples repeat another sample with the same regressors and targets. They count as "
             "independent, so the uncertainty is too small: drop repeated rows (was a log read twice?)."
         )
+
+
+def warn_of_few_rows(errors: np.ndarray, n_regressors: int, structure: str) -> None:
+    """Warn if there are fewer than `LEAST_ROWS` independent rows for each regressor.
+
+    ``errors`` (n, P) are what the model leaves of the targets, in the order of the log, NaN where not observed. They
+    count as rows over their autocorrelation time, median over the outputs. A trend alone states its uncertainty well
+    with few rows, unless their errors are correlated.
+    """
+    observed = [column[np.isfinite(column)] for column in errors.T]
+    lasting = float(np.median([autocorrelation_time(column) for column in observed]))
+    lasting = lasting if lasting >= WHITE else 1.0
+    rows = float(np.median([len(column) for column in observed])) / lasting
+    if rows >= LEAST_ROWS * n_regressors or (structure == "trend" and lasting == 1.0):
+        return
+    because = f", worth {rows:.0f} independent ones as errors last {lasting:.0f} rows," if lasting > 1.0 else ""
+    _warn(
+        f"Got {len(errors)} rows{because} for {n_regressors} regressors, {rows / n_regressors:.2g} for each, but "
+        f"expected at least {LEAST_ROWS} for each: with fewer, standard deviations are too small. Give more rows or "
+        "minutes of manoeuvres, name fewer regressors, or use structure='trend'.",
+        FewRowsWarning,
+    )
 
 
 def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None:

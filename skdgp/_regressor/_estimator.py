@@ -307,6 +307,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         UserWarning
             If an output or a regressor is constant, samples with equal targets are repeated, or there are more inducing
             inputs than samples.
+        FewRowsWarning
+            If there are fewer than 10 independent rows for each regressor: bands are too narrow then.
         ConvergenceWarning
             If the search for hyperparameters was interrupted (the best ones so far are kept) or stopped at
             ``max_iter`` before it converged.
@@ -337,6 +339,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         found = task.run(choose, self, X, Z, modelled)
         posterior, learned = found.fit.posterior, found.fit.learned
         _checks.warn_of_search(learned, self.max_iter, X, self._regressor_names())
+        if not learned.interrupted:
+            _checks.warn_of_few_rows(Z - posterior.predict(X), X.shape[1], found.structure)
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if learned.drift is not None:
             variance, memory = learned.drift
@@ -597,9 +601,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         ``random``: errors correlated between neighbouring samples and between outputs, of a polynomial of second order,
         :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the difference d of the
         slopes of this model to those of a polynomial with past regressors as instruments, which the noise of now did
-        not move; it counts as :math:`d |d| / \sqrt{d^2 + s^2}`, with the standard deviation s of the latter. And what
-        third powers change. Polynomials are of second order where there are 10 samples for each term (50 with
-        instruments), else of first. Rows must be in the order of the log.
+        not move; it counts as :math:`d |d| / \sqrt{d^2 + s^2}`, with the standard deviation s of the latter. Then what
+        third powers change, and what noise of each regressor may flatten, as far as the residuals of all outputs leave
+        room for it. Polynomials are of second order where there are 10 samples for each term (50 with instruments),
+        else of first. Rows must be in the order of the log.
 
         Parameters
         ----------

@@ -3,8 +3,9 @@
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
 the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: with
-past regressors as instruments, which correlate less with the present error; and with third powers, since a smooth prior
-takes the mean slope of what saturates on both sides, as polynomials of second order do.
+past regressors as instruments, which correlate less with the present error; with third powers, since a smooth prior
+takes the mean slope of what saturates on both sides, as polynomials of second order do; and with what they leave of the
+outputs, which bounds the noise of each regressor.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class SlopeErrors(NamedTuple):
     random: Array
     """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks)."""
     method: Array
-    """Difference to a polynomial with instruments, less where these scatter, and by third powers, (n, P, d, 2)."""
+    """Difference to a polynomial with instruments, less where these scatter; by third powers; and what noise of each
+    regressor may flatten, (n, P, d, 2 + d)."""
     white: Array
     """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
     n_samples: int
@@ -119,6 +121,15 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     where it is much larger than s, and as .8 s in root mean square where it is only chance. What instruments do not
     determine, least squares does. Where a posterior has learned from other samples than those ``measured``, such as
     mirrored ones, polynomials are of the measured ones.
+
+    Noise in a regressor flattens the slopes w of least squares. The same noise is in the residuals of all outputs,
+    which have the covariance :math:`\Sigma`. With p, the variance of the regressor that the others do not explain, it
+    can be no more than what leaves :math:`\Sigma` positive definite, so true slopes lie between w and w + g:
+
+    .. math:: g = \frac{w}{p\, w^T \Sigma^{-1} w}
+
+    (bounds by direct and reverse regression: Frisch 1934; Klepper & Leamer 1984). Its error is :math:`g / \sqrt 3`, the
+    root mean square of what lies anywhere between. Slopes by other regressors follow as the weights correlate.
     """
     data = _measured(posterior)
     if data is None:
@@ -126,13 +137,14 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]
     if any(part is None for part in parts):
         return None
-    polynomials, errors, white = zip(*parts, strict=True)
+    polynomials, errors, white, fits, rests, slopes = zip(*parts, strict=True)
     n_blocks = max(error.shape[-1] for error in errors)
     random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
     instrumented, std, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
     flat = posterior.gradient(X) - instrumented
     share = np.divide(np.abs(flat), np.hypot(flat, std), out=np.zeros_like(flat), where=flat != 0)
-    method = np.stack([flat * share, third / np.sqrt(2)], axis=-1)
+    noisy = [D @ moved for D, moved in zip(slopes, _noise_of_regressors(data, fits, rests), strict=True)]
+    method = np.concatenate([np.stack([flat * share, third / np.sqrt(2)], axis=-1), np.stack(noisy, axis=1)], axis=-1)
     return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))
 
 
@@ -140,6 +152,7 @@ def _of_output(x, y, X):
     """Return slopes by polynomials (n, d, 3), the error (n, d, n_blocks) of that of all samples, its white std.
 
     The slopes are those by instruments, their standard deviation, and what third powers change of those of all samples.
+    Last come the polynomial of all samples, what it leaves of y, and the slopes (n, d, n_terms) of its terms.
     """
     basis = _basis_for(len(x), x.shape[1])
     if basis is None:
@@ -154,7 +167,23 @@ def _of_output(x, y, X):
     instrumented = _slopes_of(basis, at) @ every.weights + _slopes_of(few, at) @ change
     slopes = np.stack([instrumented, std, _third(basis, z, rest, at)], axis=-1)
     error, white = every.error(at)
-    return slopes / scale[:, None], error / scale[:, None], white / scale
+    terms = _slopes_of(basis, at) / scale[:, None]
+    return slopes / scale[:, None], error / scale[:, None], white / scale, every, rest, terms
+
+
+def _noise_of_regressors(data, fits, rests):
+    """Return by how much noise of each regressor may change the weights of each output, (n_terms, d)."""
+    linear = slice(1, data.X[0].shape[1] + 1)
+    weights = np.array([fit.weights[linear] for fit in fits])
+    least = SINGULAR * np.array([y @ y for y in data.y])
+    if all(np.array_equal(x, data.X[0]) for x in data.X):
+        covariance = np.array(rests) @ np.transpose(rests) + np.diag(least)
+        strength = np.einsum("ik,ij,jk->k", weights, np.linalg.pinv(covariance, hermitian=True), weights)
+    else:  # each output bounds the noise by itself
+        squares = least + [rest @ rest for rest in rests]
+        strength = np.max(np.divide(weights.T**2, squares, out=np.zeros(weights.T.shape), where=squares > 0), axis=1)
+    g = np.divide(weights, strength, out=np.zeros_like(weights), where=strength > 0)  # times 1 / (n p)
+    return [fit.inverse[:, linear] * one / np.sqrt(3) for fit, one in zip(fits, g, strict=True)]
 
 
 def _third(basis, z, rest, at):

@@ -45,7 +45,8 @@ def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str,
     slope of the smoother follows from a small random change of the samples (Ramani, Blu & Unser 2008). A constant
     error of a sensor, or a lag, is not seen. Third differences contain a little motion, so the noise of a sensor that
     is more exact than the path would be too large: where the residual exceeds 1.4 times the noise,
-    :math:`\sigma` is zero.
+    :math:`\sigma` is zero. Of n samples the first term has the standard error :math:`\sigma^2 \sqrt{2 / n}`, and the
+    mean squared error is at least this: less cannot be told from zero.
 
     Rows are airspeed, alpha, beta, gyro, accelerometer; columns ``noise`` (of the sensor by itself), ``residual`` (the
     noise learned with the path), ``deviation`` (of the channel), and of air data the expected root mean square errors
@@ -67,7 +68,8 @@ def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str,
             np.mean((measured - estimate[here, row]) ** 2) + variance[row] * (2 * gain[row] - 1)
             for estimate, gain in ((path, slope), (smoothed, smoother_slope))
         ]
-        rows[name] = (stds[row], noise[name], *np.sqrt(np.maximum(errors, 0.0)), measured.std())
+        least = variance[row] * np.sqrt(2 / max(len(measured), 1))
+        rows[name] = (stds[row], noise[name], *np.sqrt(np.maximum(errors, least)), measured.std())
     for name, kind in (("gyro", "rate"), ("accelerometer", "force")):
         rows[name] = (float(np.sqrt(np.mean(squares[kind]))), noise[name], np.nan, np.nan, np.nan)
     columns = ["noise", "residual", "reconstruction", "smoothing", "deviation"]

@@ -22,7 +22,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
-from skdgp import DependentGPRegressor, listening, make_identification_pipeline
+from skdgp import DependentGPRegressor, FewRowsWarning, listening, make_identification_pipeline
 from skdgp.calibration import CalibratedRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, simulate
@@ -215,9 +215,20 @@ def example():
 @pytest.fixture(scope="module")
 def result(example):
     aircraft, train, test = example
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    with pytest.warns((FewRowsWarning, ConvergenceWarning)):
         return identify(train, aircraft, test=test, samples=40, regressor=QUICK, horizons=[1.0])
+
+
+def test_few_rows_are_among_the_messages(result):
+    assert any(message.startswith("Got 40 rows") and "at least 10 for each" in message for message in result.messages)
+
+
+def test_few_seconds_are_said(example):
+    """The flights of 15 s have 1200 rows, but errors of neighbours are the same."""
+    aircraft, train, _ = example
+    model = make_identification_pipeline(aircraft, regressor=DependentGPRegressor(structure="trend", max_iter=5))
+    with pytest.warns(FewRowsWarning, match=r"Got 1200 rows, worth \d+ independent .* minutes of manoeuvres"):
+        model.fit(train, aerodynamic_coefficients(train, aircraft))
 
 
 def numbers(tree):

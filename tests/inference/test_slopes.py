@@ -122,7 +122,7 @@ def test_third_powers_tell_the_slope_of_what_saturates():
     """A tail that stalls on both sides: polynomials of second order find a mean slope, which is too small at zero."""
     x = np.linspace(-1, 1, 600)[:, None]
     model = DependentGPRegressor(structure="trend").fit(x, np.tanh(1.5 * x[:, 0]))
-    slope, third = model.predict_gradient([[0.0]])[0, 0], model.slope_errors(np.zeros((1, 1))).method[0, 0, 0, -1]
+    slope, third = model.predict_gradient([[0.0]])[0, 0], model.slope_errors(np.zeros((1, 1))).method[0, 0, 0, 1]
     assert slope < 1.2
     assert slope + np.sqrt(2) * third == pytest.approx(1.5, rel=0.07)
 
@@ -167,6 +167,45 @@ def test_deviation_by_method_holds_what_gusts_take_from_the_damping():
     posterior_alone = model.predict_gradient(x[:1] * 0, return_std=True)[1][0, 0]
     assert missing > 4 * posterior_alone
     assert 0.5 * missing < model.slope_errors(x[:1] * 0).method[0, 0, 0, 0] < 1.5 * missing
+
+
+def noisy(share, noise, n=600):
+    """Return a regressor of which a share of the variance is noise, and two outputs of slopes 2 and -1 by its truth."""
+    rng = np.random.default_rng(6)
+    truth, error = np.sqrt(1 - share) * rng.normal(size=(n, 1)), np.sqrt(share) * rng.normal(size=(n, 1))
+    return truth + error, truth @ [[2.0, -1.0]] + noise * rng.normal(size=(n, 2))
+
+
+def flattened(x, y):
+    """Return slopes by least squares, and how much steeper the true ones may be, (P,)."""
+    model = DependentGPRegressor(structure="trend", optimizer=None).fit(x, y)
+    middle = x.mean(axis=0, keepdims=True)  # where slopes are weights
+    slopes = [_Polynomial(_parabola, x - middle, column).weights[1] for column in y.T]
+    return np.array(slopes), np.sqrt(3) * model.slope_errors(middle).method[0, :, 0, 2]
+
+
+def test_noise_of_a_regressor_alone_flattens_as_far_as_the_bound():
+    """Without other errors the residuals are all of the regressor's noise, so the bound is the true slope."""
+    slopes, more = flattened(*noisy(0.4, 0.0))
+    assert slopes == pytest.approx([1.2, -0.6], rel=0.06)
+    assert slopes + more == pytest.approx([2.0, -1.0], rel=0.06)
+
+
+@pytest.mark.parametrize(("share", "noise"), [(0.5, 0.3), (0.2, 1.0), (0.05, 0.05)])
+def test_true_slopes_lie_within_the_bound(share, noise):
+    slopes, more = flattened(*noisy(share, noise))
+    assert (np.sign(more) == np.sign(slopes)).all()
+    assert (np.abs(slopes + more) > 0.95 * np.array([2.0, 1.0])).all()
+
+
+def test_one_exact_output_bounds_the_noise_for_all():
+    """What is exact in one output leaves no room for noise of the regressor in another."""
+    x, y = noisy(0.0, 0.5)
+    exact = np.column_stack([y[:, 0], -x[:, 0] + 0.01 * y[:, 1]])
+    wide, narrow = (abs(flattened(x, targets)[1][0]) for targets in (y, exact))
+    assert narrow < 0.05 * wide
+    exact[:5, 1] = np.nan  # rows of the outputs differ
+    assert abs(flattened(x, exact)[1][0]) < 0.05 * wide
 
 
 class TestFunctionErrors:

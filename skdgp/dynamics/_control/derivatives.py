@@ -83,7 +83,8 @@ def stability_derivatives(
         - ``std_posterior``: over functions drawn from the posterior,
         - ``std_random``: errors correlated between samples and between outputs, estimated block by block,
         - ``std_method``: difference to the slopes of a polynomial with past regressors as instruments, less where these
-          scatter: it shows slopes that gusts flatten; and what third powers change,
+          scatter: it shows slopes that gusts flatten; what third powers change; and how far noise of the regressors may
+          flatten a slope, which is much where a flight hardly moves them,
         - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative. ``std_unmerged`` is without
           it: what more flights of the same kind lower, and what :func:`skdgp.design.plan` plans for.
 

@@ -62,10 +62,8 @@ def flight_mechanics(
         found["trim"] = trim(pipeline, aircraft, float(flown["airspeed"]), climb=climb, **conditions)
         at: tuple = (found["trim"],)
     except ValueError:
-        found["note"] = (
-            f"No steady flight was found at {flown['airspeed']:.3g} m/s: derivatives are at the median state, there are "
-            "no modes."
-        )
+        where = f"{flown['airspeed']:.3g} m/s"
+        found["note"] = f"No steady flight was found at {where}: derivatives are at the median state, without modes."
         at = _middle(flown)
     try:
         found["derivatives"] = stability_derivatives(pipeline, aircraft, *at, **drawn)
@@ -110,7 +108,7 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
         drawn = weights + std * np.random.default_rng(random_state).standard_normal((n_paths, *weights.shape))
         return values, lambda X: np.broadcast_to(drawn[:, None], (*X.shape[:-1], *weights.shape))
 
-    lengths = {"span": known.span, "chord": known.chord, "mixing": known.mixing}
+    lengths: dict[str, Any] = {"span": known.span, "chord": known.chord, "mixing": known.mixing}
     return Aerodynamics(values, known.regressors, gradient=slopes, sampler=sampler, **lengths)
 
 

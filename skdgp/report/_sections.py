@@ -162,7 +162,7 @@ def _derivatives(found: FlightMechanics, group: str, coefficients: Sequence[str]
             if (row["regressor"] in LATERAL_REGRESSORS) != across:
                 continue
             open_sign = "std" in row and not row["lower"] * row["upper"] > 0
-            beside = DASH if linear is None else _band(*linear.loc[name, ["value", "std"]])
+            beside = DASH if linear is None else _band(*linear.loc[str(name), ["value", "std"]])
             value = _band(row["value"], row.get("std"))
             value = f'<span class="off">▼ {value}</span>' if open_sign else value
             rows.append([derivative(*row[["coefficient", "regressor"]]), value, beside])
@@ -393,11 +393,11 @@ def effects(display: EffectsDisplay) -> str:
     share = display.importance
     several = [name for name in share.index if name not in display.curves]
     parts = []
-    for output in share:
+    for output in map(str, share):
         names = list(share.loc[list(display.curves), output].nlargest(N_EFFECTS).index)
         cells = "".join(
             f"<div><p>{symbol(str(output))} by {regressor(name)}</p>{panel}</div>"
-            for name, panel in zip(names, pictures.effect_panels(display, str(output), names), strict=True)
+            for name, panel in zip(names, pictures.effect_panels(display, output, names), strict=True)
         )
         parts.append(f'<div class="panels quartet">{cells}</div>')
     caption = (

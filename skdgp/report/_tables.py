@@ -128,7 +128,7 @@ def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_band
     for group, members in GROUPS.items():
         rows.append([group])
         for name in members:
-            last = [number(1e3 * noise[name], "#.2g")] if noise else []
+            last = [number(1e3 * noise[name], "#.2g" if noise[name] < 0.0995 else ".0f")] if noise else []
             rows.append([symbol(name), *cells(scores.loc[name]), *last])
         rows.append(["<em>mean</em>", *cells(scores.loc[list(members)].mean()), *([""] if noise else [])])
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")

@@ -59,15 +59,15 @@ class Verdict:
     error, coverage : float
         Normalised root mean square error and coverage of the 95 % band, means of the six coefficients, of all test
         flights together.
-    least_squares_error : float, optional
-        The error of a linear model fitted to the same rows.
-    better, worse : tuple of str
-        Coefficients whose error is smaller, or larger, than that of least squares.
     uses : tuple of Use
     warnings : tuple of str
         That which costs most first.
     flights : DataFrame
         Per test flight ``duration`` [s] and the means of its scores.
+    least_squares_error : float, optional
+        The error of a linear model fitted to the same rows.
+    better, worse : tuple of str
+        Coefficients whose error is smaller, or larger, than that of least squares.
     """
 
     learned: str

@@ -115,19 +115,29 @@ def evaluate_flight(
     return replace(evaluation, metrics=metrics)
 
 
-def fit_least_squares(pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Return intercept and slopes of each coefficient (n, 6) by least squares, on the rows where it was observed.
+def fit_least_squares(
+    pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Return "least_squares": intercept and slopes of each coefficient (n, 6), and "least_squares_std": their errors.
 
-    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler of the pipeline.
+    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler of the pipeline, on
+    the rows where the coefficient was observed. Standard deviations hold where errors are correlated within a block of
+    consecutive rows (Liang & Zeger 1986).
     """
-    names, values = list(pipeline["regressorselector"].regressors_), _unscaled(pipeline, regressors)
-    found = {}
+    names, values = [str(name) for name in pipeline["regressorselector"].regressors_], _unscaled(pipeline, regressors)
+    slopes, std = {}, {}
     for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
         seen = np.isfinite(y)
-        linear = LinearRegression().fit(values[seen], y[seen])
-        slopes = dict(zip(map(str, names), map(float, linear.coef_), strict=True))
-        found[coefficient] = {"intercept": float(linear.intercept_), **slopes}
-    return found
+        X, y = values[seen], y[seen]
+        linear = LinearRegression().fit(X, y)
+        residuals, z = y - linear.predict(X), X - X.mean(axis=0)
+        blocks = np.array_split(np.arange(len(y)), np.clip(len(y) // 10, 2, 60))  # as many as of `slope_errors`
+        scores = np.array([z[rows].T @ residuals[rows] for rows in blocks]) @ np.linalg.pinv(z.T @ z)
+        errors = np.sqrt(len(blocks) / (len(blocks) - 1) * (scores**2).sum(axis=0))
+        found = {"intercept": linear.intercept_, **dict(zip(names, linear.coef_, strict=True))}
+        slopes[coefficient] = {name: float(value) for name, value in found.items()}
+        std[coefficient] = dict(zip(names, map(float, errors), strict=True))
+    return {"least_squares": slopes, "least_squares_std": std}
 
 
 def _unscaled(pipeline, regressors):
@@ -195,13 +205,13 @@ def _warn(message):
     warnings.warn(message, stacklevel=5)
 
 
-def sensor_noise(table: pd.DataFrame) -> dict[str, float]:
+def sensor_noise(table: pd.DataFrame, states: Sequence[str] = STATES) -> dict[str, float]:
     """Return the white noise of the measured states, by name: how uncertain a restart from them is.
 
     Where the spectrum of a short flight does not show it, second differences do: those of white noise have
     1 + 4 + 1 = 6 times its variance. Motion adds to them, so the noise is rather over- than understated.
     """
-    names = [name for name in STATES if name in table]
+    names = [name for name in states if name in table]
     values, time = unwrapped(table, names), table["time"].to_numpy(float)
     found = noise_level(values, time).measured
     found = np.where(np.isfinite(found), found, _noise_of_differences(values, time))

@@ -31,12 +31,20 @@ from skdgp.identification._evaluation import (
 )
 from skdgp.identification._facts import reconstruction_of, thrust_sources
 from skdgp.identification._flights import named_flights
-from skdgp.identification._pipeline import (
-    regressor_and_scale,
-)
+from skdgp.identification._mechanics import flight_mechanics
+from skdgp.identification._pipeline import regressor_and_scale
+from skdgp.identification._verdict import judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._style import display_unit
-from skdgp.report import FlightRecord, ModelSummary, ReportContent, render_report, write_report
+from skdgp.report import (
+    FlightMechanics,
+    FlightRecord,
+    ModelSummary,
+    ReportContent,
+    Verdict,
+    render_report,
+    write_report,
+)
 
 FORMAT = 1  # of the metrics
 WIDTHS = {
@@ -60,6 +68,7 @@ KERNELS = {
     "additive": "functions of one regressor each, and convolved Gaussian, {widths}",
     "trend": "none: the trend alone",
 }
+N_WARNINGS = 3  # of the summary
 MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
 
 
@@ -102,6 +111,17 @@ class Identification:
     created: str = field(default_factory=lambda: datetime.now().astimezone().isoformat(timespec="seconds"))
 
     @cached_property
+    def mechanics(self) -> FlightMechanics:
+        """Trim, derivatives and modes in the middle of what was flown, and how long a simulation follows flights."""
+        train, test = list(self.train.values()), [one.table for one in self.evaluations if one.table is not None]
+        return flight_mechanics(self.pipeline, self.aircraft, train, test, self.settings, self.fit)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What was learned, and what it is good enough for."""
+        return judge(self.train.values(), self.evaluations, self.fit, self.mechanics, self.messages)
+
+    @cached_property
     def metrics(self) -> dict:
         """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
         return plain(
@@ -125,6 +145,8 @@ class Identification:
                     for one in self.evaluations
                 },
                 "test_together": _score_metrics(self.evaluations),
+                "verdict": self.verdict.to_dict(),
+                "flight_mechanics": self.mechanics.to_dict(),
                 **({} if self.plan is None else {"plan": self.plan.to_dict()}),
                 "messages": self.messages,
             }
@@ -150,7 +172,7 @@ class Identification:
         paths = reconstruction_of(self.pipeline)
         facts = [f"flight paths {paths}"] if paths else []
         facts += [] if self.plan is None else _plan_lines(self.plan)
-        return "\n".join([*lines, "", *facts, *_comparison(tested)]).rstrip()
+        return "\n".join([*lines, "", *facts, "", *_verdict_lines(self.verdict)]).rstrip()
 
     def evaluate(self, flight: Any) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
@@ -224,6 +246,8 @@ class Identification:
                 "Mass": f"{aircraft.mass:g} kg",
                 "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, {aircraft.chord:.4g} m",
             },
+            verdict=self.verdict,
+            mechanics=self.mechanics,
             envelope=self._envelope(),
             effects=self._effects(),
             plan=self.plan,
@@ -272,16 +296,6 @@ class Identification:
             remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())
         if self.settings["external_forces"]:
             remarks["Other loads"] = ", ".join(self.settings["external_forces"])
-        comparison = _comparison(self.evaluations)
-        if comparison:
-            remarks["Least squares"] = "; ".join(comparison)
-        if len(self.evaluations) > 1:
-            means = group_means(scores(self.evaluations)["measured"])
-            remarks["All test flights"] = "; ".join(
-                f"{group} NRMSE {row.normalized_rmse:.3f}, {100 * row.median_relative_error:.1f} % median relative "
-                f"error, {100 * row.interval_coverage:.1f} % in the 95 % band"
-                for group, row in means.iterrows()
-            )
         if "std_scale" in fit:
             factors = ", ".join(f"{name} {factor:.2f}" for name, factor in fit["std_scale"].items())
             remarks["Calibration"] = f"standard deviations scaled to flights held out in turn: {factors} times"
@@ -310,17 +324,12 @@ def _score_metrics(evaluations) -> dict:
     }
 
 
-def _comparison(evaluations) -> list[str]:
-    """Return what least squares on the same rows reaches, and where it is better."""
-    lines = []
-    for against, table in scores(evaluations).items():
-        if "least_squares_normalized_rmse" in table:
-            linear, model = table["least_squares_normalized_rmse"], table["normalized_rmse"]
-            line = f"least squares on the same rows: NRMSE {linear.mean():.3f} against {against}"
-            line += f", the model {model.mean():.3f}"
-            better = [name for name in table.index if linear[name] < model[name]]
-            lines.append(f"{line}; least squares is better in {', '.join(better)}" if better else line)
-    return lines
+def _verdict_lines(verdict: Verdict) -> list[str]:
+    """Return the verdict: errors, uses, and the warnings that matter most."""
+    lines = [f"error {verdict.error:.3f} of the spread, {_percent(verdict.coverage)} in 95 % bands", verdict.compared()]
+    lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
+    lines += [f"warning {k}: {warning}" for k, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1)]
+    return [line for line in lines if line]
 
 
 def _plan_lines(plan: FlownPlan) -> list[str]:

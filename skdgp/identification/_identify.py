@@ -189,7 +189,7 @@ def identify(
             "values": int(targets.notna().sum().sum()),
             "thrust": thrust_sources(thrust, train.values()),
             **fit_facts(pipeline),
-            "least_squares": fit_least_squares(pipeline, X, targets),
+            **fit_least_squares(pipeline, X, targets),
             "seconds": round(seconds, 3),
             "interrupted": any(message.startswith("The fit was interrupted") for message in messages),
             "flights": {name: len(part) for name, part in train.items()},

@@ -103,7 +103,7 @@ def decision(errors: pd.DataFrame) -> tuple[bool, str]:
 
 
 def _listed(errors: pd.Series) -> str:
-    return ", ".join(f"{name} {factor * errors[name]:.2g} {unit}" for name, (unit, factor) in UNITS.items())
+    return ", ".join(f"{name} {round(factor * errors[name], 6):.2g} {unit}" for name, (unit, factor) in UNITS.items())
 
 
 def _path_air(shape: tuple[int, ...], estimates: Flights) -> tuple[Matrix, Vector]:

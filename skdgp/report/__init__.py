@@ -5,14 +5,27 @@ nor predict.
 """
 
 from skdgp.report._card import write_flight_card
-from skdgp.report._content import FlightRecord, FlightResult, ModelSummary, ReportContent
+from skdgp.report._content import (
+    THRESHOLDS,
+    FlightMechanics,
+    FlightRecord,
+    FlightResult,
+    ModelSummary,
+    ReportContent,
+    Use,
+    Verdict,
+)
 from skdgp.report._write import render_report, write_report
 
 __all__ = [
+    "THRESHOLDS",
+    "FlightMechanics",
     "FlightRecord",
     "FlightResult",
     "ModelSummary",
     "ReportContent",
+    "Use",
+    "Verdict",
     "render_report",
     "write_flight_card",
     "write_report",

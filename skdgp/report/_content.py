@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from functools import cached_property
-from typing import cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pandas as pd
@@ -14,10 +14,133 @@ import pandas as pd
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.design import FlownPlan
+from skdgp.dynamics import Trim
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._display import check_time
 from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
-from skdgp.report._tables import SCORES
+from skdgp.report._tables import HONEST, SCORES
+
+
+class Thresholds(NamedTuple):
+    """What counts as good enough (docs/identification.md, with the sources)."""
+
+    error: float = 0.5
+    """Largest error over the spread of what is predicted: Theil's coefficient is then .27, of which .25 to .3 count as
+    good agreement (Jategaonkar 2006, chapter 11)."""
+    coverage: float = HONEST[0]
+    """Smallest share of measured values in a 95 % band (guess)."""
+    band: float = 0.5
+    """Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears half the gain."""
+    seconds: float = 1.0
+    """Shortest simulation that is of use [s] (guess)."""
+    tie: float = 0.02
+    """Errors that differ by less than this share are equal (guess)."""
+
+
+THRESHOLDS = Thresholds()
+
+
+class Use(NamedTuple):
+    """A use of a model: ``fit`` is "yes", "partly", "no" or "unknown"; the reason is a sentence without its stop."""
+
+    purpose: str
+    fit: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What was learned, and what it is good enough for.
+
+    Parameters
+    ----------
+    learned : str
+        What was learned, from how much, and tested on how much.
+    error, coverage : float
+        Normalised root mean square error and coverage of the 95 % band, means of the six coefficients, of all test
+        flights together.
+    uses : tuple of Use
+    warnings : tuple of str
+        That which costs most first.
+    flights : DataFrame
+        Per test flight ``duration`` [s] and the means of its scores.
+    least_squares_error : float, optional
+        The error of a linear model fitted to the same rows.
+    better, worse : tuple of str
+        Coefficients whose error is smaller, or larger, than that of least squares.
+    """
+
+    learned: str
+    error: float
+    coverage: float
+    uses: tuple[Use, ...]
+    warnings: tuple[str, ...]
+    flights: pd.DataFrame
+    least_squares_error: float | None = None
+    better: tuple[str, ...] = ()
+    worse: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values; the flights are in the scores."""
+        found = {name: value for name, value in asdict(self).items() if name != "flights"}
+        return found | {"uses": [one._asdict() for one in self.uses], "thresholds": THRESHOLDS._asdict()}
+
+    def compared(self) -> str:
+        """Return a sentence on least squares, empty where it is not known."""
+        if self.least_squares_error is None:
+            return ""
+        equal = [name for name in COEFFICIENTS if name not in (*self.better, *self.worse)]
+        kinds = {"better": self.better, "equal": equal, "worse": self.worse}
+        parts = [f"{kind} in {' '.join(names)}" for kind, names in kinds.items() if names]
+        errors = f"an error of {self.least_squares_error:.3f}, the model {self.error:.3f}"
+        return f"Least squares on the same rows has {errors}: the model is {', '.join(parts)}."
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightMechanics:
+    """Trim, derivatives and modes in the middle of what was flown.
+
+    Parameters
+    ----------
+    trim : Trim, optional
+        None where there is no steady flight.
+    derivatives : DataFrame
+        What `skdgp.dynamics.stability_derivatives` returned.
+    least_squares : DataFrame, optional
+        The same of least squares.
+    modes : DataFrame, optional
+        What `skdgp.dynamics.LinearModel.modes` returned.
+    simulation : DataFrame, optional
+        How long a simulation follows the test flights: by state ``spread``, ``limit``, ``error`` at the end, ``lasts``
+        and ``horizon`` [s].
+    note, simulation_note : str
+        Why derivatives, or the simulation, are missing.
+    """
+
+    trim: Trim | None = None
+    derivatives: pd.DataFrame = field(default_factory=pd.DataFrame)
+    least_squares: pd.DataFrame | None = None
+    modes: pd.DataFrame | None = None
+    simulation: pd.DataFrame | None = None
+    note: str = ""
+    simulation_note: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units and radians."""
+        found: dict[str, Any] = {"note": self.note, "simulation_note": self.simulation_note}
+        if self.trim is not None:
+            names = ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
+            found["trim"] = {name: getattr(self.trim, name) for name in names}
+            found["trim"]["beyond"] = {name: list(values) for name, values in self.trim.beyond.items()}
+        columns = [name for name in ("value", "std", "lower", "upper") if name in self.derivatives]
+        found["derivatives"] = self.derivatives[columns].to_dict("index")
+        if self.least_squares is not None:
+            found["least_squares"] = self.least_squares.to_dict("index")
+        if self.modes is not None:
+            found["modes"] = self.modes.drop(columns="eigenvalue").to_dict("index")
+        if self.simulation is not None:
+            found["simulation"] = self.simulation.to_dict("index")
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +222,23 @@ class FlightResult:
             raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
 
     def replay_over(self, horizon: float) -> pd.DataFrame:
-        """Return the rows of the replay of one horizon."""
-        return replay_rows(cast("pd.DataFrame", self.replay), horizon)
+        """Return the rows of the replay of one horizon; bands wider than the motion itself say nothing, and are NaN."""
+        rows = replay_rows(cast("pd.DataFrame", self.replay), horizon).copy()
+        for name in measured_states(self):
+            if f"{name}_std" in rows:
+                spread = float(np.nanstd(cast("pd.DataFrame", self.table)[name]))
+                rows[f"{name}_std"] = rows[f"{name}_std"].where(rows[f"{name}_std"] <= spread)
+        return rows
+
+    def horizons(self) -> list[float]:
+        """Return the horizons of the replay, of those that the flight is too short for only the first."""
+        replay = cast("pd.DataFrame", self.replay)
+        every = sorted(float(horizon) for horizon in replay["horizon"].unique())
+        if "elapsed" not in replay:
+            return every
+        longest = replay.groupby("horizon")["elapsed"].max()
+        too_long = [horizon for horizon in every if not longest[horizon] >= 0.98 * horizon]
+        return [horizon for horizon in every if horizon not in too_long[1:]]
 
     @property
     def noisy_std(self) -> Matrix:
@@ -207,6 +345,10 @@ class ReportContent:
         What was fitted.
     aircraft : mapping of str to str, or str
         Name, or facts such as mass, span and chord, ready to read.
+    verdict : Verdict, optional
+        What the model is good enough for.
+    mechanics : FlightMechanics, optional
+        Trim, derivatives and modes.
     envelope : EnvelopeDisplay, optional
         What ``EnvelopeDisplay.compute`` returned: where the data are, and where the model knows nothing.
     effects : EffectsDisplay, optional
@@ -226,6 +368,8 @@ class ReportContent:
     test: Sequence[FlightResult] = ()
     model: ModelSummary = field(default_factory=ModelSummary)
     aircraft: Mapping[str, str] | str = ""
+    verdict: Verdict | None = None
+    mechanics: FlightMechanics | None = None
     envelope: EnvelopeDisplay | None = None
     effects: EffectsDisplay | None = None
     plan: FlownPlan | None = None

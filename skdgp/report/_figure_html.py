@@ -5,7 +5,7 @@ from __future__ import annotations
 from skdgp.report._tables import text
 
 
-def _key(entries) -> str:
+def key_of(entries) -> str:
     """Return a list of samples and names; a sample is a line (""), an area, a hatched area, or a marker's sign."""
     lines = ""
     for color, name, kind in entries:
@@ -20,20 +20,14 @@ def still(words: str) -> str:
 
 
 def figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:
-    """Return a figure of panels side by side; ``key`` holds colour, name and kind of each sample."""
+    """Return a figure of panels side by side; ``key`` holds colour, name and kind of each sample.
+
+    On a screen a script makes a ``chart`` in their place; without panels there is nothing else, and nothing on paper.
+    """
+    if not panels:
+        return f'<figure class="chart screen">{chart}<figcaption>{caption}</figcaption></figure>' if chart else ""
     classes = f"panels {layout}" if len(panels) > 1 else layout or "single"
-    return _framed(f'{_key(key)}<div class="{classes}">{"".join(panels)}</div>', caption, chart)
-
-
-def columns(by_head: dict[str, list[str]], key, caption: str, chart: str = "") -> str:
-    """Return a figure of headed columns; on a phone one follows the other."""
-    rows = max(map(len, by_head.values()))
-    cells = "".join(f"<p>{head}</p>{''.join(panels)}" for head, panels in by_head.items())
-    return _framed(f'{_key(key)}<div class="panels columns" style="--rows: {rows}">{cells}</div>', caption, chart)
-
-
-def _framed(pictures: str, caption: str, chart: str) -> str:
-    """Return a figure: pictures, and the samples of which a script makes a chart in their place."""
+    pictures = f'{key_of(key)}<div class="{classes}">{"".join(panels)}</div>'
     if chart:
         pictures = f'<div class="static">{pictures}</div>'
     kind = ' class="chart"' if chart else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from io import StringIO
 from typing import Any, cast
@@ -17,14 +17,13 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import (
     CalibrationDisplay,
     CoefficientDisplay,
-    CouplingDisplay,
     EffectsDisplay,
     EnvelopeDisplay,
     FlightDisplay,
     StateDisplay,
 )
 from skdgp.plotting._flight import START_MARKERS, named_flights, start_marker
-from skdgp.plotting._style import PALETTE, QUIET, ROLES
+from skdgp.plotting._style import PALETTE, QUIET, ROLES, display_unit, draw_curve, mark_samples, tidy
 from skdgp.report._content import FlightResult, measured_states
 
 EXCERPT = 15.0
@@ -34,6 +33,8 @@ WIDTH = 4.6
 """Width of a panel [in]: half a desktop page, or a phone with letters still readable."""
 POINTS = 72
 """Units of an SVG in an inch."""
+N_BINS = 350
+"""Slices that a line over time is drawn with: as many as a screen shows."""
 
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -60,11 +61,6 @@ _VARIABLES = {
 _VARIABLES = {color.lower(): f"var(--{name})" for color, name in _VARIABLES.items()}
 
 
-def time_slices(n_flights: int) -> int:
-    """Return how many slices a line is drawn with: as many as a screen shows, fewer when flights are many."""
-    return int(np.clip(600 // max(n_flights, 1), 120, 350))
-
-
 def busiest_span(time: Vector, values: Matrix, length: float = EXCERPT) -> tuple[float, float] | None:
     """Return begin and end of the ``length`` seconds in which ``values`` move most; None for a short record.
 
@@ -81,72 +77,82 @@ def busiest_span(time: Vector, values: Matrix, length: float = EXCERPT) -> tuple
     return first, first + length
 
 
-def coefficient_panels(result: FlightResult, span, n_bins: int) -> list[str]:
-    """Return six panels: measured, estimated with band, truth."""
+def coefficient_panels(result: FlightResult, span) -> list[str]:
+    """Return six panels of a span, or of the whole flight: measured, estimated with band, truth."""
     display = CoefficientDisplay(
         time=result.time,
         measured=result.measured,
         mean=result.mean,
         std=result.noisy_std,
-        # Over a whole flight a third line would only hide the other two.
-        truth=None if span is None else result.truth,
+        truth=result.truth,
         output_names=COEFFICIENTS,
     )
     return [
         strip(
-            lambda ax, name=name: display.plot(ax, outputs=name, time_span=span, n_bins=n_bins, legend=False),
+            lambda ax, name=name: display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False),
             label=f"{name} against time: measured, and estimated with its 95 % band",
-            bottom=name == COEFFICIENTS[-1],
+            bottom=name in COEFFICIENTS[-2:],
         )
         for name in COEFFICIENTS
     ]
 
 
-def state_panels(result: FlightResult, horizon: float, span, n_bins: int) -> list[str]:
+def state_panels(result: FlightResult, horizon: float, span) -> list[str]:
     """Return one panel for each lateral state that was replayed and measured."""
     states, rows, table = list(measured_states(result)), result.replay_over(horizon), cast("pd.DataFrame", result.table)
 
     def draw(ax, name):
-        StateDisplay.from_replay(rows, table, states=[name], ax=ax, time_span=span, n_bins=n_bins, legend=False)
+        StateDisplay.from_replay(rows, table, states=[name], ax=ax, time_span=span, n_bins=N_BINS, legend=False)
 
     return [
         strip(
             lambda ax, name=name: draw(ax, name),
             label=f"{name} against time: measured, and replayed with its band",
-            bottom=name == states[-1],
+            bottom=name in states[-2:],
         )
         for name in states
     ]
 
 
-def calibration_panel(values, mean, std, against: str) -> str:
+def calibration_panel(values, mean, std) -> str:
     """Return one square panel: nominal against observed coverage."""
     return picture(
         lambda ax: CalibrationDisplay.from_predictions(values, mean, std, output_names=COEFFICIENTS, ax=ax),
-        label=f"Observed against nominal coverage of {against} coefficients",
+        label="Observed against nominal coverage of measured coefficients",
         size=(4.0, 3.85),
         margins=(0.14, 0.97, 0.13, 0.97),
     )
 
 
-def coupling_panel(correlation) -> str:
-    """Return one square panel: the correlation between the outputs."""
-    return picture(
-        lambda ax: CouplingDisplay.from_correlation(correlation, ax=ax, colorbar=False),
-        label="Correlation between the outputs, as written in the cells",
-        size=(4.0, 3.65),
-        margins=(0.12, 0.98, 0.07, 0.99),
-    )
+def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) -> list[str]:
+    """Return one panel for each regressor named: its effect on an output; all have the same vertical scale."""
+    k = list(display.importance).index(output)
+    curves = [display.curves[name] for name in names]
+    top = 1.08 * max(np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves)
 
+    def draw(ax, name, curve):
+        tidy(ax)
+        factor, unit = display_unit(name)
+        draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], 0.95, "effect")
+        mark_samples(ax, factor * display.samples[name])
+        edges = factor * curve.at[[0, -1]]
+        digits = max(0, 1 - int(np.floor(np.log10(np.ptp(edges) or 1.0))))
+        ax.set_xticks(edges, [f"{edge:z.{digits}f}".replace("-", "−") for edge in edges])
+        ax.set(ylim=(-top, top), xlim=edges)
+        ax.locator_params(axis="y", nbins=4)
+        ax.get_xticklabels()[0].set_horizontalalignment("left")
+        ax.get_xticklabels()[-1].set_horizontalalignment("right")
+        ax.set_xlabel(unit, labelpad=-7)
 
-def effects_panel(display: EffectsDisplay) -> str:
-    """Return one wide panel: the effect of each regressor on each output."""
-    return picture(
-        lambda ax: display.plot(ax, legend=False),
-        label="Effect of each regressor, in columns, on each coefficient, in rows",
-        size=(2 * WIDTH, 7.2),
-        margins=(0.075, 0.99, 0.075, 0.99),
-    )
+    return [
+        picture(
+            lambda ax, name=name, curve=curve: draw(ax, name, curve),
+            label=f"Effect of {name} on {output}",
+            size=(2.0, 1.35),
+            margins=(0.23, 0.98, 0.19, 0.97),
+        )
+        for name, curve in zip(names, curves, strict=True)
+    ]
 
 
 def envelope_panels(display: EnvelopeDisplay) -> list[str]:
@@ -162,42 +168,21 @@ def envelope_panels(display: EnvelopeDisplay) -> list[str]:
     ]
 
 
-def input_panels(flights: dict, name: str, n_bins: int) -> list[str]:
-    """Return one panel for each input of one flight, in that flight's colour."""
-    display = FlightDisplay(flights=flights)
-    channels = FlightDisplay(flights={name: flights[name]}).inputs
-    return [
-        strip(
-            lambda ax, channel=channel: display.plot_inputs(
-                ax, channels=channel, flights=name, n_bins=n_bins, titles=False
-            ),
-            label=f"{channel} against time",
-            bottom=channel in channels[-2:],
-        )
-        for channel in channels
-    ]
-
-
 def start_sign(k: int) -> str:
     """Return the letter that looks like the marker at the begin of the k-th flight's path."""
     return dict(zip(START_MARKERS, "●■▲◆▼★", strict=True))[start_marker(k)]
 
 
-def path_panels(flights: dict) -> dict[str, str]:
-    """Return the ground paths by their headings: coloured by flight, and by altitude where every flight has it."""
+def path_panel(flights: dict) -> str:
+    """Return the ground paths, coloured by flight."""
     display = FlightDisplay(flights=named_flights(flights))
-    altitude = all("altitude" in table.columns for table in flights.values())
-    return {
-        f"Coloured by {by}": picture(
-            lambda ax, by=by: display.plot_path(ax, color_by=by, legend=False),
-            label=f"Path over the ground, coloured by {by}",
-            size=(WIDTH, 4.0),
-            # Room for the scale of altitude beside both, so that their axes are the same.
-            margins=(0.145, 0.83 if altitude else 0.985, 0.13, 0.97),
-            located=True,
-        )
-        for by in (("flight", "altitude") if altitude else ("flight",))
-    }
+    return picture(
+        lambda ax: display.plot_path(ax, color_by="flight", legend=False),
+        label="Path over the ground, coloured by flight",
+        size=(WIDTH, 4.0),
+        margins=(0.145, 0.985, 0.13, 0.97),
+        located=True,
+    )
 
 
 def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
@@ -249,7 +234,7 @@ def adapt(svg: str, label: str, attributes: str = "") -> str:
     body = re.sub(r' transform="rotate\(-0 [^"]*"', "", body).replace("xlink:href", "href")
     body = re.sub(r"(stroke|fill): (#[0-9a-f]{6})", _themed, body)
     body = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, body)
-    body = _gathered(re.sub(r"\s*\n\s*", "", _renamed(body)))
+    body = _gathered(re.sub(r"\s*\n\s*", "", _renamed(body, label)))
     name = escape(label, quote=True)
     return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}"{attributes}>{body}</svg>'
 
@@ -273,10 +258,10 @@ def _shortened(match: re.Match) -> str:
     return f'{name}="{value}"'
 
 
-def _renamed(body: str) -> str:
+def _renamed(body: str, label: str) -> str:
     """Return a body without unused names, the others different from those of other pictures of the page."""
     used = set(re.findall(r"(?:url\(|href=\")#([^\")]+)", body))
-    prefix = f"s{zlib.crc32(body.encode()):08x}"
+    prefix = f"s{zlib.crc32((label + body).encode()):08x}"
     names = {name: f"{prefix}-{k}" for k, name in enumerate(sorted(used))}
     body = re.sub(r' id="([^"]*)"', lambda name: f' id="{names[name[1]]}"' if name[1] in used else "", body)
     return re.sub(r"(url\(|href=\")#([^\")]+)", lambda use: f"{use[1]}#{names[use[2]]}", body)

@@ -2,61 +2,216 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.plotting._style import CYCLE, PALETTE
+from skdgp.plotting._style import CYCLE, PALETTE, display_unit
 from skdgp.report import _charts as charts
 from skdgp.report import _figure_html as figures
 from skdgp.report import _pictures as pictures
-from skdgp.report._content import FlightResult, ModelSummary, ReportContent, measured_states
-from skdgp.report._tables import SCORES, THIN, error_table, facts, number, replay_table, text
+from skdgp.report._content import (
+    THRESHOLDS,
+    FlightMechanics,
+    FlightResult,
+    ModelSummary,
+    ReportContent,
+    Verdict,
+    measured_states,
+)
+from skdgp.report._tables import (
+    DASH,
+    SCORES,
+    THIN,
+    derivative,
+    error_table,
+    facts,
+    number,
+    percent,
+    regressor,
+    replay_table,
+    state,
+    symbol,
+    table,
+    text,
+)
 
 _FLIGHT_COLORS = [name for color in CYCLE for name, value in PALETTE.items() if value == color]
 
 
-def summary(content: ReportContent) -> str:
-    """Return the headline numbers of every test flight."""
+def verdict(content: ReportContent) -> str:
+    """Return what was learned, what the model is good enough for, and how it did on each test flight."""
     if not content.test:
         return (
-            '<section><h2>Result</h2><p class="note">No test flight was given: nothing here shows how the model '
+            '<section><h2>Verdict</h2><p class="note">No test flight was given: nothing here shows how the model '
             "does away from the flights it learned from.</p></section>"
         )
-    flights = "".join(_headline(result) for result in content.test)
-    return f"<section><h2>Result</h2>{flights}</section>"
+    found = content.verdict
+    parts = ["<section><h2>Verdict</h2>"]
+    if found is not None:
+        uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in found.uses]
+        parts += [
+            f'<p class="lead">{text(found.learned)}</p>',
+            f'<div class="head">{_tiles(found)}</div>',
+            table(["good enough to", "", "because"], uses, caption="What the model is good for.", classes="words"),
+            f'<p class="note">{_thresholds()}</p>',
+            f"<p>{text(found.compared())}</p>",
+        ]
+        parts += ["<h3>The warnings that matter most</h3>", _list("ol", found.warnings[:N_WARNINGS])]
+    if found is None or len(content.test) > 1:
+        parts.append(_flights_table(content))
+    return "".join([*parts, "</section>"])
 
 
-def _headline(result: FlightResult) -> str:
-    scores = result.scores
-    measured, truth = scores["measured"], scores.get("truth")
-    tiles = [
-        _tile(measured, truth, "normalized_rmse", LATERAL, "", "normalised RMSE, lateral"),
-        _tile(measured, truth, "normalized_rmse", LONGITUDINAL, "", "normalised RMSE, longitudinal"),
-        _tile(measured, truth, "median_relative_error", COEFFICIENTS, "%", "median relative error, mean of six"),
-        _tile(measured, None, "interval_coverage", COEFFICIENTS, "%", "of measured values inside the 95 % band"),
-    ]
-    return f'<h3>{text(result.name)}</h3><div class="head">{"".join(tiles)}</div>'
+_FIT = {
+    "yes": '<b class="yes">✓ yes</b>',
+    "partly": '<b class="partly">◐ partly</b>',
+    "no": '<b class="off">✗ no</b>',
+    "unknown": "? not known",
+}
+N_WARNINGS = 3
 
 
-def _tile(measured, truth, metric, members, unit, words) -> str:
-    def value(scores):
-        return SCORES[metric].show(scores[metric].loc[list(members)].mean())
+def _thresholds() -> str:
+    error, coverage, band = THRESHOLDS.error, 100 * THRESHOLDS.coverage, 100 * THRESHOLDS.band
+    return (
+        f"<b>Thresholds.</b> Predict: errors of at most {error:g} of the spread of what is predicted, and 95 % bands "
+        f"that hold at least {coverage:.0f} %. Simulate, with the recorded controls from measured states: root mean "
+        f"square errors of at most {error:g} of the spread of each state, or 3 times the noise of its sensor. Design a "
+        f"controller: 95 % bands of at most ±{THIN}{band:.0f}{THIN}% for the derivatives by the controls and the "
+        "frequencies of the fast modes."
+    )
 
-    unit = f"<small>{unit}</small>" if unit else ""
-    against = "" if truth is None else f"<span>against truth {value(truth)}{unit and THIN + '%'}</span>"
-    return f"<div><b>{value(measured)}{unit}</b><span>{words}</span>{against}</div>"
+
+def _tiles(found: Verdict) -> str:
+    linear = found.least_squares_error
+    beside = "" if linear is None else f"<span>least squares {number(linear, '.3f')}</span>"
+    return (
+        f"<div><b>{number(found.error, '.3f')}</b><span>error over spread (NRMSE), mean of the six</span>{beside}</div>"
+        f"<div><b>{percent(found.coverage)}<small>%</small></b><span>of measured values inside the 95 % band</span>"
+        "<span>95 is right</span></div>"
+    )
+
+
+def _flights_table(content: ReportContent) -> str:
+    head = ["", "length<br>[s]", *(score.head for score in SCORES.values())]
+    rows = []
+    for result in content.test:
+        means = result.scores["measured"].mean()
+        cells = [score.show(means[name]) for name, score in SCORES.items()]
+        rows.append([text(result.name), number(float(np.ptp(result.time)), ".3g"), *cells])
+    caption = "Test flights, against measured values: means of the six coefficients."
+    return table(head, rows, caption=caption, classes="numbers")
+
+
+def _list(kind: str, lines: Sequence[str]) -> str:
+    if not lines:
+        return '<p class="note">No warning arose.</p>'
+    return f'<{kind} class="alerts">{"".join(f"<li>{text(line)}</li>" for line in lines)}</{kind}>'
 
 
 def messages(content: ReportContent) -> str:
-    """Return the warnings that arose, or that none did."""
-    if not content.messages:
-        return '<section><h2>Warnings</h2><p class="note">No warning arose.</p></section>'
-    lines = "".join(f"<li>{text(message)}</li>" for message in dict.fromkeys(content.messages))
-    return f'<section><h2>Warnings</h2><ul class="alerts">{lines}</ul></section>'
+    """Return the warnings that the verdict does not show, or that none arose."""
+    if content.verdict is None:
+        return f"<section><h2>Warnings</h2>{_list('ul', list(dict.fromkeys(content.messages)))}</section>"
+    rest = content.verdict.warnings[N_WARNINGS:]
+    return f"<section><h2>Further warnings</h2>{_list('ul', rest)}</section>" if rest else ""
+
+
+def mechanics(found: FlightMechanics) -> str:
+    """Return trim, derivatives, modes, and how long a simulation follows the test flights."""
+    parts = ["<section><h2>Trim, derivatives and modes</h2>"]
+    if found.trim is None:
+        parts.append(f'<p class="note">{text(found.note)}</p>')
+    else:
+        angles = {name: getattr(found.trim, name) for name in ("airspeed", "alpha", "theta", "phi", "climb")}
+        shown = [(name, _in_words(name, value)) for name, value in (angles | found.trim.controls).items()]
+        parts.append("<p>Steady flight in the middle of what was flown:</p>" + facts(shown))
+    if len(found.derivatives):
+        tables = "".join(_derivatives(found, *group) for group in GROUPED.items())
+        parts.append(f'<div class="pair">{tables}</div>')
+    if found.modes is not None:
+        parts.append(_modes(found.modes))
+    if found.simulation is not None:
+        parts.append(_simulation(found.simulation))
+    return "".join([*parts, "</section>"])
+
+
+LATERAL_REGRESSORS = {"beta", "p", "r", "beta_dot", "p_dot", "r_dot", "ay", "aileron", "rudder"}
+GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
+
+
+def _in_words(name: str, value: float) -> str:
+    angle = name in ("climb", *LATERAL_REGRESSORS, "elevator", "alpha", "theta", "phi")
+    factor, unit = (float(np.rad2deg(1.0)), "deg") if angle else display_unit(name)
+    return f"{number(factor * value, '.2f' if unit == 'deg' else '.3g')} {unit}"
+
+
+def _derivatives(found: FlightMechanics, group: str, coefficients: Sequence[str]) -> str:
+    """Return the derivatives of one plane with their bands; a band that holds zero leaves the sign open."""
+    derivatives, linear = found.derivatives, found.least_squares
+    across = group == "Lateral"
+    chosen = derivatives[derivatives["regressor"] != ""]
+    rows = []
+    for coefficient in coefficients:
+        for name, row in chosen[chosen["coefficient"] == coefficient].iterrows():
+            if (row["regressor"] in LATERAL_REGRESSORS) != across:
+                continue
+            open_sign = "std" in row and not row["lower"] * row["upper"] > 0
+            beside = DASH if linear is None else _band(*linear.loc[str(name), ["value", "std"]])
+            value = _band(row["value"], row.get("std"))
+            value = f'<span class="off">▼ {value}</span>' if open_sign else value
+            rows.append([derivative(*row[["coefficient", "regressor"]]), value, beside])
+    caption = (
+        f"{group} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V, with half their 95 % bands. "
+        "▼: the log cannot tell it, its band holds both signs."
+    )
+    return table(["", "model", "least squares"], rows, caption=caption, classes="numbers named")
+
+
+def _band(value: float, std: float | None) -> str:
+    """Return a value and half of its 95 % band, both to the second digit of the band."""
+    if std is None or not np.isfinite(std) or std <= 0:
+        return number(value, ".3g")
+    half = 1.96 * std
+    digits = int(np.clip(1 - np.floor(np.log10(half)), 0, 6))
+    return f"{number(value, f'.{digits}f')} ± {number(half, f'.{digits}f')}"
+
+
+def _modes(modes: pd.DataFrame) -> str:
+    rows = []
+    for name, row in modes.drop(columns="eigenvalue").iterrows():
+        times = number(row["time_constant"], ".3g")
+        if "time_constant_lower" in row and not 0 < row["time_constant_lower"] * row["time_constant_upper"] < np.inf:
+            times = f'<span class="off">▼ {times}</span>'
+        damping = DASH if abs(row["damping"]) == 1 else _band(row["damping"], row.get("damping_std"))
+        rows.append([text(name), _band(row["frequency"], row.get("frequency_std")), damping, times])
+    caption = (
+        "Modes, with half their 95 % bands. The time constant is negative where a mode diverges. ▼: the log cannot "
+        "tell whether it decays."
+    )
+    head = ["", "frequency<br>[rad/s]", "damping<br>ratio", "time constant<br>[s]"]
+    return table(head, rows, caption=caption, classes="numbers narrow")
+
+
+def _simulation(errors: pd.DataFrame) -> str:
+    rows = []
+    for name, row in errors.iterrows():
+        factor, unit = display_unit(str(name))
+        cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
+        lasts = number(row["lasts"], ".2g")
+        lasts = f"all {lasts}" if row["lasts"] >= row["horizon"] else f'<span class="off">{lasts}</span>'
+        rows.append([state(str(name)), unit, *cells, lasts])
+    caption = (
+        "Simulation of the test flights with the recorded controls, in still air, started again from measured states: "
+        "root mean square error at the end, and how long it stays below the limit."
+    )
+    head = ["", "unit", "spread in<br>the flights", "limit", "error at<br>the end", "follows<br>for [s]"]
+    return table(head, rows, caption=caption, classes="numbers narrow")
 
 
 def what_was_done(content: ReportContent) -> str:
@@ -66,8 +221,8 @@ def what_was_done(content: ReportContent) -> str:
     is_bound = "sparse" in (model.inference or "")  # which is not comparable with the likelihood of an exact model
     likelihood = "Log likelihood, lower bound" if is_bound else "Log likelihood"
     pairs += [
-        ("Learned from", ", ".join(_flown(record.name, record.table["time"]) for record in content.train)),
-        ("Tested on", ", ".join(_flown(result.name, result.time) for result in content.test)),
+        ("Learned from", _all_flown([(record.name, record.table["time"]) for record in content.train])),
+        ("Tested on", _all_flown([(result.name, result.time) for result in content.test])),
         ("Samples", _samples(model)),
         ("Regressors", ", ".join(map(str, model.regressors))),
         (
@@ -77,6 +232,7 @@ def what_was_done(content: ReportContent) -> str:
         ("Kernel", model.kernel),
         ("Trend", model.trend),
         ("Inference", model.inference),
+        ("Coupling of outputs", _coupling(model.correlation)),
         (likelihood, _grouped(model.log_marginal_likelihood, ".1f")),
         ("Iterations", _iterations(model)),
         ("Time of the fit", None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s"),
@@ -89,11 +245,34 @@ def what_was_done(content: ReportContent) -> str:
     return f"<section><h2>What was done</h2>{facts(pairs)}{sign}</section>"
 
 
+STRONG = 0.3
+"""Correlation of two outputs that is worth naming."""
+
+
+def _coupling(correlation: Any) -> str | None:
+    """Return the pairs of outputs that the model couples, None where that is not known."""
+    if correlation is None:
+        return None
+    matrix = np.asarray(getattr(correlation, "correlation", correlation), dtype=float)
+    pairs = {f"{COEFFICIENTS[i]} and {COEFFICIENTS[j]}": matrix[i, j] for i in range(6) for j in range(i)}
+    strong = pd.Series(pairs).loc[lambda values: values.abs() >= STRONG].sort_values(key=lambda values: -values.abs())
+    found = [f"{words} {number(value)}" for words, value in strong.items()]
+    return f"correlations {', '.join(found)}" if found else f"no correlation of {STRONG:g} or more"
+
+
 def _samples(model: ModelSummary) -> str | None:
     if model.n_samples is None:
         return None
     of = "" if model.n_available is None else f" of {_grouped(model.n_available)}"
     return f"{_grouped(model.n_samples)}{of}"
+
+
+def _all_flown(flights: Sequence[tuple[str, Any]]) -> str:
+    """Return flights with their durations; of many their number."""
+    if len(flights) <= MOST_OPEN:
+        return ", ".join(_flown(*pair) for pair in flights)
+    seconds = sum(float(np.ptp(time)) for _, time in flights)
+    return f"{len(flights)} flights, {number(seconds, '.3g')}{THIN}s together: {', '.join(name for name, _ in flights)}"
 
 
 def _flown(name: str, time) -> str:
@@ -103,7 +282,8 @@ def _flown(name: str, time) -> str:
     steps = steps[steps > 0]
     if not steps.size:
         return name
-    return f"{name} ({number(np.ptp(time), ',.0f')}{THIN}s at {number(1 / np.median(steps), '.3g')}{THIN}Hz)"
+    seconds = number(np.ptp(time), ".3g" if np.ptp(time) < 100 else ",.0f")
+    return f"{name} ({seconds}{THIN}s at {number(1 / np.median(steps), '.3g')}{THIN}Hz)"
 
 
 def _iterations(model: ModelSummary) -> str | None:
@@ -122,110 +302,114 @@ def _grouped(value, form: str = ".0f") -> str | None:
 
 _NO_BANDS_OF_TRUTH = (
     "Bands are judged against measured values alone: the true coefficients contain what no sensor saw, such as gusts, "
-    "and no band promises to cover that."
+    "which no band promises to hold."
 )
 
 
-class Detail(NamedTuple):
-    """Resolution of the drawings: slices of time in a figure, samples per point of a chart."""
-
-    n_bins: int
-    every: int = 1
+MOST_OPEN = 3
+"""Flights that a page shows in full; of more each is opened by hand, but for the one that is predicted worst."""
 
 
-def flight(result: FlightResult, noise_std, detail: Detail, draw: bool) -> str:
-    """Return everything about one test flight."""
+def flights(content: ReportContent, every: int, draw: bool) -> list[str]:
+    """Return everything about each test flight; ``draw``: of the one predicted worst also pictures, for paper."""
+    errors = [float(result.scores["measured"]["normalized_rmse"].mean()) for result in content.test]
+    parts = []
+    for result, error in zip(content.test, errors, strict=True):
+        worst = not error < max(errors)
+        body = _flight(result, content.model.noise_std, every, draw and worst)
+        heading = f"<h2>Test flight {text(result.name)}</h2>"
+        if len(errors) <= MOST_OPEN:
+            parts.append(f'<section class="flight">{heading}{body}</section>')
+        else:
+            parts.append(f"<details{' open' * worst}><summary>{heading}</summary>{body}</details>")
+    return parts
+
+
+def _flight(result: FlightResult, noise_std, every: int, draw: bool) -> str:
     scores = result.scores
     tables = error_table(scores["measured"], noise_std, against="measured coefficients")
     if "truth" in scores:
         tables += error_table(scores["truth"], against="truth", with_bands=False)
     no_bands = f" {_NO_BANDS_OF_TRUTH}" if "truth" in scores else ""
     parts = [
-        f'<section class="flight"><h2>Test flight {text(result.name)}</h2>',
         f'<div class="pair">{tables}</div>',
         f'<p class="note">▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide.{no_bands}</p>',
     ]
     span = pictures.busiest_span(result.time, result.mean)
-    if draw:
-        parts.append(_coefficients(result, span, detail))
-    if result.replay is not None or result.replay_errors is not None:
+    parts.append(_coefficients(result, span, every, draw))
+    errors, horizons = result.replay_errors, [] if result.replay is None else result.horizons()
+    if result.replay is not None or errors is not None:
         parts.append("<h3>Replayed states</h3>")
-    if result.replay_errors is not None:
-        parts.append(replay_table(result.replay_errors))
-    if draw and result.replay is not None:
-        parts += [_states(result, horizon, span, detail) for horizon in np.unique(result.replay["horizon"])]
-    if draw:
-        parts.append(_calibration(result))
-    return "".join([*parts, "</section>"])
+    if errors is not None:
+        parts.append(replay_table(errors[errors["horizon"].isin(horizons)] if horizons else errors))
+    parts += [_states(result, horizon, span, every, draw and horizon == horizons[0]) for horizon in horizons]
+    return "".join(parts)
 
 
-def _coefficients(result: FlightResult, span, detail: Detail) -> str:
+def _coefficients(result: FlightResult, span, every: int, draw: bool) -> str:
     band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
     key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", band, "area")]
     key += [] if result.truth is None else [("vermillion", "truth", "")]
-    columns = _close_and_whole(span, lambda span: pictures.coefficient_panels(result, span, detail.n_bins))
-    caption = "Measured and estimated coefficients."
-    if span is not None:
-        length = f"{number(span[1] - span[0], 'g')}{THIN}s"
-        caption += figures.still(
-            f" First the {length} in which the estimates move most, where a wrong model shows first; then the whole "
-            "flight."
-        )
-    chart = charts.coefficient_chart(result, band, span, detail.every)
-    return f"<h3>Coefficients</h3>{figures.columns(columns, key, caption, chart)}"
+    caption = f"Measured and estimated coefficients of {text(result.name)}."
+    if span is not None and draw:
+        caption += figures.still(f" The {number(span[1] - span[0], 'g')}{THIN}s in which the estimates move most.")
+    chart = charts.coefficient_chart(result, band, span, every)
+    panels = pictures.coefficient_panels(result, span) if draw else []
+    return f"<h3>Coefficients</h3>{figures.figure(panels, caption, key, chart)}"
 
 
-def _states(result: FlightResult, horizon: float, span, detail: Detail) -> str:
+def _states(result: FlightResult, horizon: float, span, every: int, draw: bool) -> str:
     rows, names = result.replay_over(horizon), list(measured_states(result))
     if not names:
         return ""
     key = [("measured", "measured", ""), ("blue", "replayed", "")]
     key += [("sky", "95 % band", "area")] if f"{names[0]}_std" in rows else []
     span = span if span is not None and rows["time"].between(*span).any() else None
-    columns = _close_and_whole(span, lambda span: pictures.state_panels(result, horizon, span, detail.n_bins))
     caption = (
-        f"States integrated from the estimated coefficients, restarted from the measured state every "
-        f"{number(horizon, 'g')}{THIN}s; lines break there."
+        f"States of {text(result.name)}, integrated from the estimated coefficients, restarted from the measured state "
+        f"every {number(horizon, 'g')}{THIN}s; lines break there. Bands end where they are wider than the motion."
     )
-    caption += figures.still(" Marks at the upper edge show where.")
-    if span is not None:
-        caption += figures.still(" First the same seconds as of the coefficients, then the whole flight.")
-    return figures.columns(columns, key, caption, charts.state_chart(result, horizon, span, detail.every))
+    panels = pictures.state_panels(result, horizon, span) if draw else []
+    return figures.figure(panels, caption, key, charts.state_chart(result, horizon, span, every))
 
 
-def _calibration(result: FlightResult) -> str:
-    panel = pictures.calibration_panel(result.measured, result.mean, result.noisy_std, "measured")
-    noise = "" if result.measured_std is None else ", with the noise,"
+def calibration(content: ReportContent) -> str:
+    """Return how often intervals hold the measured values of all test flights."""
+    whole = [np.concatenate([getattr(one, name) for one in content.test]) for name in ("measured", "mean", "noisy_std")]
     caption = (
-        f"Calibration: how often the intervals{noise} hold measured values. On the dotted line they hold as often as "
-        "they say."
+        "Calibration: how often intervals, with the noise, hold the measured values of all test flights. On the dotted "
+        "line they hold as often as they say."
     )
-    return f"<h3>Calibration</h3>{figures.figure([panel], caption)}"
+    return f"<section><h2>Calibration</h2>{figures.figure([pictures.calibration_panel(*whole)], caption)}</section>"
 
 
-def coupling(content: ReportContent) -> str:
-    """Return the heat map of the coupling between the outputs."""
-    caption = (
-        "Correlation between the outputs that the model learned, at the shift where it is largest. "
-        "Strong coupling lets one coefficient inform another."
-    )
-    panel = pictures.coupling_panel(content.model.correlation)
-    return f"<section><h2>Coupling between outputs</h2>{figures.figure([panel], caption)}</section>"
+N_EFFECTS = 4
+"""Regressors shown for each coefficient: those whose effects vary most over the samples."""
 
 
 def effects(display: EffectsDisplay) -> str:
-    """Return the effect of each regressor on each output."""
+    """Return the largest effects of regressors on each output."""
     key = [("blue", "effect", ""), ("sky", "95 % band", "area"), ("measured", "samples", "|")]
-    several = [name for name in display.importance.index if name not in display.curves]
-    key += [("purple", "terms of several regressors", "area")] if several else []
+    share = display.importance
+    several = [name for name in share.index if name not in display.curves]
+    parts = []
+    for output in map(str, share):
+        names = list(share.loc[list(display.curves), output].nlargest(N_EFFECTS).index)
+        cells = "".join(
+            f"<div><p>{symbol(str(output))} by {regressor(name)}</p>{panel}</div>"
+            for name, panel in zip(names, pictures.effect_panels(display, output, names), strict=True)
+        )
+        parts.append(f'<div class="panels quartet">{cells}</div>')
     caption = (
-        "Effect of each regressor on each coefficient, with mean zero over the samples; the coefficient is the sum of "
-        "its row and a constant. Panels of a row have the same scale. Bands are wide where regressors moved together "
-        "in the flights: the sum is then known better than its terms."
+        f"For each coefficient the {N_EFFECTS} regressors whose effect varies most, on one scale, with mean zero over "
+        "the samples. Bands are wide where regressors moved together in the flights: the sum is then known better than "
+        "its terms."
     )
     if several:
-        caption += " The last column is what no single regressor explains: the range of 95 % of its values."
-    figure = figures.figure([pictures.effects_panel(display)], caption, key, layout="wide")
+        rest = share.loc[several].pow(2).sum() ** 0.5 / share.pow(2).sum() ** 0.5
+        words = ", ".join(f"{symbol(str(name))} {percent(value, '.0f')}" for name, value in rest.items())
+        caption += f" What no single regressor explains, in percent of the spread of the effects: {words}."
+    figure = f"<figure>{figures.key_of(key)}{''.join(parts)}<figcaption>{caption}</figcaption></figure>"
     return f"<section><h2>Effects</h2>{figure}</section>"
 
 
@@ -244,29 +428,32 @@ def envelope(display: EnvelopeDisplay) -> str:
     return f"<section><h2>Where the model knows</h2>{figure}</section>"
 
 
-def flown(content: ReportContent, detail: Detail) -> str:
+def flown(content: ReportContent, every: int, draw: bool) -> str:
     """Return the inputs and the path of every flight that came with its table."""
     flights = flown_tables(content)
     linked = {id(result.table): result.name for result in content.test}
     links = {name: linked.get(id(table), name) for name, table in flights.items()}
     parts = ["<section><h2>What was flown</h2>"]
-    for k, name in enumerate(flights):
-        key = [(_color(k), name, "")]
-        panels = pictures.input_panels(flights, name, pictures.time_slices(len(flights)))
-        chart = charts.input_chart(flights[name], name, links[name], _color(k), detail.every)
-        parts.append(figures.figure(panels, f"Inputs of {text(name)}.", key, chart))
     positions = {"north", "east"}, {"v_north", "v_east"}
     tracked = {name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)}
-    if tracked:
+    if tracked and draw:
         key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
-        paths = pictures.path_panels(tracked)
         caption = "Path over the ground, north up; the flight's marker shows where it begins."
-        caption += " First coloured by flight, then by altitude [m], on the same axes." if len(paths) > 1 else ""
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
-        figure = figures.columns({head: [panel] for head, panel in paths.items()}, key, caption)
+        figure = figures.figure([pictures.path_panel(tracked)], caption, key)
         parts.append(f'<div class="map">{figure}{charts.flight_tracks(tracked, links)}</div>')
-    return "".join([*parts, "</section>"])
+    inputs = "".join(
+        figures.figure(
+            [],
+            f"Inputs of {text(name)}.",
+            chart=charts.input_chart(flights[name], name, links[name], _color(k), every),
+        )
+        for k, name in enumerate(flights)
+    )
+    if len(flights) > MOST_OPEN:
+        inputs = f"<details><summary>Inputs of {len(flights)} flights</summary>{inputs}</details>"
+    return "".join([*parts, inputs, "</section>"])
 
 
 def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
@@ -274,9 +461,9 @@ def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     pairs = [(f"{record.name} (train)", record.table) for record in content.train]
     pairs += [(f"{result.name} (test)", result.table) for result in content.test if result.table is not None]
     tables: dict[str, pd.DataFrame] = {}
-    for name, table in pairs:
+    for name, flight in pairs:
         twins = sum(other == name or other.startswith(f"{name} no. ") for other in tables)
-        tables[f"{name} no. {twins + 1}" if twins else name] = table
+        tables[f"{name} no. {twins + 1}" if twins else name] = flight
     return tables
 
 
@@ -298,9 +485,3 @@ def how_to_read() -> str:
 
 def _color(k: int) -> str:
     return _FLIGHT_COLORS[k % len(_FLIGHT_COLORS)]
-
-
-def _close_and_whole(span, panels) -> dict[str, list[str]]:
-    """Return the panels of the span, if there is one, and of the whole flight, by their headings."""
-    close = {} if span is None else {f"{number(span[0], '.0f')} to {number(span[1], '.0f')}{THIN}s": panels(span)}
-    return close | {"Whole flight": panels(None)}

@@ -54,6 +54,26 @@ def symbol(name: str) -> str:
     return f"<i>C</i><sub>{name[1:]}</sub>" if name in COEFFICIENTS else text(name)
 
 
+REGRESSORS = {
+    "alpha": "α",
+    "beta": "β",
+    "alpha_dot": "dα/dt",
+    "beta_dot": "dβ/dt",
+    **{f"{rate}_hat": f"{rate}{length}/2V" for rate, length in zip("pqr", "bcb", strict=True)},
+}
+"""Regressors in a heading; others stand as they are."""
+
+
+def regressor(name: str) -> str:
+    """Return a regressor's name as a heading writes it."""
+    return text(REGRESSORS.get(name, name.replace("_", " ")))
+
+
+def derivative(coefficient: str, name: str) -> str:
+    """Return a derivative's name with its indices lowered."""
+    return f"<i>C</i><sub>{coefficient[1:]} {regressor(name)}</sub>"
+
+
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, classes: str = "") -> str:
     """Return a table of ready HTML cells: the first of each row names it; a row of one cell heads a group."""
     lines = [f'<div class="scroll"><table class="{classes}"><caption>{caption}</caption><thead><tr>']
@@ -108,7 +128,7 @@ def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_band
     for group, members in GROUPS.items():
         rows.append([group])
         for name in members:
-            last = [number(1e3 * noise[name], "#.2g")] if noise else []
+            last = [number(1e3 * noise[name], "#.2g" if noise[name] < 0.0995 else ".0f")] if noise else []
             rows.append([symbol(name), *cells(scores.loc[name]), *last])
         rows.append(["<em>mean</em>", *cells(scores.loc[list(members)].mean()), *([""] if noise else [])])
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
@@ -116,22 +136,31 @@ def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_band
 
 _REPLAY_CAPTION = (
     "Absolute errors of the replayed states: the median over all samples, and the median over the windows of the "
-    "error at the end of each. A replay is open loop: between restarts no measurement corrects it, so small errors of "
-    "the coefficients add up, angles, velocities and positions drift away, and bands of angles tell little once "
-    "they are wide; expect errors to grow quickly with the window, and compare models by the shortest one."
+    "error at the end of each; the standard deviation of the state in the flight; ▼ where the error is larger than "
+    "that, so that the mean state would do as well. A replay is open loop: between restarts no measurement corrects "
+    "it, so small errors of the coefficients add up; compare models by the shortest window."
 )
 
 
 _REPLAY_COLUMNS = {
     "median": ("median<br>error", lambda value, factor: number(factor * value, "#.3g")),
     "at_end": ("error at the<br>window's end", lambda value, factor: number(factor * value, "#.3g")),
+    "spread": ("spread in<br>the flight", lambda value, factor: number(factor * value, "#.3g")),
+    "relative": ("at the end,<br>over spread", lambda value, _: _judged(value)),
     "coverage": ("95 %<br>coverage [%]", lambda value, _: percent(value)),
 }
 """By column of `skdgp.dynamics.replay_errors`: heading, and format of a value [SI] and the factor to the unit shown."""
 
 
+def _judged(value: float) -> str:
+    """Return an error over the spread, marked where a constant would do as well."""
+    return f'<span class="off">▼ {number(value)}</span>' if value > 1 else number(value)
+
+
 def replay_table(errors: pd.DataFrame) -> str:
     """Return the errors of the replayed states by horizon, in the units shown."""
+    if "spread" in errors:
+        errors = errors.assign(relative=errors["at_end"] / errors["spread"])
     columns = {name: column for name, column in _REPLAY_COLUMNS.items() if name in errors}
     rows = []
     for horizon in np.unique(errors["horizon"]):
@@ -146,6 +175,8 @@ def replay_table(errors: pd.DataFrame) -> str:
 def state(name: str) -> str:
     """Return a state's name as the paper writes it."""
     axes = {"v_north": "N", "v_east": "E", "v_down": "D"}
+    if name in REGRESSORS:
+        return regressor(name)
     return f"<i>v</i><sub>{axes[name]}</sub>" if name in axes else f"<i>{text(name)}</i>"
 
 

@@ -12,8 +12,6 @@ from skdgp.report._card import flown_plan
 from skdgp.report._charts import thinning
 from skdgp.report._content import ReportContent
 from skdgp.report._page import can_draw, render_page
-from skdgp.report._pictures import time_slices
-from skdgp.report._sections import Detail
 from skdgp.report._tables import text
 
 
@@ -49,19 +47,21 @@ def render_report(content: ReportContent) -> str:
 
 
 def _body(content: ReportContent) -> str:
-    draw = can_draw()
-    parts = [sections.summary(content), sections.messages(content), sections.what_was_done(content)]
+    draw, every = can_draw(), thinning(content)
+    parts = [sections.verdict(content), sections.messages(content)]
+    if content.mechanics is not None:
+        parts.append(sections.mechanics(content.mechanics))
+    parts.append(sections.what_was_done(content))
     if not draw:
         parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
     parts += [] if content.plan is None else [flown_plan(content.plan)]
-    detail = Detail(time_slices(len(content.test)), thinning(content))
-    parts += [sections.flight(result, content.model.noise_std, detail, draw) for result in content.test]
+    parts += sections.flights(content, every, draw)
+    if draw and content.test:
+        parts.append(sections.calibration(content))
     if draw and content.effects is not None:
         parts.append(sections.effects(content.effects))
-    if draw and content.model.correlation is not None:
-        parts.append(sections.coupling(content))
     if draw and content.envelope is not None:
         parts.append(sections.envelope(content.envelope))
-    if draw and sections.flown_tables(content):
-        parts.append(sections.flown(content, detail))
+    if sections.flown_tables(content):
+        parts.append(sections.flown(content, every, draw))
     return "\n".join([*parts, sections.how_to_read()])

@@ -153,6 +153,12 @@ class TestLeastSquares:
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T
         np.testing.assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
-        assert "least squares on the same rows: NRMSE" in result.summary()
+        assert f"Least squares on the same rows has an error of {expected.mean():.3f}" in result.summary()
+        # Of rows .25 s apart errors are nearly independent: the standard deviations are those of the textbook.
+        spread = np.linalg.inv(len(X[rows]) * np.cov(X[rows].T)).diagonal() ** 0.5
+        white = (targets[rows] - linear.predict(X[rows])).std().to_numpy()[:, None] * spread
+        scaler = result.pipeline["standardscaler"].scale_
+        std = pd.DataFrame(result.fit["least_squares_std"]).T.to_numpy() * scaler
+        assert 0.5 < np.median(std / white) < 2
         again = result.evaluate(test)
         np.testing.assert_allclose(again.baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)

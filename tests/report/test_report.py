@@ -17,12 +17,20 @@ from skdgp._effects import Curve
 from skdgp._flight.channels import COEFFICIENTS, LATERAL
 from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.report import FlightRecord, FlightResult, ModelSummary, ReportContent, render_report, write_report
+from skdgp.report import (
+    FlightMechanics,
+    FlightRecord,
+    FlightResult,
+    ModelSummary,
+    ReportContent,
+    Use,
+    Verdict,
+    render_report,
+    write_report,
+)
 from skdgp.report import _page as page_module
 from skdgp.report._charts import thinning
-from skdgp.report._pictures import time_slices
-from skdgp.report._sections import Detail, flown_tables
-from skdgp.report._sections import flight as flight_section
+from skdgp.report._sections import flights, flown_tables
 from skdgp.report._tables import SCORES, Score
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
@@ -86,7 +94,8 @@ def replay(flight):
         window = (flight["time"] // horizon).astype(int)
         columns = {name: 1.01 * flight[name] for name in ("v_east", "p", "r")}
         bands = {f"{name}_std": 0.1 for name in columns}
-        tables.append(flight[["time"]].assign(horizon=horizon, window=window, **columns, **bands))
+        elapsed = flight["time"] - horizon * window
+        tables.append(flight[["time"]].assign(horizon=horizon, window=window, elapsed=elapsed, **columns, **bands))
     return pd.concat(tables)
 
 
@@ -137,6 +146,21 @@ def effects():
         importance=pd.DataFrame(0.1, index=[*names, "joint"], columns=COEFFICIENTS),
         samples=pd.DataFrame(np.column_stack([at, at]), columns=names),
     )
+
+
+def verdict(**changes):
+    given = {
+        "learned": "Six coefficients, learned from 6.0 minutes of 2 flights.",
+        "error": 0.131,
+        "coverage": 0.972,
+        "least_squares_error": 0.191,
+        "better": ("CX", "CY"),
+        "worse": ("Cn",),
+        "uses": (Use("predict coefficients", "yes", "errors are small"), Use("simulate", "partly", "for 5 s")),
+        "warnings": ("one!", "two!", "three!", "four!"),
+        "flights": pd.DataFrame(),
+    }
+    return Verdict(**{**given, **changes})
 
 
 def content(**changes):
@@ -214,9 +238,9 @@ class TestPage:
     def test_long_flights_stay_under_five_megabytes(self, html):
         flight = result(28_800)
         for n_flights in (1, 3):
-            every = thinning(content(test=n_flights * [flight]))
-            section = flight_section(flight, np.ones(6), Detail(time_slices(n_flights), every), draw=True)
-            assert len(html.encode()) + n_flights * len(section.encode()) < 5e6
+            many = content(test=n_flights * [flight])
+            sections = flights(many, thinning(many), draw=True)
+            assert len(html.encode()) + sum(len(section.encode()) for section in sections) < 5e6
 
     def test_allows_its_own_script_and_nothing_else(self, html):
         policy = re.search(r'Content-Security-Policy" content="([^"]*)"', html)[1]
@@ -243,12 +267,82 @@ class TestWords:
         ):
             assert piece in words
 
-    def test_headline_is_the_mean_over_the_group(self, html):
+    def test_means_are_those_of_the_group(self, html):
         flight = result()
         lateral = [COEFFICIENTS.index(name) for name in LATERAL]
         for values in (flight.measured, flight.truth):
             errors = normalized_rmse(values, flight.mean, multioutput="raw_values")
             assert f"{errors[lateral].mean():.3f}" in Page(html).words
+
+    def test_the_verdict_stands_first_with_its_thresholds(self, numbers_only):
+        words = Page(render_report(content(verdict=verdict(), mechanics=FlightMechanics()))).words
+        first = words[words.index("Verdict") : words.index("What was done")]
+        for piece in (
+            "from 6.0 minutes of 2 flights",
+            "0.131",
+            "97.2 %",
+            "least squares 0.191",
+            "better in CX CY, equal in CZ Cl Cm, worse in Cn",
+            "simulate ◐ partly for 5 s",
+            "hold at least 90 %",
+            "errors of at most 0.5 of the spread",
+        ):
+            assert piece in first
+        # Three warnings come first, in their order; the fourth stands below.
+        assert first.index("one!") < first.index("two!") < first.index("three!") < first.index("Further warnings")
+        assert first.index("Further warnings") < first.index("four!")
+
+    def test_many_flights_are_a_table_and_only_the_worst_is_open(self, numbers_only):
+        few = content(test=[result(100, name="a"), result(100, name="b")])
+        assert "<details" not in render_report(few)
+        noise = np.random.default_rng(0).normal(size=(100, 6))
+        bad = result(100, name="c", mean=result(100).mean + 10 * noise)
+        many = content(test=[*few.test, bad, result(100, name="d"), result(100, name="e")])
+        html = render_report(many)
+        assert html.count("<details open") == 1
+        assert "Test flight c" in html[html.index("<details open") :][:100]
+        error = normalized_rmse(bad.measured, bad.mean, multioutput="raw_values").mean()
+        table_ = re.search(r"<table[^>]*><caption>Test flights.*?</table>", html, re.DOTALL)[0]
+        assert len(re.findall('<th scope="row">', table_)) == 5
+        assert f"<td>{error:.3f}</td>" in table_
+
+    def test_derivatives_whose_sign_is_open_are_marked(self, numbers_only):
+        table_ = pd.DataFrame(
+            {"value": [0.0, -0.2, -1.0, 0.3], "std": [0.1, 0.05, 0.7, 0.1], "coefficient": ["Cm", "Cm", "Cm", "Cl"]},
+            index=["Cm", "Cm_alpha", "Cm_q", "Cl_aileron"],
+        ).assign(regressor=["", "alpha", "q", "aileron"])
+        table_ = table_.assign(
+            lower=table_["value"] - 1.96 * table_["std"], upper=table_["value"] + 1.96 * table_["std"]
+        )
+        linear = pd.DataFrame({"value": [0.0, -0.25, -1.5, 0.25], "std": 0.01}, index=table_.index)
+        found = FlightMechanics(derivatives=table_, least_squares=linear)
+        words = Page(render_report(content(verdict=verdict(), mechanics=found))).words
+        assert "C m α −0.200 ± 0.098 −0.250 ± 0.020" in words
+        assert "C m q ▼ −1.0 ± 1.4 −1.500 ± 0.020" in words
+        assert "C l aileron 0.30 ± 0.20" in words
+
+    def test_modes_and_how_long_a_simulation_follows(self, numbers_only):
+        columns = ["frequency", "frequency_std", "damping", "damping_std", "time_constant"]
+        rows = [[7.0, 0.1, 0.5, 0.02, 0.25], [0.01, 0.01, 1.0, 0.5, 90.0]]
+        modes = pd.DataFrame(rows, index=["short period", "spiral"], columns=columns).assign(
+            time_constant_lower=[0.2, 50.0], time_constant_upper=[0.3, np.inf], eigenvalue=1j
+        )
+        simulation = pd.DataFrame(
+            {"spread": 0.1, "limit": 0.05, "error": 0.08, "lasts": [3.2, 9.8], "horizon": 9.8}, index=["theta", "p"]
+        )
+        found = FlightMechanics(modes=modes, simulation=simulation)
+        words = Page(render_report(content(verdict=verdict(), mechanics=found))).words
+        assert "short period 7.00 ± 0.20 0.500 ± 0.039 0.25" in words
+        assert "spiral 0.010 ± 0.020 – ▼ 90" in words  # it may diverge
+        assert "theta deg 5.73 2.86 4.58 3.2" in words
+        assert "p deg/s 5.73 2.86 4.58 all 9.8" in words
+
+    def test_coupling_is_named_where_there_is_some(self, numbers_only):
+        assert "no correlation of 0.3 or more" in Page(render_report(content())).words
+        coupled = np.eye(6)
+        coupled[2, 4] = coupled[4, 2] = -0.62
+        words = Page(render_report(content(model=ModelSummary(correlation=coupled)))).words
+        assert "Cm and CZ −0.62" in words
 
     def test_tables_hold_every_score(self, html):
         flight = result()
@@ -265,7 +359,7 @@ class TestWords:
         # The standard deviations of the function do not know of gusts: none of these bands holds the truth.
         flight = result(std=np.full((2400, 6), 1e-9), measured_std=np.full((2400, 6), 0.02))
         words = Page(render_report(content(test=[flight]))).words
-        assert "▼" not in words.replace("▼ covers", "")
+        assert "▼" not in words.replace("▼ covers", "").replace("▼ where", "")
         assert "no band promises" in words
         assert "no band promises" not in Page(render_report(content(test=[result(truth=False)]))).words
 
@@ -301,16 +395,18 @@ class TestWords:
     def test_effects(self, html):
         words = Page(html).words
         section = words[words.index("Effects") :]
-        assert "Effect of each regressor" in section
-        assert "what no single regressor explains" in section
+        assert section.count("by α") == 6
+        assert "What no single regressor explains" in section
         straight = replace(effects(), importance=effects().importance.loc[["alpha", "beta"]])
         words = Page(render_report(ReportContent(title="lines", effects=straight))).words
-        assert "Effect of each regressor" in words
+        assert words.count("by β") == 6
         assert "no single regressor" not in words
-        assert "Effect of each" not in Page(render_report(ReportContent(title="none"))).words
+        assert "by β" not in Page(render_report(ReportContent(title="none"))).words
 
     def test_flights_come_with_their_length_and_rate(self, numbers_only):
         assert "train (20 s at 40 Hz)" in Page(render_report(content())).words
+        short = content(train=[FlightRecord(name="short", table=table(61))])
+        assert "short (1.5 s at 40 Hz)" in Page(render_report(short)).words
 
     def test_states_are_in_degrees(self, html):
         assert f"{np.rad2deg(0.0155):.3g}" in Page(html).words
@@ -326,8 +422,8 @@ class TestWords:
         score = Score(lambda y_true, y_pred, multioutput: np.full(6, 0.777), "mean error", "{:.4f}".format)
         monkeypatch.setitem(SCORES, "mean_error", score)
         words = Page(render_report(content())).words
-        assert words.count("mean error") == 2  # against measured values and against truth
-        assert words.count("0.7770") == 2 * (6 + 2)  # coefficients and means of their groups
+        assert words.count("mean error") == 3  # of flights, against measured values and against truth
+        assert words.count("0.7770") == 1 + 2 * (6 + 2)  # coefficients and means of their groups
 
     def test_marks_dishonest_bands(self, numbers_only):
         flight = result()
@@ -395,7 +491,7 @@ class TestPoorContent:
         flight = table(200).drop(columns=["v_north", "v_east"])
         page = render_report(content(train=[FlightRecord(name="a", table=flight)], test=()))
         assert "Path over the ground" not in page
-        assert "Inputs of a (train)" in page
+        assert "Inputs of a" in page
 
     def test_two_flights_of_one_name_are_both_shown(self):
         twins = [result(100), result(100, seed=1)]
@@ -405,7 +501,7 @@ class TestPoorContent:
         page = Page(render_report(content()))
         assert "svg" not in page.tags
         assert 'pip install "skdgp[plot]"' in page.words
-        assert page.tags.count("table") == 3
+        assert page.tags.count("table") == 4  # of flights, errors against measured values and truth, replays
 
     @pytest.mark.parametrize(
         ("change", "message"),

@@ -131,8 +131,9 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
 
     ``trajectory`` is what `replay` returned of ``flight``; ``suffix`` is added to the names of the flight's columns:
     "_true" compares with the truth of a simulation. The columns are ``state``, ``horizon`` [s], ``median`` (over all
-    samples but the restarts), ``at_end`` (over the ends of full windows) and, where the replay has bands, ``coverage``:
-    the share of samples within 1.96 standard deviations. Units are those of the states; angles the short way round.
+    samples but the restarts), ``at_end`` (over the ends of full windows), ``spread`` (standard deviation of the
+    measured state over the flight) and, where the replay has bands, ``coverage``: the share of samples within 1.96
+    standard deviations. Units are those of the states; angles the short way round.
 
     Examples
     --------
@@ -141,8 +142,8 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
     >>> flight = pd.DataFrame({"v_east": [0.0, 1.0, 2.0]})
     >>> flown = pd.DataFrame({"horizon": 1.0, "window": 0, "elapsed": [0.0, 0.5, 1.0], "v_east": [0.0, 1.1, 2.3]})
     >>> replay_errors(flown, flight).round(2)
-        state  horizon  median  at_end
-    0  v_east      1.0     0.2     0.3
+        state  horizon  median  at_end  spread
+    0  v_east      1.0     0.2     0.3    0.82
     """
     states = [name for name in REPLAYED if name in trajectory and name + suffix in flight]
     if not states:
@@ -155,16 +156,25 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
         elapsed = part["elapsed"].to_numpy()
         flown, ends = elapsed > 0, np.abs(elapsed - horizon) < 0.02 * horizon
         for state in states:
-            error = part[state].to_numpy() - flight[state + suffix].to_numpy(float)
+            measured = flight[state + suffix].to_numpy(float)
+            error = part[state].to_numpy() - measured
             error = np.abs(wrapped(error) if state in EULER else error)
             row = {"state": state, "horizon": horizon, "median": _nanmedian(error[flown])}
-            row["at_end"] = _nanmedian(error[ends])
+            row["at_end"], row["spread"] = _nanmedian(error[ends]), _spread(measured, state)
             if f"{state}_std" in part:
                 seen = flown & np.isfinite(error)
                 inside = error[seen] <= 1.96 * part[f"{state}_std"].to_numpy()[seen]
                 row["coverage"] = float(inside.mean()) if inside.size else np.nan
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _spread(values: Array, state: str) -> float:
+    """Return the standard deviation of a state; of an angle that about the direction of its mean."""
+    known = values[np.isfinite(values)]
+    if state in EULER:
+        known = wrapped(known - np.angle(np.exp(1j * known).sum()))
+    return float(known.std()) if known.size else float("nan")
 
 
 class _Path(NamedTuple):

@@ -1,0 +1,236 @@
+"""The verdict: what it says follows from errors, bands, derivatives and simulations by its thresholds."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.dynamics import Aerodynamics, Aircraft, simulate, stability_derivatives, trim
+from skdgp.identification import Evaluation
+from skdgp.identification._mechanics import flight_mechanics, simulation_errors
+from skdgp.identification._verdict import judge
+from skdgp.report import FlightMechanics
+
+AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+SETTINGS = {"thrust": None, "external_forces": [], "horizons": [2.0, 4.0]}
+FIT = {"samples": 1000, "regressors": NAMES}
+
+
+def glider(elevator=-1.0):
+    """Return a glider of which the effect of the elevator on the pitching moment is chosen."""
+
+    def coefficients(X):
+        alpha, beta, p, q, r, de, da, dr = X.T
+        lift = 0.3 + 4.5 * alpha
+        pitch = 0.02 - 0.6 * alpha - 9 * q + elevator * de
+        side, roll, yaw = -0.5 * beta, -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * da, 0.08 * beta - 0.1 * r - 0.06 * dr
+        return np.stack([-0.03 + lift * alpha, side, -lift, roll, pitch, yaw], axis=-1)
+
+    return Aerodynamics(coefficients, NAMES)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """Return a glide of the true glider with doublets of the elevator, its measured states without noise."""
+    steady = trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None)
+    time = np.arange(0, 24, 0.05)
+    controls = pd.DataFrame({"time": time, **steady.controls})
+    controls["elevator"] += 0.03 * np.sign(np.sin(1.5 * time))
+    controls["aileron"] += 0.02 * np.sin(time)
+    flown = simulate(glider(), AIRCRAFT, steady, controls, dt=0.05, thrust=None)
+    return flown.drop(columns=["ended", "beyond", "flight"], errors="ignore").assign(density=1.225)
+
+
+def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
+    """Return a flight whose errors are these parts of the spread, exactly."""
+    rng = np.random.default_rng(0)
+    measured, noise = rng.normal(size=(2, n, 6))
+    measured = (measured - measured.mean(axis=0)) / measured.std(axis=0)
+    noise /= np.sqrt((noise**2).mean(axis=0))
+    error = np.broadcast_to(error, 6)
+    time = 0.05 * np.arange(n)
+    return Evaluation(
+        name=name,
+        time=time,
+        measured=measured,
+        mean=measured + error * noise,
+        baseline=measured + linear * noise,
+        std=np.full((n, 6), 0.01),
+        measured_std=error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6)),
+        table=pd.DataFrame({"time": time}),
+        rows=np.arange(n),
+        states={},
+        regressors=measured,
+    )
+
+
+def mechanics(**changes):
+    found = {
+        "trim": trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None),
+        "derivatives": pd.DataFrame({"value": [-1.0, 0.1, -0.06], "std": [0.1, 0.01, 0.01]}, index=CONTROLS),
+        "simulation": simulated([4.0, 4.0]),
+    }
+    return FlightMechanics(**found | changes)
+
+
+CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
+
+
+def simulated(lasts):
+    return pd.DataFrame({"lasts": lasts, "horizon": 4.0}, index=["theta", "p"])
+
+
+def verdict(evaluations=None, mechanics_=None, messages=(), **fit):
+    evaluations = [evaluation()] if evaluations is None else evaluations
+    return judge([evaluations[0].table] * 3, evaluations, FIT | fit, mechanics_ or mechanics(), messages)
+
+
+def use(found, purpose):
+    (one,) = [one for one in found.uses if one.purpose == purpose]
+    return one.fit, one.reason
+
+
+def test_one_error_one_coverage_and_how_much_was_learned_from():
+    found = verdict([evaluation(error=0.1), evaluation("b", error=0.3)])
+    assert found.error == pytest.approx(np.sqrt((0.1**2 + 0.3**2) / 2))
+    assert found.coverage == pytest.approx(0.95, abs=0.01)
+    assert found.learned.endswith(
+        "learned from 5.0 minutes of 3 flights, 1,000 samples; tested on 3.3 minutes of 2 flights."
+    )
+    assert found.flights["normalized_rmse"].to_dict() == pytest.approx({"a": 0.1, "b": 0.3})
+
+
+def test_least_squares_by_coefficient():
+    linear = np.array([0.2, 0.2, 0.101, 0.1, 0.05, 0.05])
+    found = verdict([evaluation(error=0.1, linear=linear)])
+    assert (found.better, found.worse) == (("CX", "CY"), ("Cm", "Cn"))
+    assert found.compared().endswith("the model is better in CX CY, equal in CZ Cl, worse in Cm Cn.")
+    assert verdict([evaluation(error=0.3, linear=linear)]).worse == COEFFICIENTS
+
+
+class TestPrediction:
+    def test_good(self):
+        assert use(verdict(), "predict coefficients")[0] == "yes"
+
+    def test_an_error_above_the_threshold(self):
+        found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.49, 0.1, 0.51])])
+        assert use(found, "predict coefficients") == ("partly", "only CX CY CZ Cl Cm. Cn: error 0.51 of its spread")
+
+    def test_bands_that_hold_too_little(self):
+        fit, reason = use(verdict([evaluation(inside=[False] + [True] * 5)]), "predict coefficients")
+        assert fit == "partly"
+        assert "CX: its 95 % band holds 6" in reason  # one standard deviation: 67 %
+
+    def test_nothing_is_predicted(self):
+        assert use(verdict([evaluation(error=0.9)]), "predict coefficients")[0] == "no"
+
+
+class TestSimulation:
+    @pytest.mark.parametrize(
+        ("lasts", "fit", "words"),
+        [
+            ([4.0, 4.0], "yes", "for the 4 s that were simulated"),
+            ([2.5, 4.0], "partly", "for 2.5 s: theta 2.5 s; the other states for all 4 s"),
+            ([4.0, 0.5], "no", "for 0.5 s: p 0.5 s; the other"),
+        ],
+    )
+    def test_is_good_for_as_long_as_its_worst_state(self, lasts, fit, words):
+        found = use(verdict(mechanics_=mechanics(simulation=simulated(lasts))), "simulate")
+        assert found[0] == fit
+        assert words in found[1]
+
+    def test_says_why_it_is_not_known(self):
+        lacking = mechanics(simulation=None, simulation_note="no alpha")
+        assert use(verdict(mechanics_=lacking), "simulate") == ("unknown", "no alpha")
+        with_ax = verdict(regressors=["alpha", "ax"])
+        assert use(with_ax, "simulate") == ("no", "the regressors ax are known only after a flight")
+
+    def test_the_true_aircraft_follows_and_another_does_not(self, flight):
+        true = simulation_errors(glider(), AIRCRAFT, [flight], SETTINGS)
+        assert (true["lasts"] == true["horizon"]).all()
+        assert true["horizon"].iloc[0] == pytest.approx(4.0, rel=0.06)
+        assert true.loc["theta", "spread"] == pytest.approx(flight["theta"].std(), rel=0.01)
+        wrong = simulation_errors(glider(elevator=-0.2), AIRCRAFT, [flight], SETTINGS)
+        assert wrong.loc["q", "lasts"] < 2
+        assert (wrong["error"] >= true["error"]).all()
+
+    def test_gaps_are_not_flown_through(self, flight):
+        broken = flight.assign(time=flight["time"] + 100.0 * (flight["time"] > 12))
+        found = simulation_errors(glider(), AIRCRAFT, [broken], SETTINGS)
+        assert (found["lasts"] == found["horizon"]).all()
+
+    @pytest.mark.parametrize(
+        ("change", "settings", "message"),
+        [
+            ({}, {"external_forces": ["tether"]}, "lacks the loads tether"),
+            ({"alpha": None}, {}, "the flights lack alpha"),
+            ({"theta": np.nan}, {}, "no part of"),
+        ],
+    )
+    def test_refuses_what_it_cannot_fly(self, flight, change, settings, message):
+        table = flight.assign(**change).dropna(axis=1, how="all") if "alpha" in change else flight.assign(**change)
+        with pytest.raises(ValueError, match=message):
+            simulation_errors(glider(), AIRCRAFT, [table], SETTINGS | settings)
+
+
+class TestControl:
+    def test_narrow_bands(self):
+        fit, reason = use(verdict(), "design a controller")
+        assert fit == "yes"
+        assert reason == "controls and fast modes are known to 33 % or better (Cn_rudder)"
+
+    def test_a_wide_band_of_a_control_or_a_mode(self):
+        wide = mechanics().derivatives.assign(std=[0.3, 0.01, 0.01])
+        fit, reason = use(verdict(mechanics_=mechanics(derivatives=wide)), "design a controller")
+        assert (fit, reason) == ("no", "not known well enough: Cm_elevator ± 59 %")
+        modes = pd.DataFrame({"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=["Dutch roll", "phugoid"])
+        fit, reason = use(verdict(mechanics_=mechanics(modes=modes)), "design a controller")
+        assert (fit, reason) == ("no", "not known well enough: Dutch roll ± 78 %")
+
+    def test_no_steady_flight(self):
+        found = verdict(mechanics_=mechanics(trim=None, note="No steady flight was found at 20 m/s: more."))
+        assert use(found, "design a controller") == ("no", "No steady flight was found at 20 m/s")
+
+
+def test_warnings_are_ranked():
+    messages = ["Flight 'a' lasts 1.5 s.", "A gap.", "Flight 'b' lasts 2 s."]
+    bad = [evaluation(error=1.2, linear=0.5, inside=False), evaluation("b", error=0.1, inside=False)]
+    found = verdict(bad, messages=messages, converged=False).warnings
+    assert found[0].startswith("In 1 of 2 test flights a constant predicts better (error above 1): a.")
+    assert found[1].startswith("Least squares is better in 6 of 6 coefficients")
+    assert found[2].startswith("95 % bands are too narrow: they hold CX 6")
+    assert found[3:] == (
+        "The fit has not converged: raise max_iter.",
+        "Flight 'a' lasts 1.5 s. (1 more of this kind)",
+        "A gap.",
+    )
+    assert verdict().warnings == ()
+
+
+class TestMechanics:
+    def test_is_at_the_median_of_what_was_flown(self, flight):
+        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS, FIT)
+        airspeed = flight["airspeed"].median()
+        point = trim(glider(), AIRCRAFT, airspeed, climb=None, thrust=None, density=1.225)
+        assert found.trim.airspeed == pytest.approx(airspeed)
+        assert found.trim.alpha == pytest.approx(point.alpha)
+        expected = stability_derivatives(glider(), AIRCRAFT, point, thrust=None, density=1.225)
+        pd.testing.assert_frame_equal(found.derivatives, expected)
+        assert {"short period", "Dutch roll"} <= set(found.modes.index)
+        assert (found.simulation["lasts"] == found.simulation["horizon"]).all()
+
+    def test_without_a_trim_derivatives_are_at_the_median_state(self, flight):
+        heavy = Aircraft(mass=500, inertia=AIRCRAFT.inertia, wing_area=1.3, span=2.6, chord=0.55)
+        found = flight_mechanics(glider(), heavy, [flight], [flight], SETTINGS, FIT)
+        assert found.trim is None
+        assert found.modes is None
+        assert "No steady flight was found" in found.note
+        assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
+
+    def test_is_plain_for_json(self, flight):
+        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS, FIT).to_dict()
+        assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
+        assert found["modes"]["short period"]["frequency"] > 1
+        assert set(found["simulation"]) == {"airspeed", "alpha", "beta", "phi", "theta", "p", "q", "r"}
+        assert found["trim"]["beyond"] == {}

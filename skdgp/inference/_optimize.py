@@ -125,7 +125,7 @@ def maximize(
     """
     record = stage_record(name or stage)
     step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
-    step[step == 0.0] = np.finfo(float).tiny
+    step[step == 0.0] = 1.0
 
     def rounded(theta):
         nearest = step * np.round(theta / step) if grid else theta

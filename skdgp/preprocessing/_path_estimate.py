@@ -49,7 +49,7 @@ DELAY_STEPS = 6
 """Gauss-Newton steps in which lags may change by whole samples; fixed delays let the later steps converge."""
 MAX_STEPS = 40
 TOLERANCE = 0.02
-N_DRAWS = 16
+N_DRAWS = 32
 MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "beta_bias", "wind_east"))
 """Signs of a state's errors in a mirror at the x-z plane (NED velocity, body rotation, NED gust); odd constants."""

@@ -386,6 +386,7 @@ class TestIdentify:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             warnings.simplefilter("ignore", ConvergenceWarning)
+            warnings.simplefilter("ignore", FewRowsWarning)
             found = identify(
                 [bare], aircraft, test=test.drop(columns="flight"), samples=40, regressor=QUICK, horizons=[1]
             )

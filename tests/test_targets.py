@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.compose import make_column_transformer
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
@@ -15,7 +14,7 @@ from skdgp.dynamics import STATE_NAMES
 from skdgp.dynamics._replay.replay import _coefficient_array
 from skdgp.dynamics._simulation.inputs import as_starts
 from skdgp.metrics import coverage_curve, score_outputs
-from skdgp.model_selection import flight_learning_curve, thin_targets
+from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
 
 X = np.random.default_rng(0).normal(size=(40, 2))
@@ -72,14 +71,6 @@ def test_thinned(library):
         assert type(thin) is type(Y)
         assert column_names(thin) == column_names(Y)
         assert np.isfinite(np.asarray(thin, float).reshape(40, -1)[:, 0]).sum() == 10
-
-
-def test_learning_curve(library):
-    table = pd.DataFrame({"time": 0.1 * np.arange(40), "alpha": X[:, 0]})
-    Y = library.DataFrame({"CZ": TARGETS["CZ"]})
-    model = make_pipeline(make_column_transformer(("passthrough", ["alpha"])), LinearRegression())
-    curve = flight_learning_curve(model, table, Y, seconds=[1, 3], test_table=table, test_Y=Y)
-    assert "normalized_rmse_CZ" in curve
 
 
 def test_coverage(library):

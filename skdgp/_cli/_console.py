@@ -40,7 +40,7 @@ class Console:
         self.interrupts = 0
         self._shows_progress = self.stream.isatty()
         self._lock = threading.RLock()
-        self._stage, self._began, self._shown = "", 0.0, -PERIOD
+        self._began, self._shown = 0.0, -PERIOD
         self._evaluations: dict[str, int] = {}
 
     def __enter__(self) -> Console:
@@ -78,7 +78,7 @@ class Console:
 
     def stage(self, words: str) -> None:
         """Show what is being done from now on."""
-        self._stage, self._began = words, time.monotonic()
+        self._began = time.monotonic()
         self._show(words)
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:

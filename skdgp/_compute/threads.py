@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import copy_context
 from functools import lru_cache, wraps
-from threading import Event, Lock
+from threading import Lock
 from typing import Any
 
 from threadpoolctl import ThreadpoolController
@@ -76,11 +76,8 @@ def few_threads(method: Callable) -> Callable:
     return limited
 
 
-def thread_map(function: Callable, tasks: Iterable, stop: Event | None = None) -> list:
-    """Return ``[function(task) for task in tasks]``, on as many threads as BLAS may use, each with BLAS on one thread.
-
-    With ``stop``, Ctrl-C sets it and the results are still waited for: the function must check it and return.
-    """
+def thread_map(function: Callable, tasks: Iterable) -> list:
+    """Return ``[function(task) for task in tasks]``, on as many threads as BLAS may use, with one BLAS thread each."""
     tasks = list(tasks)
     workers = min(n_threads(), len(tasks))
     if workers <= 1:
@@ -90,8 +87,5 @@ def thread_map(function: Callable, tasks: Iterable, stop: Event | None = None) -
         try:
             return [future.result() for future in futures]
         except KeyboardInterrupt:
-            if stop is None:
-                pool.shutdown(cancel_futures=True)
-                raise
-            stop.set()
-            return [future.result() for future in futures]
+            pool.shutdown(cancel_futures=True)
+            raise

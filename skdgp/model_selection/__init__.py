@@ -1,4 +1,4 @@
-"""Training subsets, splits of flights and learning curves.
+"""Training subsets and splits of flights.
 
 Hold out whole flights with scikit-learn's ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``. Neighbouring
 samples of one flight are nearly equal, so a random split inside a flight gives scores that are too good. With a single
@@ -20,8 +20,6 @@ flight, ``BlockSplit`` holds out blocks of it, with a gap in time.
 """
 
 from skdgp.model_selection._blocks import BlockSplit
-from skdgp.model_selection._informative import informative_targets
-from skdgp.model_selection._learning_curve import expected_learning_curve, flight_learning_curve
 from skdgp.model_selection._thin import thin_targets
 
-__all__ = ["BlockSplit", "expected_learning_curve", "flight_learning_curve", "informative_targets", "thin_targets"]
+__all__ = ["BlockSplit", "thin_targets"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from numbers import Integral, Real
 from typing import Any
@@ -78,7 +77,7 @@ class BlockSplit(BaseCrossValidator):
             raise ValueError(f"Got gap={gap!r}, but expected seconds, 0 or more.")
         check_columns(check_table(X), ["time"])
         time = X["time"].to_numpy(dtype=float, na_value=np.nan)
-        flights = rows_by_flight(X, groups)
+        flights = _rows_by_flight(X, groups)
         for name, rows in flights.items():
             check_clock(time[rows], None)
             if len(rows) < MIN_BLOCK_ROWS * n_splits:
@@ -97,16 +96,7 @@ class BlockSplit(BaseCrossValidator):
             yield train, test
 
 
-def list_splits(cv: Any, table: pd.DataFrame, groups: ArrayLike) -> list[tuple[Indices, Indices]]:
-    """Return the training and test rows of a splitter, with groups or without, or of an iterable."""
-    if not hasattr(cv, "split"):
-        return list(cv)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="The groups parameter is ignored")
-        return list(cv.split(table, groups=groups))
-
-
-def rows_by_flight(X: pd.DataFrame, groups: Any = None) -> dict[Any, Indices]:
+def _rows_by_flight(X: pd.DataFrame, groups: Any) -> dict[Any, Indices]:
     """Return the rows of each flight: by the column ``flight``, by ``groups``, or all as one flight."""
     ids = X["flight"] if "flight" in X else np.zeros(len(X), int) if groups is None else groups
     if len(ids) != len(X):

@@ -28,29 +28,13 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     >>> thin_targets([1.0, 2.0, float("nan"), 4.0, 5.0], 2)
     array([nan,  2., nan, nan,  5.])
     """
-    check_n_samples(n_samples)
-    observed = observed_rows(Y)
-    return only_rows(Y, observed[evenly(len(observed), n_samples)])
-
-
-def check_n_samples(n_samples: Any) -> None:
-    """Raise ValueError if this is no number of rows to keep."""
     if not isinstance(n_samples, Integral) or isinstance(n_samples, bool) or n_samples < 1:
         raise ValueError(f"Got n_samples={n_samples!r}, but expected a positive number of rows to keep.")
-
-
-def observed_rows(Y: Any) -> Indices:
-    """Return the rows that are observed in any output."""
     values = np.array(Y, dtype=float)
     if values.ndim not in (1, 2):
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
-    return np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
-
-
-def only_rows(Y: Any, rows: Indices) -> Any:
-    """Return a copy of targets, of their own type, in which all other rows are NaN."""
-    values = np.array(Y, dtype=float)
-    values[np.setdiff1d(np.arange(len(values)), rows)] = np.nan
+    observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
+    values[np.setdiff1d(np.arange(len(values)), observed[_evenly(len(observed), n_samples)])] = np.nan
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):
@@ -60,7 +44,7 @@ def only_rows(Y: Any, rows: Indices) -> Any:
     return values
 
 
-def evenly(n_rows: int, n_samples: int) -> Indices:
+def _evenly(n_rows: int, n_samples: int) -> Indices:
     """Return the middles of ``n_samples`` equal parts of the rows; all rows where there are fewer."""
     if n_rows <= n_samples:
         return np.arange(n_rows)

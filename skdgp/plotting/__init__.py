@@ -26,7 +26,6 @@ from skdgp.plotting._derivatives import DerivativeDisplay
 from skdgp.plotting._effects import EffectsDisplay
 from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
-from skdgp.plotting._learning_curve import FlightLearningCurveDisplay
 from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay
 from skdgp.plotting._trajectory import TrajectoryDisplay
 
@@ -39,7 +38,6 @@ __all__ = [
     "EffectsDisplay",
     "EnvelopeDisplay",
     "FlightDisplay",
-    "FlightLearningCurveDisplay",
     "StateDisplay",
     "TrajectoryDisplay",
 ]

@@ -4,7 +4,6 @@ import signal
 import threading
 import time
 from contextvars import ContextVar
-from threading import Event
 
 import pytest
 from threadpoolctl import threadpool_limits
@@ -95,34 +94,12 @@ def test_context_goes_along(threads):
         word.reset(token)
 
 
-class TestInterrupt:
-    """A real Ctrl-C, sent from a thread beside."""
-
-    @staticmethod
-    def press_soon():
-        timer = threading.Timer(0.15, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
-        timer.start()
-        return timer
-
-    def test_without_stop_ends_the_map(self, threads):
-        timer = self.press_soon()
-        started = []
-        with pytest.raises(KeyboardInterrupt):
-            thread_map(lambda task: (started.append(task), time.sleep(0.1)), range(40))
-        timer.join()
-        assert len(started) < 40
-        assert n_threads() == threads
-
-    def test_with_stop_waits_for_what_the_tasks_have(self, threads):
-        if threads == 1:
-            pytest.skip("on one thread the task itself is interrupted")
-        stop = Event()
-        timer = self.press_soon()
-
-        def until_stopped(task):
-            stop.wait(2)
-            return task
-
-        assert thread_map(until_stopped, range(threads), stop) == list(range(threads))
-        timer.join()
-        assert n_threads() == threads
+def test_ctrl_c_ends_the_map(threads):
+    timer = threading.Timer(0.15, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+    timer.start()
+    started = []
+    with pytest.raises(KeyboardInterrupt):
+        thread_map(lambda task: (started.append(task), time.sleep(0.1)), range(40))
+    timer.join()
+    assert len(started) < 40
+    assert n_threads() == threads

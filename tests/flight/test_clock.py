@@ -15,7 +15,7 @@ from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification._flights import flights_of
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.metrics import score_flights
-from skdgp.model_selection import BlockSplit, flight_learning_curve
+from skdgp.model_selection import BlockSplit
 from skdgp.plotting._flight import named_flights
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector, inspect_flight
 
@@ -57,9 +57,6 @@ ASKING = {
     "BlockSplit": lambda flights: list(BlockSplit(2).split(flights)),
     "BlockSplit, groups": lambda flights: list(
         BlockSplit(2).split(flights.drop(columns="flight"), groups=flights["flight"])
-    ),
-    "flight_learning_curve": lambda flights: flight_learning_curve(
-        DummyRegressor(), flights, flights["alpha"], seconds=1
     ),
     "score_flights": lambda flights: score_flights(model(flights), flights, flights["alpha"]),
     "CalibratedRegressor": lambda flights: CalibratedRegressor(DummyRegressor()).fit(

@@ -14,9 +14,6 @@ from matplotlib.patches import PathPatch
 from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
-from sklearn.linear_model import LinearRegression
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer
 
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import (
@@ -25,7 +22,6 @@ from skdgp.plotting import (
     CouplingDisplay,
     EnvelopeDisplay,
     FlightDisplay,
-    FlightLearningCurveDisplay,
     StateDisplay,
 )
 
@@ -77,13 +73,6 @@ def transforms(n, ax, corrupt=lambda values: values):
     return CalibrationDisplay.from_predictions(corrupt(measured), mean, std, ax=ax, kind="pit")
 
 
-def learning(n, ax, corrupt=lambda values: values):
-    curve = pd.DataFrame({"seconds": np.repeat(np.arange(1, n + 1), 2), "split": np.tile([0, 1], n)})
-    scores = corrupt(np.random.default_rng(0).random((2 * n, 6)))
-    names = [f"normalized_rmse_{name}" for name in COEFFICIENTS]
-    return FlightLearningCurveDisplay.from_curve(curve.join(pd.DataFrame(scores, columns=names)), ax=ax)
-
-
 def knowledge(n, ax, corrupt=lambda values: values):
     """Return the envelope of n samples and of another flight."""
     rng = np.random.default_rng(0)
@@ -118,7 +107,7 @@ def path(n, ax, corrupt=lambda values: values):
     return FlightDisplay.from_flights({"a": corrupted_flight(n, corrupt)}, kind="path", ax=ax)
 
 
-DISPLAYS = [coefficients, states, calibration, transforms, learning, coupling, knowledge, inputs, path]
+DISPLAYS = [coefficients, states, calibration, transforms, coupling, knowledge, inputs, path]
 MULTIPLE = {coefficients: (3, 2), transforms: (3, 2), states: (3, 1), inputs: (4, 2)}
 
 
@@ -435,53 +424,6 @@ class TestCalibration:
         _, measured, mean, std = outputs(50)
         with pytest.raises(ValueError, match="expected probabilities"):
             CalibrationDisplay.from_predictions(measured, mean, std, levels=levels)
-
-
-class TestLearningCurve:
-    CURVE = pd.DataFrame(
-        {
-            "seconds": [40, 20, 40, 20],
-            "split": [0, 0, 1, 1],
-            "n_samples": [80, 40, 80, 40],
-            "normalized_rmse_CZ": [0.2, 0.4, 0.3, 0.6],
-            "normalized_rmse_Cm": [0.7, 0.8, np.nan, 0.9],
-            "score": [1.0, 2.0, 3.0, 4.0],
-        }
-    )
-
-    def test_lines_are_means_over_splits_and_dots_the_splits(self):
-        display = FlightLearningCurveDisplay.from_curve(self.CURVE, ax=Figure())
-        np.testing.assert_array_equal(display.lines_[0].get_xydata(), [[20, 0.5], [40, 0.25]])
-        np.testing.assert_allclose(display.lines_[1].get_ydata(), [0.85, 0.7])
-        np.testing.assert_array_equal(display.dots_[0].get_xydata(), [[20, 0.4], [20, 0.6], [40, 0.2], [40, 0.3]])
-        assert [label.get_text() for label in display.ax_.get_xticklabels()] == ["20", "40"]
-
-    def test_other_scores_and_fewer_outputs(self):
-        single = FlightLearningCurveDisplay.from_curve(self.CURVE, score="score", ax=Figure())
-        assert single.output_names == ("score",)
-        assert single.lines_[0].get_ydata().tolist() == [3.0, 2.0]
-        assert len(single.plot(Figure(), legend=False).lines_) == 1
-        fewer = FlightLearningCurveDisplay.from_curve(self.CURVE, outputs=["Cm"], ax=Figure())
-        assert len(fewer.lines_) == 1
-        with pytest.raises(ValueError, match="Got score='r2', but expected the beginning of a column among"):
-            FlightLearningCurveDisplay.from_curve(self.CURVE, score="r2")
-
-    def test_from_estimator_is_the_curve_drawn(self):
-        t = np.tile(np.arange(0, 20, 0.1), 2)
-        table = pd.DataFrame({"time": t, "flight": np.repeat(["a", "b"], 200), "alpha": np.sin(t**2 / 20)})
-        Y = pd.DataFrame({"CZ": table["alpha"] + table["alpha"] ** 3})
-        columns = FunctionTransformer(lambda table: table[["alpha"]])
-        display = FlightLearningCurveDisplay.from_estimator(
-            make_pipeline(columns, LinearRegression()),
-            table,
-            Y,
-            seconds=[5, 15],
-            scoring="r2",
-            score="score",
-            ax=Figure(),
-        )
-        assert display.scores.shape == (2, 2, 1)
-        assert display.seconds.tolist() == [5, 15]
 
 
 class TestCoupling:

@@ -113,7 +113,7 @@ def maximize(
         After Ctrl-C the best point so far, with ``interrupted``; the caller warns.
     """
     step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
-    step[step == 0.0] = np.finfo(float).tiny
+    step[step == 0.0] = 1.0
 
     def rounded(theta):
         nearest = step * np.round(theta / step) if grid else theta

@@ -5,7 +5,7 @@ from importlib import import_module
 from skdgp._compute import moved as _moved  # noqa: F401 - model files of earlier versions load
 
 __all__ = [
-    *("DependentGPRegressor", "Effects", "FewRowsWarning", "checkpointing", "effects", "listening"),
+    *("DependentGPRegressor", "Effects", "FewRowsWarning", "effects", "listening"),
     "make_identification_pipeline",
 ]
 __version__ = "0.1.0"
@@ -13,7 +13,6 @@ __version__ = "0.1.0"
 _HOMES = {
     "DependentGPRegressor": "_regressor",
     "FewRowsWarning": "_regressor",
-    "checkpointing": "_compute.checkpoint",
     "Effects": "_effects",
     "effects": "_effects",
     "listening": "_compute.progress",

@@ -7,13 +7,11 @@ from dataclasses import replace
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
-from skdgp._compute.checkpoint import checkpointing
 from skdgp._compute.progress import listening
 from skdgp.datasets import load_example_flights
 from skdgp.identification import Identification, default_regressor
 from skdgp.identification import identify as learn
 
-CHECKPOINT = "checkpoint"  # in the folder of the outputs, until these are written
 CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model", "config.toml": "options"}
 
 
@@ -47,7 +45,6 @@ def identify(run: Run) -> None:
       kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or TOML.
 
     Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing is written.
-    A killed fit goes on where it was when the same command is run again: DIR/checkpoint holds what it needs.
 
     For example:
       python -m skdgp identify train.csv --aircraft uav.json --test test.csv -o results
@@ -87,7 +84,7 @@ def _learn(run, train, aircraft, test, title=None, **known):
         random_state=options.seed,
         **{name: value for name, value in given.items() if value is not None},
     )
-    with checkpointing(run.folder.path / CHECKPOINT), listening(console.progress):
+    with listening(console.progress):
         with console.counting_interrupts():
             result = learn(
                 train,

@@ -15,7 +15,7 @@ from pathlib import Path
 from skdgp._cli._console import Console
 from skdgp._cli._derivatives import DERIVATIVES
 from skdgp._cli._export import EXPORT
-from skdgp._cli._identify import CHECKPOINT, DEMO, IDENTIFY
+from skdgp._cli._identify import DEMO, IDENTIFY
 from skdgp._cli._inspect import INSPECT
 from skdgp._cli._output import OutputFolder, Run
 from skdgp._cli._parser import PROGRAM, check_replaceable
@@ -114,10 +114,7 @@ def _output_folder(command, options) -> OutputFolder | None:
 
 
 def _interruption(folder) -> str:
-    if folder is None or folder.is_written:
-        return "stopped"
-    words = "stopped: no output was written"
-    return f"{words}; run again, the fit goes on where it was" if (folder.path / CHECKPOINT).exists() else words
+    return "stopped" if folder is None or folder.is_written else "stopped: no output was written"
 
 
 def _message(error: Exception) -> str:

@@ -1,1 +1,1 @@
-"""Numerics that know neither flights nor models: linear algebra, threads, processes, checkpoints, files."""
+"""Numerics that know neither flights nor models: linear algebra, threads, processes, files."""

@@ -10,7 +10,6 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils import check_random_state
 
-from skdgp._compute.checkpoint import fit_record, run_recorded
 from skdgp._compute.parallel import fit_map
 from skdgp._compute.typing import Matrix
 from skdgp._regressor import _checks
@@ -51,34 +50,29 @@ def choose(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Chosen:
     root = _checks.input_root(model.input_noise, X, model._regressor_names())
     options = {"optimizer": model.optimizer, "max_iter": model.max_iter, "input_noise": root, "clock": clock}
     seeds = check_random_state(model.random_state).randint(2**31 - 1, size=1 + model.n_restarts_optimizer)
-    inputs = X if clock is None else np.column_stack([X, clock])
-    record = fit_record(inputs, Z, seeds, model.get_params(deep=False))
-    seeds = seeds if record is None else record.seeds
-    chosen, kernel, known = _choose_kernel(model, X, Z, options | {"random_state": int(seeds[0]), "record": record})
+    chosen, kernel, known = _choose_kernel(model, X, Z, options | {"random_state": int(seeds[0])})
     exact = model.inference_ == "exact"
     search = fit_exact if exact else partial(fit_sparse, n_inducing=model.n_inducing)
     search = partial(search, X=X, Y=Z, early_stopping=model.early_stopping, **options)
-    names = [f"start-{k}" for k in range(len(seeds) if known is None else 1)]
-    starts = [{"part": name, "random_state": int(seeds[k]), "spread": float(k > 0)} for k, name in enumerate(names)]
-    start = partial(run_recorded, record, function=partial(search, kernel, found=known))
-    fits = fit_map(start, starts, model.n_jobs)
+    starts = [{"random_state": int(seed), "spread": float(k > 0)} for k, seed in enumerate(seeds)]
+    fits = fit_map(partial(search, kernel, found=known), starts if known is None else starts[:1], model.n_jobs)
     best = max(fits, key=lambda fit: fit.value)
     chosen.fit = best.marked(any(fit.interrupted for fit in fits))
     if model.structure == "auto" and _has_trend(model) and not chosen.fit.interrupted:
         alone = partial(search, _make_trend(model), random_state=int(seeds[0]))
         try:
-            _prefer_trend(chosen, partial(run_recorded, record), alone, X, Z, model.n_inducing)
+            _prefer_trend(chosen, alone, X, Z, model.n_inducing)
         except KeyboardInterrupt:
             chosen.fit = best.marked(interrupted=True)
     return chosen
 
 
-def _prefer_trend(chosen, run, alone, X, Z, n_inducing):
+def _prefer_trend(chosen, alone, X, Z, n_inducing):
     """Replace the fit by the trend ``alone`` if this predicts held-out blocks better.
 
     The trend is fitted to exact regressors for the comparison: that is faster and changes its errors by some per cent.
     """
-    trend = run("trend-exact", partial(alone, input_noise=None))
+    trend = alone(input_noise=None)
     if trend.interrupted:
         raise KeyboardInterrupt
     fits = {"trend": trend, chosen.structure: chosen.fit}
@@ -87,7 +81,7 @@ def _prefer_trend(chosen, run, alone, X, Z, n_inducing):
         return
     chosen.structure_errors = errors
     if np.nanmean(errors["trend"]) < np.nanmean(errors[chosen.structure]):
-        chosen.structure, chosen.n_latent, chosen.fit = "trend", 0, run("trend", alone)
+        chosen.structure, chosen.n_latent, chosen.fit = "trend", 0, alone()
 
 
 def _check_structure(model):

@@ -69,8 +69,7 @@ def identify(
     the training flights. The model then predicts the test flights, and its predictions are scored and replayed.
 
     Listeners of `skdgp.listening` are called at each stage too, with ``(stage, 0, nan)``: "reading", "coefficients",
-    "transforming", "evaluating NAME". In a block of `skdgp.checkpointing` a killed fit resumes. Ctrl-C
-    during the fit keeps the best model so far.
+    "transforming", "evaluating NAME". Ctrl-C during the fit keeps the best model so far.
 
     Parameters
     ----------

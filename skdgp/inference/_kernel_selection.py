@@ -5,13 +5,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.checkpoint import FitRecord, run_recorded
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._fit import Fit, fit_exact, fit_sparse, inducing_centres
 from skdgp.inference._rows import quarters, some_rows
@@ -39,7 +37,6 @@ def choose_kernel(
     max_iter: int,
     random_state: Seed,
     input_noise: Any = None,
-    record: FitRecord | None = None,
     clock: Matrix | None = None,
 ) -> Choice:
     r"""Choose among kernels by the Bayesian information criterion, starting with the fewest hyperparameters.
@@ -61,8 +58,6 @@ def choose_kernel(
         NaN where an output was not observed. Above 1800 observed values, a subset spread over the rows is used.
     optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
-    record : FitRecord or None
-        Checkpoint in which the fits are saved.
     clock : ndarray (n, 2) or None
         As for ``fit_exact``.
 
@@ -83,7 +78,7 @@ def choose_kernel(
     scores: list[float] = []
     best = None
     for k, kernel in enumerate(kernels):
-        fit = run_recorded(record, f"candidate-{k}", partial(fit_exact, kernel, X, Y), **options)
+        fit = fit_exact(kernel, X, Y, **options)
         if fit.interrupted:
             return Choice(max(k - 1, 0), scores, (best or fit).marked(interrupted=True).learned)
         n_hyperparameters = fit.posterior.kernel.n_dims + Y.shape[1]

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import LbfgsInvHessProduct, minimize
 
-from skdgp._compute.checkpoint import stage_record
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Vector
 
@@ -42,16 +41,18 @@ class Optimum(NamedTuple):
 class _Objective:
     """Negative log likelihood for a minimiser; it keeps the best point and reports progress."""
 
-    def __init__(self, log_likelihood, theta, stage, stop, record):
-        self.log_likelihood, self.stage, self.stop, self.record = log_likelihood, stage, stop, record
+    def __init__(self, log_likelihood, theta, stage, stop):
+        self.log_likelihood, self.stage, self.stop = log_likelihood, stage, stop
         self.theta, self.value, self.latest, self.n_evaluations = np.array(theta), -np.inf, -np.inf, 0
         self.values: list[float] = []
 
     def __call__(self, theta, eval_gradient=True):
         if self.stop is not None and self.stop.is_set():
             raise KeyboardInterrupt
-        recorded = self.record.recall(self.n_evaluations, theta)
-        value, gradient = self._evaluate(theta) if recorded is None else recorded
+        try:
+            value, gradient = self.log_likelihood(theta)
+        except np.linalg.LinAlgError:
+            value, gradient = -np.inf, np.zeros_like(theta)
         self.n_evaluations += 1
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
             # A large finite value, so that the line search turns back.
@@ -60,22 +61,13 @@ class _Objective:
             self.theta, self.value = np.array(theta), value
         self.latest = value
         self.values.append(self.value)
-        if recorded is None:
-            notify(self.stage, self.n_evaluations, self.value)
+        notify(self.stage, self.n_evaluations, self.value)
         return (-value, -gradient) if eval_gradient else -value
 
     def rise_per_evaluation(self) -> float:
         """Return the mean rise of the best value in the last evaluations, infinite if there is only one."""
         last = [value for value in self.values[-RECENT:] if np.isfinite(value)]
         return (last[-1] - last[0]) / (len(last) - 1) if len(last) > 1 else np.inf
-
-    def _evaluate(self, theta):
-        try:
-            value, gradient = self.log_likelihood(theta)
-        except np.linalg.LinAlgError:
-            value, gradient = -np.inf, np.zeros_like(theta)
-        self.record.add(self.n_evaluations, theta, value, gradient)
-        return value, gradient
 
 
 def maximize(
@@ -87,7 +79,6 @@ def maximize(
     max_iter: int = 100,
     tolerance: Any = 1e-5,
     stage: str = "fit",
-    name: str | None = None,
     stop: Any = None,
     held_out_error: Any = None,
     grid: float = 0.0,
@@ -108,8 +99,6 @@ def maximize(
         Stop when one iteration raises the likelihood by less than this fraction.
     stage : str
         Name of the stage for progress listeners.
-    name : str or None
-        Name of this maximisation in a checkpoint, unique within one part of a fit. None: ``stage``.
     stop : threading.Event or None
         Stops the search before the next evaluation when it is set. Ctrl-C sets it.
     held_out_error : callable or None
@@ -123,7 +112,6 @@ def maximize(
     Optimum
         After Ctrl-C the best point so far, with ``interrupted``; the caller warns.
     """
-    record = stage_record(name or stage)
     step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
     step[step == 0.0] = 1.0
 
@@ -131,10 +119,10 @@ def maximize(
         nearest = step * np.round(theta / step) if grid else theta
         return np.clip(nearest, bounds[:, 0], bounds[:, 1])
 
-    theta = record.start(rounded(theta))
+    theta = rounded(theta)
     if stop is not None and stop.is_set():
         return Optimum(theta, -np.inf, 0, 0, True, np.inf, False)
-    objective = _Objective(log_likelihood, theta, stage, stop, record)
+    objective = _Objective(log_likelihood, theta, stage, stop)
     n_iter, interrupted, remaining, converged = 0, False, np.inf, False
     errors: list[float] = []
     before = -np.inf

@@ -1,9 +1,9 @@
 """The search for hyperparameters, in stages.
 
 1. Each output alone (``_singles``).
-2. "coarse": all outputs, with widths that they share.
-3. "fit": all hyperparameters, until the likelihood or the error of held-out blocks gets no better.
-4. "noise": the noise alone, where the third stage left it to be learned.
+2. All outputs, with widths that they share.
+3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better.
+4. The noise alone, where the third stage left it to be learned.
 
 All learn from rows that ``_rows`` chooses.
 """
@@ -101,22 +101,22 @@ class _Stages:
         data = self.hyperparameters(kernel, noise, root).data(self.X[rows], self.Y[rows], clock, 1)
         return data._replace(drift=data.drift and data.drift._replace(variance=None, memory=None))
 
-    def run(self, name, data, kernel, noise, bounds, max_iter, spread=0.0) -> tuple[Any, Vector, Optimum]:
+    def run(self, data, kernel, noise, bounds, max_iter, spread=0.0) -> tuple[Any, Vector, Optimum]:
         """Return kernel and noise at the end of a stage, and its Optimum."""
         objective = Objective(kernel, data, len(noise), self.held_out, self.common)
         error = None if self.held_out is None else objective.held_out_error
-        return self._maximize(name, objective, noise, theta_bounds(kernel, bounds), max_iter, spread, error)
+        return self._maximize(objective, noise, theta_bounds(kernel, bounds), max_iter, spread, error)
 
     def run_noise(self, data, kernel, noise, bounds) -> Vector:
         """Return the noise that is best for this kernel."""
         objective, bounds = Objective(kernel, data, len(noise)), theta_bounds(kernel, bounds)
         bounds[: kernel.n_dims] = kernel.theta[:, None]
-        return self._maximize("noise", objective, noise, bounds, NOISE_STEPS)[1]
+        return self._maximize(objective, noise, bounds, NOISE_STEPS)[1]
 
-    def _maximize(self, name, objective, noise, bounds, max_iter, spread=0.0, error=None):
+    def _maximize(self, objective, noise, bounds, max_iter, spread=0.0, error=None):
         theta = np.concatenate([objective.kernel.theta, np.log(noise)])
         theta += spread * self.random_state.normal(size=theta.shape)
-        options = {"optimizer": self.optimizer, "max_iter": max_iter, "name": name, "stop": self.stop, "grid": GRID}
+        options = {"optimizer": self.optimizer, "max_iter": max_iter, "stop": self.stop, "grid": GRID}
         with threads_for(objective.data.n_values):
             best = maximize(objective, theta, bounds, **options, held_out_error=error)
         self.n_evaluations += best.n_evaluations
@@ -170,7 +170,7 @@ def search(
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or root is not None:
-        coarse, noise, best = stages.run("coarse", data, coarse, noise, bounds, -(-max_iter // 2), spread)
+        coarse, noise, best = stages.run(data, coarse, noise, bounds, -(-max_iter // 2), spread)
         n_iter, spread = best.n_iter, 0.0
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     if root is not None:
@@ -178,7 +178,7 @@ def search(
     if learned_root:
         noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
-    kernel, noise, best = stages.run("fit", data, kernel, noise, bounds, max_iter - n_iter, spread)
+    kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter, spread)
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
         if not exact:  # the white noise will be that of all samples

@@ -39,13 +39,13 @@ class _SingleFit:
         self.noise, self.noise_bounds = noise[i :: Y.shape[1]], noise_bounds[i :: Y.shape[1]]
         self.search = partial(search, stage=f"output {i + 1}")
 
-    def optimize(self, kernel, theta, step, max_iter, name=None):
+    def optimize(self, kernel, theta, step, max_iter):
         """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
         clock = None if self.clock is None else self.clock[::step]
         data = Data.from_table(self.x[::step], self.y[::step], None, clock)
         likelihood = Objective(kernel, data, len(self.noise))
         bounds = theta_bounds(kernel, self.noise_bounds)
-        return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter, name=name)
+        return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter)
 
     def try_widths(self, kernel, max_iter):
         """Return the best kernel and Optimum of short searches from several widths, and their number of evaluations."""
@@ -57,8 +57,7 @@ class _SingleFit:
             )
             theta = np.concatenate([start.theta, np.log(self.noise)])
             if theta.tobytes() not in trials:
-                name = f"{self.search.keywords['stage']} from {factor}"
-                trials[theta.tobytes()] = self.optimize(start, theta, step, max_iter, name)
+                trials[theta.tobytes()] = self.optimize(start, theta, step, max_iter)
         n_evaluations = sum(optimum.n_evaluations for _, optimum in trials.values())
         return *max(trials.values(), key=lambda trial: trial[1].value), n_evaluations
 

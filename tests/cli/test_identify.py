@@ -12,7 +12,6 @@ import sys
 import threading
 import warnings
 from contextlib import suppress
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,9 +19,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp import checkpointing
 from skdgp._cli import _console, main
-from skdgp._cli import _identify as _command
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._output import OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
@@ -567,53 +564,6 @@ class TestInterrupt:
         assert b"interrupted in" in out
         assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
         assert b"evaluations" in seen
-
-
-class TestKilled:
-    """The same command goes on where it was, and leaves nothing but its outputs."""
-
-    class Killed(BaseException):
-        pass
-
-    def die(self, content):
-        raise self.Killed
-
-    @pytest.fixture(autouse=True)
-    def _at_once(self, monkeypatch):
-        monkeypatch.setattr(_command, "checkpointing", partial(checkpointing, every=0.0))
-
-    def identify(self, monkeypatch, output, die_at=None):
-        """Return how many evaluations it took; or be killed at one of them."""
-        count = 0
-
-        def progress(console, stage, n_evaluations, log_likelihood):
-            nonlocal count
-            count += n_evaluations > 0
-            if count == die_at:
-                raise self.Killed
-
-        monkeypatch.setattr(Console, "progress", progress)
-        assert identify("--test", "test.csv", output=output) == 0
-        return count
-
-    def test_within_the_fit_or_after_it(self, tmp_path, monkeypatch):
-        output = tmp_path / "new"
-        with pytest.raises(self.Killed):
-            self.identify(monkeypatch, output, die_at=100)
-        with monkeypatch.context() as patch:
-            patch.setattr(_identification, "render_report", self.die)
-            with pytest.raises(self.Killed):
-                self.identify(monkeypatch, output)
-        assert {path.name for path in output.iterdir()} == {"checkpoint"}
-        assert self.identify(monkeypatch, output) == 0
-        assert {path.name for path in output.iterdir()} == OUTPUTS
-        assert json.loads((output / "metrics.json").read_text())["fit"]["evaluations"] > 100
-
-    def test_stopped_it_says_that_the_fit_goes_on(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", stop)
-        monkeypatch.setattr(Console, "progress", lambda *_: None)
-        assert identify("--test", "test.csv", output=tmp_path / "new") == 130
-        assert "no output was written; run again, the fit goes on where it was" in capsys.readouterr().err
 
 
 def interrupting(original, stage, n):

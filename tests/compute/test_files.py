@@ -3,8 +3,11 @@
 import errno
 import os
 import stat
+import subprocess
+import sys
 import time
 
+import numpy as np
 import pytest
 
 from skdgp._compute.files import LARGEST, parse_json, read_json, read_toml, write_atomically
@@ -43,6 +46,26 @@ def test_failure_leaves_the_old_file_and_no_rubbish(tmp_path, failure):
         write_atomically(target, write)
     assert target.read_text() == "old"
     assert names(tmp_path) == ["report.html"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="processes are killed otherwise there")
+def test_a_killed_process_leaves_the_old_file_or_the_new_one(tmp_path):
+    """Kill -9, at moments drawn by chance."""
+    code = """
+from itertools import count
+from skdgp._compute.files import write_atomically
+for number in count():
+    write_atomically("numbers.txt", lambda path: path.write_text(f"{number}\\n" * 200_000))
+    print(flush=True)
+"""
+    for moment in np.random.default_rng(3).uniform(0.0, 0.05, 4):
+        with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE) as writer:
+            writer.stdout.readline()  # the first file is in its place
+            time.sleep(moment)
+            writer.kill()
+        lines = (tmp_path / "numbers.txt").read_text().splitlines()
+        assert len(lines) == 200_000
+        assert len(set(lines)) == 1
 
 
 def test_failure_before_anything_was_written(tmp_path):

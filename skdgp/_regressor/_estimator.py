@@ -260,16 +260,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         tags.target_tags.single_output = True
         return tags
 
-    def __setstate__(self, state):
-        """Restore a model; one of version 0.1 has white noise and no choice of structure."""
-        absent = {"structure": "joint", "drift": "residuals", "early_stopping": False, "length_scale_bounds": None}
-        state = absent | state
-        if "_scale" in state:
-            white = np.zeros(len(state["_scale"]))
-            fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0, "misfit_variance_": white}
-            state = fitted | {"drift_variance_": white, "drift_memory_": white} | state
-        super().__setstate__(state)
-
     # -- fitting ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)

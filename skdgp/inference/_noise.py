@@ -60,9 +60,6 @@ class SampleNoise(NamedTuple):
             yield i, j, start[i] + a, start[j] + b, self.loading[i][a], self.loading[j][b]
 
 
-Scatter = SampleNoise  # name in model files of version 0.1
-
-
 class Drift(NamedTuple):
     """The clock of each output's values, time and flight number (n_i, 2), and the drifts' tau^2 and T, (P,) each.
 

@@ -41,31 +41,6 @@ class SampleShare(NamedTuple):
     drift: np.ndarray | None = None
 
 
-class Share(NamedTuple):
-    """Values of one output; class name in model files of version 0.1."""
-
-    output: int
-    X: np.ndarray
-    y: np.ndarray
-
-
-class Stretch(NamedTuple):
-    """Samples of all outputs; class name in model files of version 0.1."""
-
-    X: np.ndarray
-    Y: np.ndarray
-    loading: np.ndarray
-
-
-def upgraded_shares(shares) -> list[SampleShare] | None:
-    """Return the shares of a model file of any version as SampleShare."""
-    if shares is None or not shares or isinstance(shares[0], SampleShare):
-        return shares
-    if isinstance(shares[0], Stretch):
-        return [SampleShare(tuple(range(Y.shape[1])), X, Y, G) for X, Y, G in shares]
-    return [_one_output(i, X, y) for i, X, y in shares]
-
-
 def _one_output(i, X, y):
     return SampleShare((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
 

@@ -34,7 +34,7 @@ class Chosen:
     fit: Fit | None = None
 
 
-def choose(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Chosen:
+def choose(model: Any, X: Matrix, Z: Matrix) -> Chosen:
     """Return the best fit over the starting points, or that of the trend alone where it is better.
 
     Parameters
@@ -44,15 +44,12 @@ def choose(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Chosen:
     X : ndarray (n, d)
     Z : ndarray (n, P)
         Targets, centred and scaled. NaN where an output was not observed.
-    clock : ndarray (n, 2) or None
-        As for ``fit_exact``.
     """
     _check_structure(model)
     root = _checks.input_root(model.input_noise, X, model._regressor_names())
-    options = {"optimizer": model.optimizer, "max_iter": model.max_iter, "input_noise": root, "clock": clock}
+    options = {"optimizer": model.optimizer, "max_iter": model.max_iter, "input_noise": root}
     seeds = check_random_state(model.random_state).randint(2**31 - 1, size=1 + model.n_restarts_optimizer)
-    inputs = X if clock is None else np.column_stack([X, clock])
-    record = fit_record(inputs, Z, seeds, model.get_params(deep=False))
+    record = fit_record(X, Z, seeds, model.get_params(deep=False))
     seeds = seeds if record is None else record.seeds
     chosen, kernel, known = _choose_kernel(model, X, Z, options | {"random_state": int(seeds[0]), "record": record})
     exact = model.inference_ == "exact"

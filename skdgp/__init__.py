@@ -2,8 +2,6 @@
 
 from importlib import import_module
 
-from skdgp._compute import moved as _moved  # noqa: F401 - model files of earlier versions load
-
 __all__ = [
     *("DependentGPRegressor", "Effects", "FewRowsWarning", "effects", "listening"),
     "make_identification_pipeline",

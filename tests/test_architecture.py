@@ -14,8 +14,6 @@ from typing import NamedTuple
 
 import pytest
 
-from skdgp._compute.moved import MOVED
-
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "skdgp"
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -301,9 +299,3 @@ def test_no_assert_and_no_print_stand_in_for_errors():
 def test_no_global_random_state_is_touched():
     pattern = re.compile(r"np\.random\.(seed|rand|randn|normal|uniform|choice|shuffle|permutation)\b")
     assert not offenders(lambda path: pattern.findall(text(path)))
-
-
-def test_modules_that_moved_are_found_by_their_old_path():
-    """Model files name the modules of their classes."""
-    for old, new in MOVED.items():
-        assert importlib.import_module(old) is importlib.import_module(new), old

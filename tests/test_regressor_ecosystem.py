@@ -12,7 +12,6 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.base import clone
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.model_selection import GridSearchCV, GroupKFold, LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
@@ -162,26 +161,3 @@ def test_a_real_ctrl_c_keeps_the_best_so_far(threads, tmp_path):
         assert process.returncode == 0
         assert "ConvergenceWarning" in rest
         assert time.monotonic() - pressed < 30
-
-
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_a_model_of_version_0_1_is_whole(inference):
-    """Its state lacks what came later; everything a user does with a model works on it."""
-    rng = np.random.default_rng(0)
-    X, y = rng.normal(size=(40, 2)), rng.normal(size=40)
-    model = DependentGPRegressor(n_latent=0, inference=inference, n_inducing=8, max_iter=3, random_state=0).fit(X, y)
-    later = ("structure", "structure_", "structure_errors_", "drift", "early_stopping")
-    later += ("_n_flights", "drift_variance_", "drift_memory_")
-    state = {name: value for name, value in model.__getstate__().items() if name not in later}
-    old = DependentGPRegressor.__new__(DependentGPRegressor)
-    old.__setstate__(state)
-    np.testing.assert_allclose(
-        old.predict(X, return_std=True), model.predict(X, return_std=True), rtol=1e-9, atol=1e-10
-    )
-    assert old.get_params() == model.get_params()
-    assert repr(clone(old)) == repr(clone(model))
-    np.testing.assert_allclose(old.compact(20, max_iter=0).predict(X), model.compact(20, max_iter=0).predict(X))
-    expected = model.partial_fit(X[:3] + 1, y[:3]).predict(X)
-    np.testing.assert_allclose(old.partial_fit(X[:3] + 1, y[:3]).predict(X), expected)
-    assert old.structure_ == "joint"
-    np.testing.assert_array_equal(old.drift_variance_, 0.0)

@@ -108,12 +108,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Noise of the regressors, independent between samples: standard deviations or a covariance S in the units of X,
         or "learned" for one learned standard deviation for each regressor. With the slopes J of the mean it adds
         J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None: exact regressors.
-    drift : {"residuals", "likelihood"}
-        Use of ``time`` in ``fit``. Errors of neighbouring samples are correlated: each output has a drift with the
-        covariance ``tau^2 exp(-|t - t'| / T)`` within a flight. "residuals": the fit is that of white noise, and tau
-        and T are estimated from its residuals, for the bands of simulated flights. "likelihood": the drift is part of
-        the likelihood and of the posterior (generalised least squares). This is efficient if errors come from the
-        outputs alone; errors of the regressors make it worse than "residuals".
     optimizer : "fmin_l_bfgs_b", callable or None
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values.
     n_restarts_optimizer : int
@@ -139,8 +133,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, without misfit, in squared units of the outputs.
     drift_variance_, drift_memory_ : ndarray (P,)
-        Variance tau^2 of the drift, and its memory T [s]; zero without ``time``. With ``drift="residuals"`` it holds
-        the effect of errors of the regressors and the misfit, too.
+        Variance tau^2 of the drift, and its memory T [s], estimated from the residuals; zero without ``time``. The
+        drift holds the effect of errors of the regressors and the misfit, too. Simulated flights have one each.
     misfit_variance_ : ndarray (P,)
         Variance of what the function misses where flights come back to the same regressors, in squared units of the
         outputs: part of the function's band. Zero without ``time``. See :func:`skdgp.inference.misfit_variance`.
@@ -202,7 +196,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
         "input_noise": [StrOptions({"learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
-        "drift": [StrOptions({"residuals", "likelihood"})],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
         "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
         "early_stopping": ["boolean"],
@@ -226,7 +219,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         inference: str = "auto",
         n_inducing: int = 100,
         input_noise: Any = None,
-        drift: str = "residuals",
         optimizer: Any = "fmin_l_bfgs_b",
         n_restarts_optimizer: int = 0,
         early_stopping: bool = False,
@@ -246,7 +238,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.inference = inference
         self.n_inducing = n_inducing
         self.input_noise = input_noise
-        self.drift = drift
         self.optimizer = optimizer
         self.n_restarts_optimizer = n_restarts_optimizer
         self.early_stopping = early_stopping
@@ -259,16 +250,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         tags = super().__sklearn_tags__()
         tags.target_tags.single_output = True
         return tags
-
-    def __setstate__(self, state):
-        """Restore a model; one of version 0.1 has white noise and no choice of structure."""
-        absent = {"structure": "joint", "drift": "residuals", "early_stopping": False, "length_scale_bounds": None}
-        state = absent | state
-        if "_scale" in state:
-            white = np.zeros(len(state["_scale"]))
-            fitted = {"structure_": "joint", "structure_errors_": {}, "_n_flights": 0, "misfit_variance_": white}
-            state = fitted | {"drift_variance_": white, "drift_memory_": white} | state
-        super().__setstate__(state)
 
     # -- fitting ---------------------------------------------------------------------------------------
 
@@ -284,9 +265,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Targets; NaN where an output was not observed.
         time : array (n,) or None
             Time of each sample [s], of rows in the order of the log. Use it if errors of neighbouring samples
-            are correlated: without it bands are too narrow. ``drift`` describes its effect. In a pipeline, pass it as
+            are correlated: without it bands are too narrow. The posterior is that of white noise. Its residuals then
+            show the misfit, and the drift of each output, a part of the noise with the covariance
+            ``tau^2 exp(-|t - t'| / T)`` within a flight. In a pipeline, pass it as
             ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;
-            ``skdgp.identification.FlightPipeline`` does it itself. None: white noise.
+            ``skdgp.identification.FlightPipeline`` does it itself. None: neither drift nor misfit.
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None: one flight.
 
@@ -335,26 +318,21 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None, self.normalize_y)
-        modelled = clock if self.drift == "likelihood" else None
-        found = task.run(choose, self, X, Z, modelled)
+        found = task.run(choose, self, X, Z)
         posterior, learned = found.fit.posterior, found.fit.learned
         _checks.warn_of_search(learned, self.max_iter, X, self._regressor_names())
         if not learned.interrupted:
             _checks.warn_of_few_rows(Z - posterior.predict(X), X.shape[1], found.structure)
         misfit, variance, memory = np.zeros((3, len(self._scale)))
-        if learned.drift is not None:
-            variance, memory = learned.drift
-        elif clock is not None:
-            _, variance, memory = residual_drift(posterior, X, Z, clock)
         if clock is not None:
+            _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X, Z, clock)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
         self.structure_, self.structure_errors_ = found.structure, found.structure_errors
         self.n_latent_, self.n_latent_scores_ = found.n_latent, found.n_latent_scores
-        self._divide_noise(learned.total_noise * self._scale**2, misfit * self._scale**2)
+        self._divide_noise(learned.noise * self._scale**2, misfit * self._scale**2)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
-        self._n_flights = 0 if modelled is None else int(modelled[:, 1].max()) + 1
         self._root = learned.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
@@ -368,8 +346,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def partial_fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
         """Update the posterior with further samples, at the hyperparameters of ``fit``.
 
-        Kernel, noise, misfit, centre and scale do not change. The posterior becomes that of all samples so far. An
-        exact posterior appends rows to its Cholesky factor, O(N^2) for each new value. A sparse or compact posterior
+        Kernel, noise, misfit, drift, centre and scale do not change. The posterior becomes that of all samples so far.
+        An exact posterior appends rows to its Cholesky factor, O(N^2) for each new value. A sparse or compact posterior
         adds to its sums, in constant time; a compact model does not store the samples. If the model is not fitted, this
         is ``fit``.
 
@@ -380,7 +358,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time, flight : array (n,) or None
-            As for ``fit``. The samples belong to new flights. Without ``time`` their drifts are independent.
+            As for ``fit``. They are not used if the model is fitted: the drift does not change either.
 
         Returns
         -------
@@ -414,25 +392,13 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
         _checks.check_magnitudes(Y, self.output_names_, "targets", 0.0, _checks.Y_RANGE[1])
         loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
-        clock, drift = self._update_clock(time, flight, len(X))
-        data = Data.from_table(X, (Y - self._center) / self._scale, loading, clock, drift)
+        data = Data.from_table(X, (Y - self._center) / self._scale, loading)
         if self.inference_ == "exact":
             check_memory(self.posterior_.data.n_values + data.n_values, "Exact inference on", UPDATE_REMEDY)
         if data.n_values:
             self.posterior_ = self.posterior_.updated(data)
             self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood
         return self
-
-    def _update_clock(self, time, flight, n):
-        """Return the clock of further samples, or None for white noise, and the drift of the fit."""
-        if self._n_flights == 0:
-            return None, (None, None)
-        clock = _checks.check_clock(time, flight, n)
-        if clock is None:  # a separate flight for each sample
-            clock = np.column_stack([np.zeros(n), np.arange(n)])
-        clock[:, 1] += self._n_flights
-        self._n_flights = int(clock[:, 1].max()) + 1
-        return clock, (self.drift_variance_ / self._scale**2, self.drift_memory_)
 
     def compact(
         self, n_inducing: int = 1500, *, tolerance: Any = None, max_iter: int = 10, random_state: Seed = 0

@@ -33,7 +33,7 @@ class Chosen:
     fit: Fit | None = None
 
 
-def choose(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Chosen:
+def choose(model: Any, X: Matrix, Z: Matrix) -> Chosen:
     """Return the best fit over the starting points, or that of the trend alone where it is better.
 
     Parameters
@@ -43,12 +43,10 @@ def choose(model: Any, X: Matrix, Z: Matrix, clock: Matrix | None) -> Chosen:
     X : ndarray (n, d)
     Z : ndarray (n, P)
         Targets, centred and scaled. NaN where an output was not observed.
-    clock : ndarray (n, 2) or None
-        As for ``fit_exact``.
     """
     _check_structure(model)
     root = _checks.input_root(model.input_noise, X, model._regressor_names())
-    options = {"optimizer": model.optimizer, "max_iter": model.max_iter, "input_noise": root, "clock": clock}
+    options = {"optimizer": model.optimizer, "max_iter": model.max_iter, "input_noise": root}
     seeds = check_random_state(model.random_state).randint(2**31 - 1, size=1 + model.n_restarts_optimizer)
     chosen, kernel, known = _choose_kernel(model, X, Z, options | {"random_state": int(seeds[0])})
     exact = model.inference_ == "exact"

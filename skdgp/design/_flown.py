@@ -104,7 +104,7 @@ def _before(plan: Mapping[str, Any]) -> Information:
 
 
 def _weights(plan: Mapping[str, Any]) -> dict[str, Array]:
-    return {name: np.asarray(value, dtype=float) for name, value in plan.get("weights", {}).items()}
+    return {name: np.asarray(value, dtype=float) for name, value in plan["weights"].items()}
 
 
 def _errors(plan: Mapping[str, Any]) -> pd.DataFrame:
@@ -131,8 +131,8 @@ def _check_manoeuvres(plan: Mapping[str, Any]) -> None:
 
 
 def _step(plan: Mapping[str, Any]) -> float:
-    """Return the step of the inputs of a plan; that of earlier versions if it has none [s]."""
-    if not 0 < (step := float(plan.get("step", STEP))) < np.inf:
+    """Return the step of the inputs of a plan [s]."""
+    if not 0 < (step := float(plan["step"])) < np.inf:
         raise ValueError
     return step
 
@@ -142,6 +142,7 @@ PARTS: dict[str, Callable[[Any], object]] = {
     "known": lambda plan: (_finite(plan["known"]["fisher"]), _before(plan).std),
     "at": lambda plan: _finite([plan["at"][name] for name in plan["known"]["regressors"]]),
     "step": _step,
+    "curvature": lambda plan: plan["curvature"],
     "weights": lambda plan: errors_of(_before(plan), _weights(plan)),
     "errors": lambda plan: errors_of(_before(plan), _weights(plan))[list(_errors(plan).index)],
     "limits": lambda plan: [(limit["low"], limit["high"]) for limit in plan["limits"].values()],
@@ -189,7 +190,7 @@ def compare_with_plan(
     whole = [part.dropna(subset=used) for _, part in windows]
     thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for part in whole]
     numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
-    about = [plan["at"][name] for name in before.regressors] if plan.get("curvature") else None
+    about = [plan["at"][name] for name in before.regressors] if plan["curvature"] else None
     noise = noise.loc[list(before.coefficients)]
     gained = expected_information(numbered, aircraft, before.regressors, noise, about=about)
     weights = _weights(plan)

@@ -25,7 +25,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
         "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter),
-        "converged": bool(getattr(regressor, "converged_", True)),  # models of version 0.1 do not say
+        "converged": bool(regressor.converged_),
         "evaluations": int(regressor.n_evaluations_),
         "noise_std": by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),

@@ -22,7 +22,6 @@ from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
 FORMAT = 2
-UNCHECKED = 1  # the format before, which has no checksum
 CHECKSUM, END = b', "sha256": "', b'"}\n'
 CHECKSUM_LENGTH = 64
 LONGEST_CLOSING = 2**14
@@ -92,7 +91,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
 
     Raises FileNotFoundError if there is no such file, ModelFileError if it is not a model, is cut off or differs from
     what was written in a single bit, or cannot be read by the versions installed here. Warns if it was made by other
-    versions of skdgp, scikit-learn or NumPy, or by an earlier skdgp, without a checksum.
+    versions of skdgp, scikit-learn or NumPy.
     """
     path = Path(path)
     if not path.is_file():
@@ -141,7 +140,7 @@ def _closing(file: BinaryIO, path) -> dict:
         closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
         form, made_by = closing["format"], _in_words(closing["versions"])
         whole = closing["bytes"] == size - (len(end) - start)
-        whole &= form == UNCHECKED or sha256_of(file, before) + END == end[before - size :]
+        whole &= sha256_of(file, before) + END == end[before - size :]
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):  # not what dump_model writes
         whole = False
     if not whole:
@@ -150,7 +149,7 @@ def _closing(file: BinaryIO, path) -> dict:
             "fit. Expected a file that python -m skdgp identify or skdgp.identification.save_model wrote; if it is "
             "one, it was cut off or changed: copy it again."
         )
-    if form not in (UNCHECKED, FORMAT):
+    if form != FORMAT:
         raise ModelFileError(
             f"Got {path} of format {form}, written by {made_by}, but this skdgp reads format {FORMAT}: fit it again, "
             "or install that version."
@@ -159,13 +158,8 @@ def _closing(file: BinaryIO, path) -> dict:
 
 
 def _warn_of_origin(closing, path):
-    """Warn of a file without a checksum, and of one that other versions wrote."""
+    """Warn of a file that other versions wrote."""
     made_by, here = closing["versions"], software_versions()
-    if closing["format"] == UNCHECKED:
-        _warn(
-            f"{path} is of a format without a checksum, so damage may go unnoticed. If it is as it was, save it again: "
-            "save_model(path, **load_model(path))."
-        )
     if any(made_by.get(name) != here.get(name) for name in MATTERS):
         _warn(
             f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its predictions may differ. "

@@ -270,7 +270,6 @@ class FlightPipeline(Pipeline):
     """
 
     steps: list[tuple[str, Any]]
-    symmetric = gusty = False  # of pipelines of earlier versions
 
     def __init__(
         self,
@@ -513,7 +512,7 @@ def _predict(last, regressors, ratio, params):
 def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False) -> tuple[Matrix, Matrix]:
     """Return ``predict(flight, return_std=True, include_noise=include_noise)`` of any identification pipeline.
 
-    It may be one of an earlier version, which is no :class:`FlightPipeline`. Mean and standard deviation are (n, P).
+    It may also be a scikit-learn ``Pipeline`` of these steps. Mean and standard deviation are (n, P).
     """
     words = {"return_std": True, "include_noise": include_noise}
     return _predict(pipeline[-1], *flight_regressors(pipeline, flight), words)

@@ -28,8 +28,6 @@ from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
 from skdgp.inference._terms import CentredTerm, training_inputs
 
-reach_of = input_noise_loading  # its earlier name
-
 __all__ = [
     "CentredTerm",
     "Choice",
@@ -53,7 +51,6 @@ __all__ = [
     "maximize",
     "misfit_variance",
     "output_correlation",
-    "reach_of",
     "residual_drift",
     "shares_of",
     "slope_errors",

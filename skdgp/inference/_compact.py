@@ -110,11 +110,7 @@ def compact(
 
     new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
     if max_iter > 0 and new is not posterior and len(new.features.theta):
-        start = new
-        if data.drift is not None:  # the bound with drift has no gradient: use white noise of the same variance
-            white, noise = data._replace(drift=None), new.noise + data.drift.variance
-            start = SparsePosterior(new.kernel, new.features, noise, shares_of(white))
-        features, _ = maximize_features(start, column_scale(X), max_iter=max_iter, stage="compact")
+        features, _ = maximize_features(new, column_scale(X), max_iter=max_iter, stage="compact")
         improved = SparsePosterior(new.kernel, features, new.noise, new.shares)
         improved_change = check.compare(improved)
         if tolerance is None or improved_change.change <= max(tolerance, change.change):

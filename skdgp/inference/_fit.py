@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from skdgp._compute.parallel import sharing
 from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
-from skdgp.inference._noise import fit_drift, fit_drift_to_integrals
+from skdgp.inference._noise import fit_drift_to_integrals
 from skdgp.inference._rows import held_out_rows, some_rows
 from skdgp.inference._search import NOISE_BOUNDS, NOISE_STEPS, Hyperparameters, input_noise_loading, search
 from skdgp.inference._sparse import SparsePosterior, maximize_features
@@ -56,7 +55,6 @@ def fit_exact(
     input_noise: Any = None,
     spread: float = 0.0,
     found: Any = None,
-    clock: Matrix | None = None,
     early_stopping: bool = False,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
@@ -79,8 +77,6 @@ def fit_exact(
         Standard deviation of the random perturbation of the starting theta, for restarts.
     found : Hyperparameters or None
         Hyperparameters to use without a search.
-    clock : ndarray (n, 2) or None
-        Time and flight number of each sample. None: white noise. Otherwise the noise has a drift, see ``Drift``.
     early_stopping : bool
         Whether hyperparameters are learned only until the error of held-out blocks no longer falls.
 
@@ -95,8 +91,8 @@ def fit_exact(
         rows, held = held_out_rows(Y, random_state) if early_stopping else (slice(None), None)
         options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise, "spread": spread}
         options |= {"random_state": random_state, "held": held}
-        learned = search(kernel.prepared(X), X, Y, clock, rows, **options, exact=True)
-    return _fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y, clock)), learned)
+        learned = search(kernel.prepared(X), X, Y, rows, **options, exact=True)
+    return _fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y)), learned)
 
 
 def fit_sparse(
@@ -111,7 +107,6 @@ def fit_sparse(
     input_noise: Any = None,
     spread: float = 0.0,
     found: Any = None,
-    clock: Matrix | None = None,
     early_stopping: bool = False,
     centres: Matrix | None = None,
 ) -> Fit:
@@ -123,7 +118,7 @@ def fit_sparse(
         As for ``fit_exact``.
     n_inducing : int
         Inducing inputs of each latent process. They start at the centres of k-means and are then optimised.
-    optimizer, max_iter, random_state, input_noise, spread, found, clock, early_stopping
+    optimizer, max_iter, random_state, input_noise, spread, found, early_stopping
         As for ``fit_exact``. With ``early_stopping`` the inducing inputs stay where they start.
     centres : ndarray (k, d) or None
         Where the inducing inputs start. None: ``inducing_centres`` of X.
@@ -148,13 +143,13 @@ def fit_sparse(
         rows, held = held_out_rows(Y, random_state) if early_stopping else (some_rows(Y, random_state), None)
         options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise, "spread": spread}
         options |= {"random_state": random_state, "held": held}
-        learned = search(kernel, X, Y, clock, rows, **options)
+        learned = search(kernel, X, Y, rows, **options)
     kernel, features = learned.kernel, learned.kernel.features(Z)
     shares = shares_of(Data.from_table(X, Y))
     with sharing(shares):
-        posterior = SparsePosterior(kernel, features, learned.total_noise, shares)
+        posterior = SparsePosterior(kernel, features, learned.noise, shares)
         if optimizer is None:
-            return _final_fit(learned, posterior, X, Y, clock, 1.0)
+            return _final_fit(learned, posterior, X, Y, 1.0)
         least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
         posterior = _converge_noise(posterior, 1.0, least)
         value = posterior.log_marginal_likelihood
@@ -164,16 +159,12 @@ def fit_sparse(
         posterior = _converge_noise(posterior, inflation, least)
         noise = posterior.noise
         hyperparameters = learned._replace(noise=noise / inflation)
-        if clock is not None:
-            white, variance, memory = residual_drift(posterior, X, Y, clock, fit_drift)
-            scale = hyperparameters.noise / (white + variance)  # the residuals neglect the uncertainty of the function
-            hyperparameters = hyperparameters._replace(noise=white * scale, drift=(variance * scale, memory))
     if hyperparameters.interrupted or early_stopping:
-        return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value)
+        return _final_fit(hyperparameters, posterior, X, Y, inflation, value)
     features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
     with sharing(shares):
         posterior = SparsePosterior(kernel, features, noise, shares)
-    return _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value, best)
+    return _final_fit(hyperparameters, posterior, X, Y, inflation, value, best)
 
 
 def _fit(posterior, learned, value=None, more=None) -> Fit:
@@ -187,33 +178,25 @@ def _fit(posterior, learned, value=None, more=None) -> Fit:
     return Fit(posterior, learned, value + posterior.kernel.log_prior())
 
 
-def _final_fit(hyperparameters, posterior, X, Y, clock, inflation, value=None, more=None) -> Fit:
+def _final_fit(hyperparameters, posterior, X, Y, inflation, value=None, more=None) -> Fit:
     """Return the fit; with noisy regressors, part of each output's noise becomes noise of the regressors.
 
-    ``inflation`` (P,) multiplies variances of noise that has no drift. Errors of the regressors are correlated in time,
-    too, but have no drift of their own: their part is always inflated.
+    ``inflation`` (P,) multiplies the variances of both parts: errors of the regressors are correlated in time, too.
     """
-    if hyperparameters.root is None and hyperparameters.drift is None:
+    if hyperparameters.root is None:
         return _fit(posterior, hyperparameters, value, more)
-    noise, drift, loading = hyperparameters.noise, hyperparameters.drift, None
-    if hyperparameters.root is not None:
-        loading = input_noise_loading(posterior, X, hyperparameters.root)
-        propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
-        loading = loading * np.sqrt(inflation * np.ones(len(noise)))[:, None]
-        noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
-        if drift is not None:
-            rest = propagated - (hyperparameters.noise - noise)
-            drift = np.maximum(drift[0] - rest, MIN_WHITE_FRACTION * drift[0]), drift[1]
-    shares = shares_of(Data.from_table(X, Y, loading, None if drift is None else clock, drift or (None, None)))
+    loading = input_noise_loading(posterior, X, hyperparameters.root)
+    propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
+    noise = hyperparameters.noise
+    loading = loading * np.sqrt(inflation * np.ones(len(noise)))[:, None]
+    noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
+    shares = shares_of(Data.from_table(X, Y, loading))
     with sharing(shares):
-        effective_noise = noise * inflation if drift is None else noise
-        posterior = SparsePosterior(posterior.kernel, posterior.features, effective_noise, shares)
-    return _fit(posterior, hyperparameters._replace(noise=noise, drift=drift), value, more)
+        posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
+    return _fit(posterior, hyperparameters._replace(noise=noise), value, more)
 
 
-def residual_drift(
-    posterior: Any, X: Matrix, Y: Matrix, clock: Matrix, fit: Callable = fit_drift_to_integrals
-) -> Matrix:
+def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
     """Return white noise and drift estimated from the residuals of a posterior.
 
     Parameters
@@ -224,20 +207,18 @@ def residual_drift(
         NaN where an output was not observed.
     clock : ndarray (n, 2)
         Time and flight number of each sample.
-    fit : callable
-        Estimates sigma^2, tau^2 and T of one output from its residuals, the clock and the smallest variance.
 
     Returns
     -------
     ndarray (3, P)
-        The variances sigma^2 and tau^2 and the memory T of each output, see ``Drift``.
+        The variances sigma^2 and tau^2 and the memory T of each output, see ``fit_drift_to_integrals``.
     """
     residual, least = Y - posterior.predict(X), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     found = np.stack([least, least, np.ones(len(least))])
     for i, e in enumerate(residual.T):
         observed = np.isfinite(e)
         if observed.sum() > 2:
-            found[:, i] = fit(e[observed], clock[observed], least[i])
+            found[:, i] = fit_drift_to_integrals(e[observed], clock[observed], least[i])
     return found
 
 

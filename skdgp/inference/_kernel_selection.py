@@ -37,7 +37,6 @@ def choose_kernel(
     max_iter: int,
     random_state: Seed,
     input_noise: Any = None,
-    clock: Matrix | None = None,
 ) -> Choice:
     r"""Choose among kernels by the Bayesian information criterion, starting with the fewest hyperparameters.
 
@@ -58,8 +57,6 @@ def choose_kernel(
         NaN where an output was not observed. Above 1800 observed values, a subset spread over the rows is used.
     optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
-    clock : ndarray (n, 2) or None
-        As for ``fit_exact``.
 
     Returns
     -------
@@ -67,13 +64,12 @@ def choose_kernel(
         After Ctrl-C, the best kernel of those whose fit was complete, or the first kernel if none was.
     """
     rows = some_rows(Y, check_random_state(random_state))
-    X, Y, clock = X[rows], Y[rows], None if clock is None else clock[rows]
+    X, Y = X[rows], Y[rows]
     options = {
         "optimizer": optimizer,
         "max_iter": max_iter,
         "random_state": random_state,
         "input_noise": input_noise,
-        "clock": clock,
     }
     scores: list[float] = []
     best = None
@@ -120,7 +116,7 @@ def held_out_errors(fit: Fit, X: Matrix, Y: Matrix, n_inducing: int) -> Vector |
     rows = rows[:: -(-len(rows) // BLOCK_ROWS)]
     if len(rows) < FEWEST_ROWS:
         return None
-    learned = Hyperparameters(fit.posterior.kernel, fit.learned.total_noise, fit.learned.root)
+    learned = Hyperparameters(fit.posterior.kernel, fit.learned.noise, fit.learned.root)
     options: dict[str, Any] = {
         "n_inducing": n_inducing,
         "optimizer": None,

@@ -15,7 +15,7 @@ from scipy.linalg.blas import dsymv, dsyr
 from skdgp._compute.linalg import RowPairs, cholesky_inverse, jittered_cholesky, log_determinant, triangular_solve
 from skdgp._compute.threads import thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp.inference._noise import Drift, SampleNoise, add_noise, noise_gradient
+from skdgp.inference._noise import SampleNoise, add_noise, noise_gradient
 
 TILE = 768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
 PAIRED = 1000  # largest number of rows of which all pairs are kept
@@ -31,7 +31,6 @@ class Data(NamedTuple):
     X: list[np.ndarray]
     y: list[np.ndarray]
     sample_noise: SampleNoise | None = None
-    drift: Drift | None = None
     pairs: RowPairs | None = None
 
     @classmethod
@@ -40,32 +39,26 @@ class Data(NamedTuple):
         X: Matrix,
         Y: Matrix,
         loading: Array | None = None,
-        clock: Matrix | None = None,
-        drift: tuple = (None, None),
     ) -> Data:
         """Return the observed values of X (n, d) and Y (n, P), with NaN where an output was not observed.
 
-        ``loading`` (n, P, r) describes noisy regressors, see ``SampleNoise``. ``clock`` (n, 2), time and flight, adds a
-        drift to the noise, with ``drift`` its variances and memories (P,), or None to learn them, see ``Drift``.
+        ``loading`` (n, P, r) describes noisy regressors, see ``SampleNoise``.
         """
         observed = np.isfinite(Y)
         return cls(
             [X[rows] for rows in observed.T],
             [y[rows] for y, rows in zip(Y.T, observed.T, strict=True)],
             None if loading is None else SampleNoise.from_table(observed, loading),
-            None if clock is None else Drift([clock[rows] for rows in observed.T], *drift),
         )
 
     def joined(self, other: Data) -> Data:
         """Return these values followed by the other values, output by output."""
         X = [np.concatenate(pair) for pair in zip(self.X, other.X, strict=True)]
         y = [np.concatenate(pair) for pair in zip(self.y, other.y, strict=True)]
-        sample_noise, drift = self.sample_noise, self.drift
+        sample_noise = self.sample_noise
         if sample_noise is not None and other.sample_noise is not None:
             sample_noise = sample_noise.joined(other.sample_noise)
-        if drift is not None and other.drift is not None:
-            drift = drift._replace(clock=[np.concatenate(c) for c in zip(drift.clock, other.drift.clock, strict=True)])
-        return Data(X, y, sample_noise, drift)
+        return Data(X, y, sample_noise)
 
     def by_output(self) -> list[Data]:
         """Return the values of each output that has any alone, for evaluations one after another.
@@ -82,7 +75,6 @@ class Data(NamedTuple):
                 only(i, self.X),
                 only(i, self.y),
                 self.sample_noise and SampleNoise(*(only(i, part) for part in self.sample_noise)),
-                drift=self.drift and self.drift._replace(clock=only(i, self.drift.clock)),
                 pairs=pairs.get(X.tobytes()),
             )
             for i, X in enumerate(self.X)

@@ -1,4 +1,4 @@
-"""Noise covariance: white noise and drift of each output, and noise propagated from the regressors to all outputs.
+"""Noise covariance: white noise of each output, and noise propagated from the regressors to all outputs.
 
 To first order an error e ~ N(0, S) of the regressors changes all outputs of sample a by J_a e, with the slopes J_a of
 the posterior mean. The noise of the sample then has the covariance diag(sigma^2) + J_a S J_a^T (McHutchon & Rasmussen
@@ -6,23 +6,21 @@ the posterior mean. The noise of the sample then has the covariance diag(sigma^2
 factor analysis.
 
 Errors of neighbouring samples of a flight are correlated: gusts, lags and unmodelled motion last longer than a sample
-interval. The drift of an output is an Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T) within a
-flight, and zero between flights (Rasmussen & Williams 2006, equation 4.20 with nu = 1/2).
+interval. The residuals of a fit show this. `fit_drift_to_integrals` estimates the drift of an output from them, an
+Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T) within a flight, and zero between flights
+(Rasmussen & Williams 2006, equation 4.20 with nu = 1/2).
 """
 
 from __future__ import annotations
 
-from itertools import combinations_with_replacement, pairwise
-from typing import Any, NamedTuple
+from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.optimize import minimize
 
-from skdgp._compute.linalg import eigen_root
 from skdgp._compute.typing import Matrix, Vector
 
-SMALLEST_STEP = 1e-6  # smallest sample interval, over the memory of the drift: for two samples of the same time
 LONGEST_HORIZON = 10.0  # longest time over which residuals are integrated [s]
 N_HORIZONS = 12
 MODEL_ERROR = 0.3  # relative, of the variances of integrals
@@ -60,69 +58,25 @@ class SampleNoise(NamedTuple):
             yield i, j, start[i] + a, start[j] + b, self.loading[i][a], self.loading[j][b]
 
 
-Scatter = SampleNoise  # name in model files of version 0.1
-
-
-class Drift(NamedTuple):
-    """The clock of each output's values, time and flight number (n_i, 2), and the drifts' tau^2 and T, (P,) each.
-
-    While tau^2 and T are learned they are None here and part of the noise vector.
-    """
-
-    clock: list[np.ndarray]
-    variance: np.ndarray | None = None
-    memory: np.ndarray | None = None
-
-    def covariance(self, i, variance, memory):
-        """Return the covariance of the drift of output i and the time lags |t - t'|, (n_i, n_i) each."""
-        time, flight = self.clock[i].T
-        lag = np.abs(np.subtract.outer(time, time))
-        return variance * np.exp(-lag / memory) * np.equal.outer(flight, flight), lag
-
-
-class NoiseParts(NamedTuple):
-    """The parts of the noise vector; ``free_drift`` and ``free_scale`` tell which optional parts it contains."""
-
-    white: np.ndarray
-    variance: Any  # ndarray (P,), None where noise does not drift
-    memory: Any
-    scale: Any  # ndarray (r,), or 1 where it is not learned
-    free_drift: bool
-    free_scale: bool
-
-    @classmethod
-    def split(cls, noise, data) -> NoiseParts:
-        """Return the parts of [sigma^2 (P), tau^2 (P), T (P), s (r)], of which only sigma^2 is always present."""
-        P, drift = len(data.y), data.drift
-        white, rest = noise[:P], noise[P:]
-        variance, memory = (None, None) if drift is None else (drift.variance, drift.memory)
-        free_drift = drift is not None and variance is None
-        if free_drift:
-            variance, memory, rest = rest[:P], rest[P : 2 * P], rest[2 * P :]
-        return cls(white, variance, memory, rest if len(rest) else 1.0, free_drift, len(rest) > 0)
+def _white_and_scale(noise, data):
+    """Return sigma^2 (P,) and the factors s (r,) of a noise vector [sigma^2, s]; s is 1 where it is not learned."""
+    P = len(data.y)
+    return noise[:P], noise[P:] if len(noise) > P else 1.0
 
 
 def add_noise(K, noise, data) -> None:
-    """Add the covariance of ``noise``, see ``NoiseParts``, to the upper triangle of that of the values, (N, N)."""
-    parts = NoiseParts.split(noise, data)
-    np.einsum("ii->i", K)[:] += np.repeat(parts.white, [len(y) for y in data.y])
-    for i, rows in _drift_slices(parts, data):
-        covariance = data.drift.covariance(i, parts.variance[i], parts.memory[i])[0]
-        upper = ~np.tri(len(covariance), k=-1, dtype=bool)  # below, K holds no numbers
-        np.add(K[rows, rows], covariance, out=K[rows, rows], where=upper)
+    """Add the covariance of ``noise``, [sigma^2 (P)] or [sigma^2, s (r)], to the upper triangle of K (N, N)."""
+    white, scale = _white_and_scale(noise, data)
+    np.einsum("ii->i", K)[:] += np.repeat(white, [len(y) for y in data.y])
     if data.sample_noise is not None:
         for _, _, rows, columns, first, second in data.sample_noise.pairs():
-            K[rows, columns] += np.einsum("nr,nr->n", first * parts.scale, second)
+            K[rows, columns] += np.einsum("nr,nr->n", first * scale, second)
 
 
 def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
     """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) holds the white noise variances."""
-    parts = NoiseParts.split(noise, data)
-    std = np.repeat(np.sqrt(parts.white), [len(y) for y in data.y])
+    std = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
     draws = std * random_state.standard_normal((n_draws, len(std)))
-    for i, rows in _drift_slices(parts, data):
-        covariance = data.drift.covariance(i, parts.variance[i], parts.memory[i])[0]
-        draws[:, rows] += random_state.standard_normal((n_draws, len(covariance))) @ eigen_root(covariance).T
     if data.sample_noise is not None:
         n_samples = 1 + max(s.max() for s in data.sample_noise.sample if len(s))
         error = random_state.standard_normal((n_draws, n_samples, data.sample_noise.loading[0].shape[1]))
@@ -133,77 +87,18 @@ def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
 
 def noise_gradient(W, noise, data) -> np.ndarray:
     """Return 1/2 sum(W * dK / d log noise), in the shape of ``noise``; only the upper triangle of W is read."""
-    P, parts = len(data.y), NoiseParts.split(noise, data)
+    P, (white, scale) = len(data.y), _white_and_scale(noise, data)
     outputs = np.repeat(np.arange(P), [len(y) for y in data.y])  # an output without values contributes zero
-    gradient = [0.5 * parts.white * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)]
-    if parts.free_drift:
-        by_variance, by_memory = np.zeros(P), np.zeros(P)
-        for i, rows in _drift_slices(parts, data):
-            covariance, lag = data.drift.covariance(i, parts.variance[i], parts.memory[i])
-            weighted = np.triu(W[rows, rows]) * covariance
-            by_variance[i] = weighted.sum() - 0.5 * np.trace(weighted)
-            by_memory[i] = np.sum(weighted * lag) / parts.memory[i]
-        gradient += [by_variance, by_memory]
-    if parts.free_scale:
-        by_scale = np.zeros(len(parts.scale))
-        for i, j, rows, columns, first, second in data.sample_noise.pairs():
-            by_scale += (0.5 if i == j else 1.0) * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
-        gradient.append(parts.scale * by_scale)
-    return np.concatenate(gradient)
+    by_white = 0.5 * white * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)
+    if len(noise) == P:
+        return by_white
+    by_scale = np.zeros(len(noise) - P)
+    for i, j, rows, columns, first, second in data.sample_noise.pairs():
+        by_scale += (0.5 if i == j else 1.0) * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
+    return np.concatenate([by_white, scale * by_scale])
 
 
-def _drift_slices(parts, data):
-    """Yield the outputs whose noise has a drift, and their slices of the stacked values."""
-    if parts.variance is not None:
-        for i, (a, b) in enumerate(pairwise(np.cumsum([0, *map(len, data.y)]))):
-            if b > a:
-                yield i, slice(a, b)
-
-
-# -- drift of all samples of a log: its inverse covariance is tridiagonal ----------------------------------------
-
-
-def drift_precision(clock, variance, memory):
-    """Return the tridiagonal inverse covariance of drifts of variance and memory (p,), and log |covariance| (p,).
-
-    The diagonal is (n, p), the upper diagonal (n - 1, p), zero between flights. The clock (n, 2) holds time and flight
-    of samples in the order of the log.
-    """
-    time, flight = clock.T
-    step = np.maximum(np.abs(np.diff(time))[:, None] / memory, SMALLEST_STEP)
-    rho = np.exp(-step) * (flight[1:] == flight[:-1])[:, None]
-    innovation = -np.expm1(-2 * step) * (rho > 0) + (rho == 0)  # variance 1 - rho^2 of the innovation of each sample
-    diagonal = np.ones((len(time), len(variance)))
-    diagonal[1:] = 1.0 / innovation
-    diagonal[:-1] += rho**2 / innovation
-    log_determinant = np.log(innovation).sum(axis=0) + len(time) * np.log(variance)
-    return diagonal / variance, -rho / innovation / variance, log_determinant
-
-
-def fit_drift(residual, clock, least):
-    """Return the maximum likelihood estimates of sigma^2, tau^2 and T of white noise plus drift.
-
-    The residuals (n,) and the clock (n, 2), time and flight, are in the order of the log; no variance is smaller than
-    ``least``.
-    """
-    step = np.median(np.abs(np.diff(clock[:, 0]))[np.diff(clock[:, 1]) == 0]) if len(clock) > 1 else 1.0
-    longest = max(np.ptp(clock[clock[:, 1] == flight, 0]) for flight in np.unique(clock[:, 1]))
-    power = max(float(np.mean(residual**2)), 10 * least)
-    bounds = np.log([(least, 10 * power), (least, 10 * power), (step, max(longest, 2 * step))])
-
-    def loss(theta):
-        white, variance, memory = np.exp(theta)
-        diagonal, off_diagonal, log_determinant = drift_precision(clock, np.array([variance]), np.array([memory]))
-        band = np.zeros((2, len(residual)))
-        band[0], band[1, :-1] = diagonal[:, 0] + 1.0 / white, off_diagonal[:, 0]
-        factor = cholesky_banded(band, lower=True)
-        solved = solveh_banded(band, residual / white, lower=True)
-        determinant = 2 * np.log(factor[0]).sum() + log_determinant[0] + len(residual) * np.log(white)
-        return 0.5 * (determinant + (residual @ residual - residual @ solved) / white)
-
-    starts = [np.log([0.5 * power, 0.5 * power, memory]) for memory in (4 * step, 40 * step)]
-    optima = [minimize(loss, np.clip(s, *bounds.T), method="L-BFGS-B", bounds=[*bounds]) for s in starts]
-    return np.exp(min(optima, key=lambda optimum: optimum.fun).x)
+# -- the drift that residuals show ---------------------------------------------------------------------------------
 
 
 def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tuple[float, float, float]:

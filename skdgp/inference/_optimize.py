@@ -144,14 +144,14 @@ def maximize(
             remaining, converged = 0.0, True  # an optimiser of the user has its own stopping rule
         else:
             first = objective(theta)
-            before, unit = objective.latest, np.linalg.norm(first[1]) or 1.0  # so that the first step has length one
+            before, unit = objective.latest, float(np.linalg.norm(first[1])) or 1.0  # so that the first step has length one
 
             def loss(other):
                 other = rounded(other)
                 value, gradient = first if np.array_equal(other, theta) else objective(other)
                 return value / unit, gradient / unit
 
-            options = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "maxcor": 20, "ftol": 0.0}
+            options: Any = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "maxcor": 20, "ftol": 0.0}
             options["gtol"] = GRADIENT / unit
             end = minimize(loss, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options, callback=watch)
             n_iter, converged = end.nit, bool(end.success) or end.status == STOPPED

@@ -29,44 +29,35 @@ NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the n
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
 IRRELEVANT_RISE = 0.05  # expected rise of the likelihood for each value [nats] up to which a search has converged
-MEMORY_STEPS = 4  # starting memory of a drift, in sample intervals
 
 
 class Hyperparameters(NamedTuple):
     """Hyperparameters and the history of the search that found them.
 
-    ``noise`` (P,) excludes ``drift``, the drifts' variances and memories (P,), None without drift. ``root`` (d, r) is R
-    of the regressors' noise covariance R R^T, None for exact regressors. ``remaining`` is the expected rise of the
-    likelihood by further iterations.
+    ``noise`` (P,) is white. ``root`` (d, r) is R of the regressors' noise covariance R R^T, None for exact regressors.
+    ``remaining`` is the expected rise of the likelihood by further iterations.
     """
 
     kernel: Any
     noise: Vector
     root: Matrix | None = None
-    drift: tuple[Vector, Vector] | None = None
     n_iter: int = 0
     n_evaluations: int = 0
     interrupted: bool = False
     remaining: float = 0.0
     converged: bool = True
 
-    @property
-    def total_noise(self) -> Vector:
-        """Variance of one measurement of each output, drift included, (P,)."""
-        return self.noise if self.drift is None else self.noise + self.drift[0]
-
-    def data(self, X: Matrix, Y: Matrix, clock: Matrix | None, passes: int = 2) -> Data:
-        """Return the observed values with their noise model: noisy regressors and drift.
+    def data(self, X: Matrix, Y: Matrix, passes: int = 2) -> Data:
+        """Return the observed values with the noise of the regressors.
 
         The first pass takes slopes of a fit to exact regressors, the second of one to noisy regressors.
         """
-        drift = self.drift or (None, None)
-        data = Data.from_table(X, Y, None, clock, drift)
+        data = Data.from_table(X, Y)
         if self.root is None:
             return data
         for _ in range(passes):
             loading = input_noise_loading(ExactPosterior(self.kernel, self.noise, data), X, self.root)
-            data = Data.from_table(X, Y, loading, clock, drift)
+            data = Data.from_table(X, Y, loading)
         return data
 
 
@@ -78,28 +69,21 @@ def input_noise_loading(posterior: Any, X: Matrix, root: Matrix) -> np.ndarray:
 class _Stages:
     """The rows of a search, and what its stages have in common.
 
-    A noise vector is [sigma^2 (P)], with a clock [sigma^2, tau^2, T], and with learned noise of the regressors its d
-    factors at the end. ``common``: whether the likelihood knows what errors of regressors have in common.
+    A noise vector is [sigma^2 (P)], with learned noise of the regressors [sigma^2, s (d)]. ``common``: whether the
+    likelihood knows what errors of regressors have in common.
     """
 
-    def __init__(self, X, Y, clock, held_out, optimizer, random_state, common, stop):
-        self.X, self.Y, self.clock, self.held_out = X, Y, clock, held_out
+    def __init__(self, X, Y, held_out, optimizer, random_state, common, stop):
+        self.X, self.Y, self.held_out = X, Y, held_out
         self.optimizer, self.random_state, self.common, self.stop = optimizer, random_state, common, stop
         self.n_evaluations = 0
 
     def hyperparameters(self, kernel, noise, root) -> Hyperparameters:
-        P = self.Y.shape[1]
-        drift = None if self.clock is None else (noise[P : 2 * P], noise[2 * P : 3 * P])
-        return Hyperparameters(kernel, noise[:P], root, drift)
+        return Hyperparameters(kernel, noise[: self.Y.shape[1]], root)
 
     def data(self, kernel, noise, root, rows=slice(None)) -> Data:
-        """Return the values of some rows, with the noise that the slopes of an exact fit propagate to them.
-
-        The drift is learned with the other hyperparameters, so the data do not fix it.
-        """
-        clock = None if self.clock is None else self.clock[rows]
-        data = self.hyperparameters(kernel, noise, root).data(self.X[rows], self.Y[rows], clock, 1)
-        return data._replace(drift=data.drift and data.drift._replace(variance=None, memory=None))
+        """Return the values of some rows, with the noise that the slopes of an exact fit propagate to them."""
+        return self.hyperparameters(kernel, noise, root).data(self.X[rows], self.Y[rows], 1)
 
     def run(self, data, kernel, noise, bounds, max_iter, spread=0.0) -> tuple[Any, Vector, Optimum]:
         """Return kernel and noise at the end of a stage, and its Optimum."""
@@ -128,7 +112,6 @@ def search(
     kernel: Any,
     X: Matrix,
     Y: Matrix,
-    clock: Matrix | None,
     rows: Any,
     *,
     optimizer: Any,
@@ -151,19 +134,19 @@ def search(
         held_out, Y = Data.from_table(X[some], Y[some]), np.array(Y)
         Y[held] = np.nan
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
-    noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y), clock)
+    noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     stop, singles, n_singles = Event(), None, 0
     if optimizer is not None and P > 1 and not open_kernel.has_values():
         singles, noise, n_singles = fit_singles(
-            open_kernel, noise, noise_bounds, X, Y, clock, optimizer, max_iter, random_state, stop
+            open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop
         )
-    scale, X, Y, clock = column_scale(X), X[rows], Y[rows], None if clock is None else clock[rows]
-    stages = _Stages(X, Y, clock, held_out, optimizer, random_state, exact, stop)
+    scale, X, Y = column_scale(X), X[rows], Y[rows]
+    stages = _Stages(X, Y, held_out, optimizer, random_state, exact, stop)
     learned_root = isinstance(input_noise, str)
     root = np.diag(scale) if learned_root else input_noise
     if optimizer is None:
         return stages.hyperparameters(kernel, noise, None if learned_root else root)
-    data, bounds, n_iter = Data.from_table(X, Y, None, clock), noise_bounds, 0
+    data, bounds, n_iter = Data.from_table(X, Y), noise_bounds, 0
     # First few hyperparameters (widths shared by all outputs), then all of them. This start needs few iterations and
     # ends at optima that predict better than those reached from arbitrary widths. With noisy regressors, the slopes of
     # the coarse model propagate their noise to the outputs.
@@ -176,7 +159,7 @@ def search(
     if root is not None:
         data = stages.data(coarse, noise, root)
     if learned_root:
-        noise, input_bounds = _initial_input_noise(noise, P, data, len(scale))
+        noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter, spread)
     noise_is_left = held_out is not None if exact else learned_root
@@ -195,28 +178,19 @@ def search(
     )
 
 
-def _initial_noise(residual, scale, clock):
-    """Return the starting noise and its bounds: variances (P,), with a drift also its variances and memories."""
+def _initial_noise(residual, scale):
+    """Return the starting noise variances (P,) and their bounds."""
     bounds = np.multiply.outer(scale**2, NOISE_BOUNDS)
-    noise = np.clip(0.2 * np.nanvar(residual, axis=0), *bounds.T)
-    if clock is None:
-        return noise, bounds
-    time, flight = clock.T
-    steps = np.abs(np.diff(time))[np.diff(flight) == 0]
-    step = float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 1.0
-    longest = max(float(np.ptp(time[flight == number])) for number in np.unique(flight))
-    memory = np.full(len(noise), MEMORY_STEPS * step)
-    span = np.tile([step, max(longest, 2 * MEMORY_STEPS * step)], (len(noise), 1))
-    return np.concatenate([0.5 * noise, 0.5 * noise, memory]), np.concatenate([bounds, bounds, span])
+    return np.clip(0.2 * np.nanvar(residual, axis=0), *bounds.T), bounds
 
 
-def _initial_input_noise(noise, P, data, d):
+def _initial_input_noise(noise, data, d):
     """Return the noise vector with starting factors s (d,) of the regressors' noise variances, and bounds of s.
 
     At the start, half of each output's noise comes from the regressors, with equal factors s.
     """
     propagated = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading]
-    part = 0.5 * float(np.nanmedian(noise[:P] / np.maximum(propagated, 1e-12)))
+    part = 0.5 * float(np.nanmedian(noise / np.maximum(propagated, 1e-12)))
     least, most = INPUT_BOUNDS
     start = np.full(d, np.clip(part, 10 * least, most / 10))
-    return np.concatenate([0.5 * noise[:P], noise[P:], start]), np.tile(INPUT_BOUNDS, (d, 1))
+    return np.concatenate([0.5 * noise, start]), np.tile(INPUT_BOUNDS, (d, 1))

@@ -32,18 +32,15 @@ class Singles(NamedTuple):
 class _SingleFit:
     """The values of one output and the maximisation of its likelihood."""
 
-    def __init__(self, i, X, Y, clock, noise, noise_bounds, seed, search):
+    def __init__(self, i, X, Y, noise, noise_bounds, seed, search):
         rows = stratified(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
         self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
-        self.clock = None if clock is None else clock[rows]
-        self.noise, self.noise_bounds = noise[i :: Y.shape[1]], noise_bounds[i :: Y.shape[1]]
+        self.noise, self.noise_bounds = noise[i : i + 1], noise_bounds[i : i + 1]
         self.search = partial(search, stage=f"output {i + 1}")
 
     def optimize(self, kernel, theta, step, max_iter):
         """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
-        clock = None if self.clock is None else self.clock[::step]
-        data = Data.from_table(self.x[::step], self.y[::step], None, clock)
-        likelihood = Objective(kernel, data, len(self.noise))
+        likelihood = Objective(kernel, Data.from_table(self.x[::step], self.y[::step]), 1)
         bounds = theta_bounds(kernel, self.noise_bounds)
         return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter)
 
@@ -69,7 +66,6 @@ def fit_singles(
     noise_bounds,
     X: Matrix,
     Y: Matrix,
-    clock: Matrix | None,
     optimizer: Any,
     max_iter: int,
     random_state: Any,
@@ -83,16 +79,15 @@ def fit_singles(
     tolerance = TOLERANCE * max(1, kernel.n_processes)
     search = partial(maximize, optimizer=optimizer, stop=stop, tolerance=tolerance, grid=GRID)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
-    outputs = [_SingleFit(i, X, Y, clock, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
+    outputs = [_SingleFit(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
     trials = [output.try_widths(kernel, max_iter) for output in outputs]
     most = min(SINGLE_ITERATIONS, 2 * max_iter)
     refined = [
         output.optimize(single, optimum.theta, 1, most)
         for output, (single, optimum, _) in zip(outputs, trials, strict=True)
     ]
-    k = len(noise) // Y.shape[1]  # noise parameters of each output
     return Singles(
-        [single.clone_with_theta(optimum.theta[:-k]) for single, optimum in refined],
-        np.array([np.exp(optimum.theta[-k:]) for _, optimum in refined]).T.ravel(),
+        [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined],
+        np.concatenate([np.exp(optimum.theta[-1:]) for _, optimum in refined]),
         sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
     )

@@ -42,7 +42,6 @@ from skdgp.inference._sums import (
     shares_of,
     sub_factor,
     total_statistics,
-    upgraded_shares,
 )
 
 
@@ -84,7 +83,6 @@ class SparsePosterior:
 
     def __setstate__(self, state):
         self.__dict__.update(state)
-        self.shares = upgraded_shares(self.shares)
         if self.shares is None:
             self.sums = self.sums.unpacked(self.features, self.kernel.n_outputs)
         self._begin()

@@ -1,9 +1,8 @@
 """Sums over samples for sparse inference: for conditioning and for the gradient of the bound.
 
 A share is a sequence of samples, a chunk of the data. It holds one output if the outputs have independent noise, and
-all outputs if noisy regressors correlate their noise. With a drift a share is part of one flight, and the noise of its
-samples is correlated. Functions that sum over a share are module-level functions with explicit arguments, so that a
-thread, a process or another machine can run them.
+all outputs if noisy regressors correlate their noise. Functions that sum over a share are module-level functions with
+explicit arguments, so that a thread, a process or another machine can run them.
 """
 
 from __future__ import annotations
@@ -11,17 +10,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky_banded
 
 from skdgp._compute.linalg import triangular_solve
 from skdgp._compute.parallel import share_map
 from skdgp.inference._likelihood import Data
-from skdgp.inference._noise import drift_precision
 
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
 SAMPLE_SHARES = 16  # largest number of shares of samples with noise correlated between outputs
-DRIFT_ROWS = 1024  # largest number of samples in a share with drift; drifts of different shares are independent
 DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
 
 
@@ -29,41 +25,13 @@ class SampleShare(NamedTuple):
     """A sequence of samples of some outputs.
 
     ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, and the ``loading`` G (n, p, r) of the noise covariance
-    diag(sigma^2) + G G^T. With a drift also ``clock`` (n, 2), time and flight, and ``drift``, its variances and
-    memories (2, p).
+    diag(sigma^2) + G G^T.
     """
 
     outputs: tuple[int, ...]
     X: np.ndarray
     Y: np.ndarray
     loading: np.ndarray
-    clock: np.ndarray | None = None
-    drift: np.ndarray | None = None
-
-
-class Share(NamedTuple):
-    """Values of one output; class name in model files of version 0.1."""
-
-    output: int
-    X: np.ndarray
-    y: np.ndarray
-
-
-class Stretch(NamedTuple):
-    """Samples of all outputs; class name in model files of version 0.1."""
-
-    X: np.ndarray
-    Y: np.ndarray
-    loading: np.ndarray
-
-
-def upgraded_shares(shares) -> list[SampleShare] | None:
-    """Return the shares of a model file of any version as SampleShare."""
-    if shares is None or not shares or isinstance(shares[0], SampleShare):
-        return shares
-    if isinstance(shares[0], Stretch):
-        return [SampleShare(tuple(range(Y.shape[1])), X, Y, G) for X, Y, G in shares]
-    return [_one_output(i, X, y) for i, X, y in shares]
 
 
 def _one_output(i, X, y):
@@ -72,8 +40,6 @@ def _one_output(i, X, y):
 
 def shares_of(data: Data) -> list[SampleShare]:
     """Return the observed values in shares that do not depend on the number of threads: sums have the same bits."""
-    if data.drift is not None:
-        return _drifting_shares(data)
     if data.sample_noise is None:
         return [
             _one_output(i, *part)
@@ -81,49 +47,24 @@ def shares_of(data: Data) -> list[SampleShare]:
             if len(values[1])
             for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in values), strict=True)
         ]
-    table = _sample_table(data)[0]
+    table = _sample_table(data)
     parts = zip(*(np.array_split(a, min(SAMPLE_SHARES, -(-len(a) // ROWS))) for a in table), strict=True)
     return [SampleShare(tuple(range(len(data.y))), *part) for part in parts]
 
 
 def _sample_table(data):
-    """Return X, Y and loading of the samples, and the index of each sample among the stacked values."""
+    """Return X, Y and loading of the samples."""
     samples, first = np.unique(np.concatenate(data.sample_noise.sample), return_index=True)
     n, P = len(samples), len(data.y)
     Y, loading = np.full((n, P), np.nan), np.zeros((n, P, data.sample_noise.loading[0].shape[1]))
     for i, (y, sample, G) in enumerate(zip(data.y, *data.sample_noise, strict=True)):
         rows = np.searchsorted(samples, sample)
         Y[rows, i], loading[rows, i] = y, G
-    return (np.concatenate(data.X)[first], Y, loading), first
-
-
-def _drifting_shares(data):
-    """Return shares that are each part of one flight, in the order of time."""
-    drift = np.stack([data.drift.variance, data.drift.memory])
-    if data.sample_noise is None:
-        tables = [
-            (_one_output(i, X, y), data.drift.clock[i]) for i, (X, y) in enumerate(zip(data.X, data.y, strict=True))
-        ]
-    else:
-        (X, Y, loading), first = _sample_table(data)
-        whole = SampleShare(tuple(range(len(data.y))), X, Y, loading)
-        tables = [(whole, np.concatenate(data.drift.clock)[first])]
-    shares = []
-    for share, clock in tables:
-        order = np.lexsort(clock.T)  # by flight, then by time
-        boundaries = np.flatnonzero(np.diff(clock[order, 1])) + 1
-        for flight in np.split(order, boundaries):
-            for rows in np.array_split(flight, max(1, -(-len(flight) // DRIFT_ROWS))):
-                if len(rows):
-                    X, Y, loading = (part[rows] for part in (share.X, share.Y, share.loading))
-                    shares.append(SampleShare(share.outputs, X, Y, loading, clock[rows], drift[:, list(share.outputs)]))
-    return shares
+    return np.concatenate(data.X)[first], Y, loading
 
 
 def data_from_shares(shares, n_outputs) -> Data:
     """Return the observed values of all shares."""
-    if shares[0].drift is not None:
-        return _drifting_data(shares, n_outputs)
     if _independent(shares):
         empty = _one_output(-1, shares[0].X[:0], np.empty(0))
         by_output = [[empty, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)]
@@ -133,21 +74,9 @@ def data_from_shares(shares, n_outputs) -> Data:
     return Data.from_table(table[0], table[1], table[2])
 
 
-def _drifting_data(shares, n_outputs):
-    """Return the observed values of shares with drift; each sample of a share becomes one row."""
-    X, clock = np.concatenate([s.X for s in shares]), np.concatenate([s.clock for s in shares])
-    Y, drift = np.full((len(X), n_outputs), np.nan), np.ones((2, n_outputs))
-    loading = np.zeros((len(X), n_outputs, shares[0].loading.shape[2]))
-    start = 0
-    for s in shares:
-        rows, outputs, start = slice(start, start + len(s.X)), list(s.outputs), start + len(s.X)
-        Y[rows, outputs], loading[rows, outputs], drift[:, outputs] = s.Y, s.loading, s.drift
-    return Data.from_table(X, Y, loading if loading.shape[2] else None, clock, tuple(drift))
-
-
 def _independent(shares) -> bool:
     """Return whether the noise of all values is independent."""
-    return all(share.loading.shape[2] == 0 and share.drift is None for share in shares)
+    return all(share.loading.shape[2] == 0 for share in shares)
 
 
 # -- sums for conditioning --------------------------------------------------------------------------------------
@@ -242,8 +171,6 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statis
 
 def _share_sums(kernel, features, noise, Lu, share):
     """Return V Pi V^T, V Pi y, y Pi y, tr(Pi var(y)) and log |2 pi noise|; one output uses only its own features."""
-    if share.drift is not None:
-        return _drifting_sums(kernel, features, noise, Lu, share)
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
     factors = [sub_factor(Lu, c) for c in columns]
@@ -274,80 +201,11 @@ def _share_sums(kernel, features, noise, Lu, share):
     return outer, inner, square, variance, log_determinant
 
 
-def _drifting_sums(kernel, features, noise, Lu, share):
-    """Return the sums of ``_share_sums`` for noise with drift.
-
-    Let R be the noise without drift and D the covariance of the drift. The inverse noise is R^-1 - R^-1 B^-1 R^-1 with
-    the block tridiagonal B = R^-1 + D^-1 = L L^T. Then V Pi V^T = V R^-1 V^T - W^T W, where W = L^-1 R^-1 V^T is
-    computed sample by sample. The trace uses R^-1 instead of Pi, which is larger, so the result remains a bound.
-    """
-    outputs = range(len(share.outputs))
-    columns = [features.columns(i) for i in share.outputs]
-    V = [
-        triangular_solve(sub_factor(Lu, c), features.Kfu(i, share.X).T).T
-        for i, c in zip(share.outputs, columns, strict=True)
-    ]
-    if len(outputs) == 1:
-        columns = [np.arange(len(columns[0]))]
-    size = len(columns[0]) if len(outputs) == 1 else features.size
-    white = noise[list(share.outputs)]
-    precision, log_determinants = precisions(share.Y, share.loading, white)
-    Y, observed = np.nan_to_num(share.Y), np.isfinite(share.Y)
-    A = np.zeros((*share.Y.shape, size + 1))  # V^T of each output on its own features; the last column is y
-    A[:, :, -1] = Y
-    for i in outputs:
-        A[:, i, columns[i]] = V[i]
-    weighted = precision @ A
-    inverse, transition, log_determinant = _drift_factor(share, precision)
-    W = inverse @ weighted
-    for t in range(1, len(W)):
-        W[t] -= transition[t] @ W[t - 1]
-    W, A, weighted = (a.reshape(-1, size + 1) for a in (W, A, weighted))
-    product = A.T @ weighted - W.T @ W
-    trace, variance = np.trace(product[:-1, :-1]), 0.0
-    for i, output in enumerate(share.outputs):
-        unexplained = kernel.block_diag(output, share.X) - np.einsum("nc,nc->n", V[i], V[i])
-        variance += np.sum(unexplained[observed[:, i]]) / white[i]
-    return (
-        product[:-1, :-1],
-        product[:-1, -1],
-        product[-1, -1],
-        variance + trace,
-        log_determinants.sum() + log_determinant,
-    )
-
-
-def _drift_factor(share, precision):
-    """Return L_tt^-1 and L_tt^-1 L_t,t-1 of R^-1 + D^-1 = L L^T, (n, p, p) each, and log |R^-1 + D^-1| + log |D|."""
-    n, p, _ = precision.shape
-    diagonal, off_diagonal, log_covariance = drift_precision(share.clock, *share.drift)
-    band = np.zeros((p + 1, n, p))
-    for k in range(p):
-        for i in range(p - k):
-            band[k, :, i] = precision[:, i + k, i]
-    band[0] += diagonal
-    band[p, :-1] = off_diagonal
-    factor = cholesky_banded(band.reshape(p + 1, n * p), lower=True).reshape(p + 1, n, p)
-    L, below = np.zeros((n, p, p)), np.zeros((n, p, p))
-    for i in range(p):
-        for j in range(p):
-            if i >= j:
-                L[:, i, j] = factor[i - j, :, j]
-            if j >= i:
-                below[1:, i, j] = factor[p + i - j, :-1, j]
-    inverse = np.linalg.inv(L)
-    return inverse, inverse @ below, 2 * np.log(factor[0]).sum() + log_covariance.sum()
-
-
 # -- the gradient of the bound -----------------------------------------------------------------------------------
 
 
 def bound_gradient(posterior) -> np.ndarray:
     """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
-    if any(share.drift is not None for share in posterior.shares):
-        raise NotImplementedError(
-            "The gradient of the bound is not implemented for noise with drift: use eval_gradient=False."
-        )
     a, kernel, features = posterior.weights, posterior.kernel, posterior.features
     Lu, identity = posterior.Lu, np.eye(features.size)
     reduction = _unwhitened(Lu, identity - posterior.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1

@@ -96,8 +96,6 @@ class ConvolvedGaussian(MultiOutputKernel):
            [-2.,  4.]])
     """
 
-    regressors: Sequence[int] | None = None  # kernels of version 0.1 lack it
-
     def __init__(
         self,
         n_latent: Any = 1,

@@ -194,11 +194,6 @@ class LatentFeatures(Features):
         return {name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width", "outputs")}
 
     def __setstate__(self, state):
-        if "parts" in state:  # PartFeatures of version 0.1
-            latents, outputs = zip(*state["parts"], strict=True)
-            state = {"kernel": state["kernel"], "latents": latents, "Z": state["Z"], "outputs": outputs}
-        elif "latents" not in state:  # ConvolvedFeatures of version 0.1
-            state = {name: state[name] for name in ("kernel", "Z", "width")} | {"latents": range(len(state["Z"]))}
         vars(self).update(vars(LatentFeatures(**state)))
 
     def _with_blocks(self):
@@ -310,9 +305,6 @@ class LatentFeatures(Features):
         return LatentFeatures(
             kernel, self.latents, [stacked[self._slice(f)] for f in range(len(self.Z))], width, self.outputs
         )
-
-
-ConvolvedFeatures = PartFeatures = LatentFeatures  # names in model files of version 0.1
 
 
 class TrendFeatures(Features):

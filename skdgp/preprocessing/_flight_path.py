@@ -158,14 +158,6 @@ class FlightPathReconstruction(TableTransformer):
         self.incomplete = incomplete
         self.inconsistent = inconsistent
 
-    def __setstate__(self, state):
-        """Restore a transformer; one of an earlier version makes no check."""
-        state = {"inconsistent": "use"} | state
-        if "missing_" in state:
-            used, reason = _of_missing(state["missing_"])
-            state = {"used_": used, "reason_": reason, "errors_": None} | state
-        super().__setstate__(state)
-
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone, and their observability.
 

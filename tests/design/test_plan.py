@@ -417,9 +417,9 @@ def test_what_was_flown_limits_what_is_not_given(model):
 
 
 def test_a_model_that_does_not_know_what_was_flown_says_so(model, uav):
-    """Such as one of an earlier version, or of flights with a constant in a column."""
+    """Such as one of flights without these columns, or with a constant in one."""
     old = copy(model)
-    del old.flown
+    old.flown = {}
     words = r"range of load_factor, bank, airspeed, altitude, .* --max-bank, --speeds"
     with pytest.warns(UserWarning, match=words), pytest.raises(ValueError, match="Got the goal"):
         plan(old, uav, **AXES | {"seconds": 8.0, "goal": []})

@@ -512,21 +512,6 @@ class TestModelFile:
         with pytest.raises(ModelFileError, match=r"which holds \w+, but expected a fitted pipeline and its aircraft"):
             load_model(model_file)
 
-    def test_a_file_of_the_format_before_is_read_with_a_warning(self, model_file, fitted):
-        """It has no checksum."""
-        data = model_file.read_bytes()
-        start = data.rindex(MAGIC) + len(MAGIC)
-        closing = json.loads(data[start:]) | {"format": 1}
-        del closing["sha256"]
-        model_file.write_bytes(data[:start] + json.dumps(closing).encode() + b"\n")
-        with pytest.warns(UserWarning, match=r"without a checksum.*save_model\(path, \*\*load_model\(path\)\)"):
-            model = load_model(model_file)
-        again = load_model(save_model(model_file, **model))
-        assert again.options == {"thrust": None}
-        np.testing.assert_allclose(
-            again.pipeline.predict(fitted[1]), fitted[0].predict(fitted[1]), rtol=1e-9, atol=1e-10
-        )
-
     @pytest.mark.parametrize("content", [b"", b"time,alpha\n0,1\n", b"\x80\x04", bytes(range(256)) * 100])
     def test_another_kind_of_file(self, tmp_path, content):
         (tmp_path / "model.joblib").write_bytes(content)

@@ -200,12 +200,6 @@ class TestPipeline:
         pipeline.set_params(**{"gusty": True, prefix.split("__")[0]: own})
         assert (own.length_scale_prior, own.n_latent) == (None, None)
 
-    def test_pipelines_of_earlier_versions_have_neither(self):
-        pipeline = pipeline_of(NAMES, LinearRegression())
-        del pipeline.symmetric, pipeline.gusty
-        table, Y = symmetric_flight(0)
-        assert pipeline.fit(table, Y).predict(table).shape == Y.shape
-
     def test_targets_without_names_are_the_six_coefficients(self):
         table, Y = symmetric_flight(0)
         with pytest.raises(ValueError, match="or the six coefficients: give a DataFrame"):

@@ -48,7 +48,7 @@ def test_the_noise_is_learned_to_the_end(log, monkeypatch):
     fit = fit_exact(ConvolvedGaussian(1), X, Y, early_stopping=True, **options)
     learned = _rows.held_out_rows(Y, np.random.RandomState(0))[0]
     data = Data.from_table(X[learned], Y[learned])
-    slope = log_likelihood(fit.posterior.kernel, fit.learned.total_noise, data, eval_gradient=True)[1][-2:]
+    slope = log_likelihood(fit.posterior.kernel, fit.learned.noise, data, eval_gradient=True)[1][-2:]
     assert np.abs(slope).max() < 1e-3 * data.n_values
 
 

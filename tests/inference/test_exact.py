@@ -66,14 +66,13 @@ class TestLikelihood:
     @pytest.mark.parametrize("paired", [0, 1000])
     def test_of_outputs_that_are_not_coupled_adds_up(self, one_problem, paired, monkeypatch):
         monkeypatch.setattr(_likelihood, "PAIRED", paired)
-        rng, n = np.random.default_rng(7), len(one_problem.X)
+        rng = np.random.default_rng(7)
         kernel = LinearTrend(np.ones(3), np.ones((3, 2)), np.zeros(2)) + ConvolvedGaussian(
             0, amplitude=np.diag([0.5, 1.0, 2.0]), length_scale=rng.uniform(0.5, 1.5, (3, 3, 2))
         )
-        clock = np.column_stack([np.arange(n), np.repeat([0, 1], [n - n // 2, n // 2])])
         Y = one_problem.Y.copy()
         Y[:, 1] = np.nan  # an output without values
-        data = Data.from_table(one_problem.X, Y, None, clock, (np.full(3, 0.3), np.full(3, 2.0)))
+        data = Data.from_table(one_problem.X, Y)
         expected = log_likelihood(kernel, one_problem.noise, data, eval_gradient=True)
         parts = [log_likelihood(kernel, one_problem.noise, part, eval_gradient=True) for part in data.by_output()]
         assert len(parts) == 2

@@ -53,9 +53,9 @@ class TestSparseFit:
         mean, variance = fit.posterior.predict(self.x, True)
         z = (mean - self.truth) / np.sqrt(variance)
         assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5  # counted as independent, errors are about four deviations
-        assert fit.learned.total_noise.mean() == pytest.approx(0.09, rel=0.25)  # of a measurement
+        assert fit.learned.noise.mean() == pytest.approx(0.09, rel=0.25)  # of a measurement
 
     def test_shuffled_rows_are_independent_evidence(self):
         order = np.random.default_rng(4).permutation(len(self.x))
         fit = fitted(self.x[order], (self.truth + self.noise)[order, :1])
-        assert fit.posterior.noise == pytest.approx(fit.learned.total_noise, rel=0.3)
+        assert fit.posterior.noise == pytest.approx(fit.learned.noise, rel=0.3)

@@ -420,17 +420,6 @@ class TestInconsistent:
         assert reconstruction.errors_ is None
         assert "the flights lack a vane" in reconstruction.reason_
 
-    @pytest.mark.parametrize("missing", [[], ["phi"]])
-    def test_one_of_an_earlier_version_decides_as_then(self, missing):
-        table = flown(20.0).drop(columns=missing)
-        new = FlightPathReconstruction(incomplete="pass").fit(table)
-        later = ("inconsistent", "used_", "reason_", "errors_")
-        old = FlightPathReconstruction.__new__(FlightPathReconstruction)
-        old.__setstate__({name: value for name, value in new.__getstate__().items() if name not in later})
-        assert old.get_params() == new.get_params()
-        assert (old.used_, old.reason_) == (not missing, new.reason_)
-        pd.testing.assert_frame_equal(old.transform(table), new.transform(table))
-
 
 def test_gusts_are_told():
     reconstruction = FlightPathReconstruction().fit(flown(60, gusts=0.4))

@@ -131,8 +131,6 @@ class Aerodynamics:
     array([-0.5,  0. , -8. , -0.6])
     """
 
-    turbulence: Any = None  # of models of earlier versions
-    flown: Mapping[str, tuple[float, float]] = {}
     slope_errors: Callable | None = None
     """Regressors (n, d) to errors of the slopes that the paths do not contain, see ``DependentGPRegressor``."""
     function_errors: Callable | None = None

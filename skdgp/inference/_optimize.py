@@ -144,7 +144,10 @@ def maximize(
             remaining, converged = 0.0, True  # an optimiser of the user has its own stopping rule
         else:
             first = objective(theta)
-            before, unit = objective.latest, float(np.linalg.norm(first[1])) or 1.0  # so that the first step has length one
+            before, unit = (
+                objective.latest,
+                float(np.linalg.norm(first[1])) or 1.0,
+            )  # so that the first step has length one
 
             def loss(other):
                 other = rounded(other)

@@ -17,6 +17,8 @@ from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
 from skdgp.inference import _optimize, _singles
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start, as _threads below for this one
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 set_hypothesis_home_dir(Path(tempfile.gettempdir()) / "hypothesis")  # nothing is written beside the tests

@@ -90,7 +90,7 @@ class TestScikitLearnContract:
             scoring=SCORERS["neg_continuous_ranked_probability_score"],
             error_score="raise",
         )
-        search.fit(*flights, groups=flights[0]["flight"])
+        search.fit(*flights, groups=flights[0]["flight"].isin(["a", "b"]))  # two folds
         assert np.isfinite(search.best_score_)
         assert np.isfinite(SCORERS["log_predictive_density"](search, *flights))
 
@@ -151,11 +151,10 @@ class TestHeldOut:
         assert (model.n_units_ >= 4).all()
         assert model.guaranteed_.all()
 
-    def test_any_splitter_will_do(self, flights):
+    def test_any_splitter_will_do(self, model, flights):
         parts = list(LeaveOneGroupOut().split(flights[0], groups=flights[0]["flight"]))
         by_parts = CalibratedRegressor(pipeline(), level=0.8, cv=parts).fit(*flights)
-        by_default = CalibratedRegressor(pipeline(), level=0.8).fit(*flights)
-        np.testing.assert_allclose(by_parts.std_scale_, by_default.std_scale_, rtol=1e-6)
+        np.testing.assert_allclose(by_parts.std_scale_, model.std_scale_, rtol=1e-6)
         cut = CalibratedRegressor(pipeline(), level=0.8, cv=KFold(3)).fit(*flights)
         assert cut.unit_ == "block"
 
@@ -236,13 +235,13 @@ def inside(rows):
 class TestFunctions:
     def test_paths_have_the_moments_of_the_prediction(self, inside, rows):
         at = rows[0][3:60:14] + 0.02
-        paths = inside.sample_paths(4000, random_state=0)
+        paths = inside.sample_paths(2000, random_state=0)
         mean, std = inside.predict(at, return_std=True, include_noise=False)
         _, covariance = inside.predict(at, return_cov=True)
         np.testing.assert_allclose(np.sqrt(np.diag(covariance)), std.T.ravel())
         values = paths(at)
-        assert (np.abs(values.mean(axis=0) - mean) < 5 * std / np.sqrt(4000)).all()
-        found = np.cov(values.swapaxes(1, 2).reshape(4000, -1).T)
+        assert (np.abs(values.mean(axis=0) - mean) < 5 * std / np.sqrt(2000)).all()
+        found = np.cov(values.swapaxes(1, 2).reshape(2000, -1).T)
         size = np.sqrt(np.diag(covariance))
         np.testing.assert_allclose(found / size / size[:, None], covariance / size / size[:, None], atol=0.1)
         _, slope_std = inside.predict_gradient(at, return_std=True)

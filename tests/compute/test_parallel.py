@@ -126,20 +126,15 @@ LOST = r"did not come back \(TerminatedWorkerError.*It is done in this process"
 
 class TestLoss:
     @pytest.mark.parametrize("always", [False, True], ids=["one dies", "all die"])
-    def test_what_a_killed_worker_had_is_done_here(self, always, tmp_path):
-        state = (os.getpid(), str(tmp_path / "died"))
-        with parallel_config(**LOKY), sharing(SHARES), pytest.warns(RuntimeWarning, match=LOST):
-            found = share_map(deadly(always), state, SHARES)
-        assert values(found) == SUMS
-        assert {pid for _, pid in found} == {os.getpid()}
-
-    def test_the_next_call_has_new_workers(self, tmp_path):
+    def test_what_a_killed_worker_had_is_done_here_and_the_next_call_has_new_ones(self, always, tmp_path):
         state = (os.getpid(), str(tmp_path / "died"))
         with parallel_config(**LOKY), sharing(SHARES):
             with pytest.warns(RuntimeWarning, match=LOST):
-                share_map(deadly(), state, SHARES)
-            again = share_map(deadly(), state, SHARES)
-        assert os.getpid() not in {pid for _, pid in again}
+                found = share_map(deadly(always), state, SHARES)
+            again = share_map(processes(), (1.0,), SHARES)
+        assert values(found) == SUMS
+        assert {pid for _, pid in found} == {os.getpid()}
+        assert os.getpid() not in {pid for _, pid, _ in again}
 
     def test_what_cannot_travel_is_done_here_with_one_warning(self):
         lock = Lock()

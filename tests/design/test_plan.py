@@ -165,7 +165,8 @@ def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
 
 
 @pytest.mark.parametrize("curvature", [False, True])
-def test_the_same_seed_gives_the_same_plan(model, uav, curvature):
+def test_the_same_seed_gives_the_same_plan(model, uav, curvature, monkeypatch):
+    monkeypatch.setattr(_library, "WIDTHS", (1.0,))  # few candidates, for time
     options = {"seconds": 8.0, "goal": ["Cm_q"], "bands": BANDS, "random_state": 3, "curvature": curvature}
     one, two = (plan(model, uav, **AXES, **options) for _ in range(2))
     pd.testing.assert_frame_equal(one.manoeuvres, two.manoeuvres)
@@ -217,7 +218,8 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
     assert not envelope.left(flown, uav, aircraft).to_numpy().any()
 
 
-def test_a_pilot_flies_steps_that_he_can_count(model, uav):
+def test_a_pilot_flies_steps_that_he_can_count(model, uav, monkeypatch):
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
     options = AXES | {"seconds": 20.0, "bands": BANDS, "goal": ["Cm_q"], "envelope": Envelope(alpha=(-0.03, 0.055))}
     found = plan(model, uav, **options, pause=3.2, detents={"elevator": 0.008})
     assert found.manoeuvres["start"][0] == 3.5
@@ -233,7 +235,9 @@ def test_a_pilot_flies_steps_that_he_can_count(model, uav):
         plan(model, uav, **options, detents={"elevator": 0.1})
 
 
-def test_ctrl_c_keeps_what_was_checked(model, uav):
+def test_ctrl_c_keeps_what_was_checked(model, uav, monkeypatch):
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+
     def stop(stage, *_):
         if ", 1 kinds checked" in stage:
             raise KeyboardInterrupt
@@ -326,7 +330,8 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"known": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
     ],
 )
-def test_what_cannot_be_planned_is_said(model, uav, changed, words):
+def test_what_cannot_be_planned_is_said(model, uav, monkeypatch, changed, words):
+    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
     options = {"seconds": 20.0, "bands": BANDS} | AXES | changed
     with pytest.raises(ValueError, match=words):
         plan(model, uav, **options)

@@ -42,7 +42,7 @@ def test_flight(flights):
 def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
     """White noise of an accelerometer has the power per frequency s^2 dt, whatever the smoother leaves of it."""
     train, s, step = flights.train, 0.5, 0.1
-    draws = np.random.default_rng(0).standard_normal((8, len(train)))
+    draws = np.random.default_rng(0).standard_normal((5, len(train)))
     noisy = [train.assign(ay=train["ay"] + s * draw) for draw in draws]
     before, *after = (
         flight_noise(model, one, flights.aircraft, step=step).loc["CY", "white"] ** 2 * step for one in (train, *noisy)

@@ -1,19 +1,19 @@
 """Flights and a model for the tests of the command line, made once by one of the processes of a test run."""
 
+import io
 import json
-import os
 import pickle
 import subprocess
-import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 
 import pytest
 
+from skdgp._cli import main
 from skdgp.datasets import load_example_flights
 from skdgp.identification import Identification, _identification
 
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
-ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 @pytest.fixture(scope="session")
@@ -57,26 +57,30 @@ def in_folder(folder, monkeypatch):
 @pytest.fixture
 def no_report(monkeypatch):
     """Leave the report out: what takes a process of its own draws it."""
-    monkeypatch.setattr(_identification, "render_report", lambda content: "")
+    leave_report_out(monkeypatch)
+
+
+def leave_report_out(patch):
+    patch.setattr(_identification, "render_report", lambda content: "")
     for part in ("_envelope", "_effects"):
-        monkeypatch.setattr(Identification, part, lambda self: None)
+        patch.setattr(Identification, part, lambda self: None)
 
 
 @pytest.fixture(scope="session")
 def identified(folder, common_folder):
-    """Return what a whole run in a process of its own wrote and said."""
+    """Return what a whole run wrote and said, but for its report, which takes longer to draw than all else."""
 
     def write(results):
         arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
-        done = process(*arguments, *QUICK, "--horizons", "1", "-o", results / "deep" / "er", cwd=folder)
+        words = [*arguments, *QUICK, "--horizons", "1", "-o", str(results / "deep" / "er")]
+        said = io.StringIO(), io.StringIO()
+        with pytest.MonkeyPatch.context() as patch, redirect_stdout(said[0]), redirect_stderr(said[1]):
+            patch.chdir(folder)
+            leave_report_out(patch)
+            done = subprocess.CompletedProcess(words, main(words), *(stream.getvalue() for stream in said))
         (results / "said.pickle").write_bytes(pickle.dumps(done))
 
     results = once(common_folder / "results", write)
     output, done = results / "deep" / "er", pickle.loads((results / "said.pickle").read_bytes())
     assert done.returncode == 0, done.stderr
     return output, done, json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail)
-
-
-def process(*arguments, cwd, **options):
-    command = [sys.executable, "-m", "skdgp", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False, **options)

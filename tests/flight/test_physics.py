@@ -19,9 +19,9 @@ DEGREES = 180 / np.pi
 
 @pytest.fixture(scope="module")
 def flight():
-    """Return 60 s with all controls moving."""
+    """Return 90 s with all controls moving."""
     train = load_example_flights().train
-    return train[(train["flight"] == "latlon") & (train["time"] < 60)].reset_index(drop=True)
+    return train[(train["flight"] == "latlon") & (train["time"] < 90)].reset_index(drop=True)
 
 
 def scaled(factor, *names):
@@ -116,7 +116,7 @@ def test_good_flights_have_none():
 
 
 def test_parts_of_good_flights_have_none(flight):
-    for first in range(0, 60, 10):
+    for first in range(0, 80, 10):
         part = flight[flight["time"].between(first, first + 10)].reset_index(drop=True)
         assert find_contradictions(part) == []
         assert find_contradictions(part[["time", "airspeed", "p", "q", "r", "ax", "ay", "az"]]) == []

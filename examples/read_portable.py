@@ -20,7 +20,7 @@ class Model:
     def __init__(self, path):
         with np.load(path, allow_pickle=False) as file:
             self.head, self.arrays = json.loads(file["model.json"]), {name: file[name] for name in file.files[1:]}
-        if (self.head["format"], self.head["version"]) != ("skdgp portable model", 1):
+        if self.head["format"] != "skdgp portable model" or self.head["version"] not in (1, 2):
             raise ValueError(f"{path} is of the format {self.head['format']} {self.head['version']}")
 
     def regressors(self, table):
@@ -37,16 +37,19 @@ class Model:
         ``input_noise`` multiplies the variance of the noise of the regressors: 1 as in the flights of the fit, 0 for
         exact regressors, of a simulation. Measured ones without it have deviations that are several times too small.
         """
-        a = self.arrays
+        a, P = self.arrays, len(self.head["outputs"])
+        mixture = a.get("mixture", np.ones((1, P)))
         z = (np.asarray(X, dtype=float) - a["shift"]) / a["scale"]
         p = np.column_stack([np.ones(len(z)), z - a["trend_center"]])
-        mean, variance = np.empty((2, len(z), len(self.head["outputs"])))
-        for i, k in enumerate(a["readout_of"]):
+        means, variances = np.empty((2, len(z), *mixture.shape))
+        slopes = np.zeros((len(z), P, len(a["shift"])))
+        for j, k in enumerate(a["readout_of"]):
+            member, i = divmod(j, P)
             w, g = a[f"weights_{k}"], np.zeros((len(z), len(a[f"weights_{k}"])))
-            slope = np.tile(a["trend_weights"][i, 1:], (len(z), 1))
+            slope = np.tile(a["trend_weights"][j, 1:], (len(z), 1))
             blocks = (a[f"block_{name}"] for name in ("place", "gain", "shift", "root"))
-            for (output, centre, column, size), gain, shift, root in zip(*blocks, strict=True):
-                if output == i:
+            for (part, centre, column, size), gain, shift, root in zip(*blocks, strict=True):
+                if part == j:
                     away = (z - shift)[:, None] - a["centres"][centre : centre + size]
                     root = np.diag(root) if root.ndim == 1 else root
                     values = gain * np.exp(-0.5 * ((away @ root) ** 2).sum(axis=2))
@@ -54,13 +57,15 @@ class Model:
                     slope -= ((values * w[column : column + size])[:, None] @ (away @ root @ root.T))[:, 0]
             triangle = np.zeros((len(w), len(w)))
             triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
-            half = p @ a[f"trend_root_{i}"]
+            half = p @ a[f"trend_root_{j}"]
             half[:, half.shape[1] - len(w) :] += g @ triangle
-            prior = a["prior_variance"][i] + ((p * a["trend_scale"][i]) ** 2).sum(axis=1)
-            mean[:, i] = p @ a["trend_weights"][i] + g @ w
-            variance[:, i] = np.maximum(prior - (half**2).sum(axis=1), np.finfo(float).eps * prior)
-            slope = slope / a["scale"]
-            variance[:, i] += input_noise * ((slope @ a["input_covariance"]) * slope).sum(axis=1)
+            prior = a["prior_variance"][j] + ((p * a["trend_scale"][j]) ** 2).sum(axis=1)
+            means[:, member, i] = p @ a["trend_weights"][j] + g @ w
+            variances[:, member, i] = np.maximum(prior - (half**2).sum(axis=1), np.finfo(float).eps * prior)
+            slopes[:, i] += mixture[member, i] * slope / a["scale"]
+        mean = (mixture * means).sum(axis=1)
+        variance = (mixture * (variances + (means - mean[:, None]) ** 2)).sum(axis=1)
+        variance += input_noise * ((slopes @ a["input_covariance"]) * slopes).sum(axis=2)
         return a["center"] + a["output_scale"] * mean, a["deviation_scale"] * np.sqrt(variance)
 
 

@@ -13,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import DependentGPRegressor
-from skdgp.inference import CentredTerm, training_inputs
+from skdgp.inference import centred_term, training_inputs
 
 MAX_ROWS = 1000  # samples over which effects are centred
 RANGE = (0.01, 0.99)  # quantiles of a regressor between which its effect is computed
@@ -50,7 +50,7 @@ class Effects:
     curves: dict[str, Curve]
     samples: pd.DataFrame
     _model: Any
-    _terms: dict[str, CentredTerm]
+    _terms: dict[str, Any]
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
         """Return the terms at X (n, ...), input of the model or of the pipeline that ends in it: a dict of (n, P).
@@ -125,7 +125,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     units = pd.DataFrame(in_units(rows, scalers), columns=names)
     posterior, scale = regressor.posterior_, regressor._scale
     terms = {
-        _name(columns, names): CentredTerm(posterior, columns, rows) for columns in posterior.kernel.term_regressors()
+        _name(columns, names): centred_term(posterior, columns, rows) for columns in posterior.kernel.term_regressors()
     }
     intercept = sum(term.values.mean(axis=0) for term in terms.values())
     terms.pop("", None)  # the constant

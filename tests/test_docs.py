@@ -134,7 +134,7 @@ class TestNotation:
         from skdgp.kernels._features import Features
 
         x = np.linspace(0, 1, 8)[:, None]
-        fitted = DependentGPRegressor(max_iter=1).fit(x, np.hstack([x, x**2]))
+        fitted = DependentGPRegressor(structure="joint", max_iter=1).fit(x, np.hstack([x, x**2]))
         things = {
             "DependentGPRegressor": fitted,
             "ConvolvedGaussian": fitted.kernel_.stationary_part(),
@@ -162,7 +162,8 @@ class TestNotation:
         M = 2 + P
         X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
         for kind, A in (("diag", (M, P, d)), ("full", (M, P, d, d))):
-            model = DependentGPRegressor(n_latent=2, max_iter=1, covariance_type=kind, random_state=0).fit(X, Y)
+            options = {"structure": "joint", "max_iter": 1, "random_state": 0}
+            model = DependentGPRegressor(n_latent=2, covariance_type=kind, **options).fit(X, Y)
             kernel, trend = model.kernel_.stationary_part(), model.kernel_.k1
             assert kernel.A.shape == A
             assert kernel.v.shape == kernel.amplitude.shape == (M, P)

@@ -16,12 +16,14 @@ NAMES, OUTPUTS = ["alpha", "beta", "elevator"], ["CZ", "Cm"]
 SCALE = np.array([0.1, 0.2, 5.0])
 MODELS = {
     "trend": {"structure": "trend"},
-    "joint": {"n_latent": 1},
+    "joint": {"structure": "joint", "n_latent": 1},
+    "average": {"n_latent": 1},
     "additive": {"structure": "additive", "n_latent": 0},
     "sparse": {"structure": "additive", "n_latent": 0, "inference": "sparse", "n_inducing": 25},
     "pairs": {
         "kernel": LinearTrend() + ConvolvedGaussian(0, regressors=[0, 1]) + ConvolvedGaussian(0, regressors=[2]),
         "trend": None,
+        "structure": "joint",
     },
     "no trend": {"structure": "additive", "n_latent": 0, "trend": "constant"},
     "other trend": {"trend": PolynomialFeatures(2), "n_latent": 0},

@@ -27,7 +27,7 @@ def waves(n=300, sigma=SIGMA, seed=0):
 
 def fitted(input_noise, inference="exact", **options):
     X, Y, *_ = waves()
-    options = {"n_latent": 1, "max_iter": 40, "random_state": 0, "n_inducing": 20} | options
+    options = {"structure": "joint", "n_latent": 1, "max_iter": 40, "random_state": 0, "n_inducing": 20} | options
     return DependentGPRegressor(input_noise=input_noise, inference=inference, **options).fit(X, Y)
 
 

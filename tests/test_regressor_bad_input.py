@@ -118,8 +118,8 @@ class TestRegressors:
     @pytest.mark.parametrize("offset", [1e4, 1.7e9])
     def test_that_are_far_from_zero(self, X, Y, inference, offset):
         """Unix time stamps: few rows, many rows, deviations and slopes are those of the same numbers near zero."""
-        here = quick(inference=inference, n_inducing=30, max_iter=40).fit(X, Y)
-        there = quick(inference=inference, n_inducing=30, max_iter=40).fit(X + offset, Y)
+        options = {"structure": "joint", "inference": inference, "n_inducing": 30, "max_iter": 40}
+        here, there = quick(**options).fit(X, Y), quick(**options).fit(X + offset, Y)
         for rows in (slice(0, 5), slice(None)):
             for got, expected in zip(there.predict(X[rows] + offset, True), here.predict(X[rows], True), strict=True):
                 np.testing.assert_allclose(got, expected, rtol=0.01, atol=0.01)  # rounded to 2e-7 of their spread
@@ -238,7 +238,7 @@ class TestTargets:
 
     def test_exactly_linear_or_noise_free(self, X):
         Y = np.column_stack([X[:, 0] + X[:, 1], np.sin(X[:, 0])])
-        mean, std = quick(max_iter=30).fit(X, Y).predict(X, return_std=True)
+        mean, std = quick(structure="joint", max_iter=30).fit(X, Y).predict(X, return_std=True)
         np.testing.assert_allclose(mean, Y, atol=0.01)
         assert std.max() < 0.05
 
@@ -279,8 +279,8 @@ class TestParameters:
             ({"n_inducing": 0}, "n_inducing"),
             ({"optimizer": "adam"}, "optimizer.*fmin_l_bfgs_b"),
             ({"max_iter": 0}, "max_iter"),
-            ({"n_restarts_optimizer": -1}, "n_restarts_optimizer"),
-            ({"normalize_y": "yes"}, "normalize_y"),
+            ({"structure": "auto"}, "structure.*'average'"),
+            ({"input_noise": "white"}, "input_noise.*'learned'"),
             ({"random_state": "seed"}, "random_state"),
         ],
         ids=lambda p: ", ".join(p) if isinstance(p, dict) else "",

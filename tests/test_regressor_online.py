@@ -34,7 +34,8 @@ def data():
 
 def fitted_on(X, Y, kind="exact"):
     inference = "exact" if kind == "exact" else "sparse"
-    model = DependentGPRegressor(inference=inference, n_inducing=25, max_iter=15, random_state=0).fit(X, Y)
+    options = {"structure": "joint", "inference": inference, "n_inducing": 25, "max_iter": 15}
+    model = DependentGPRegressor(**options, random_state=0).fit(X, Y)
     return model.compact(60) if kind == "compact" else model
 
 

@@ -187,8 +187,8 @@ class TestRefused:
             BasisTrend(PolynomialFeatures(2), [1.0], [[1.0, 1.0]])(data[0])
 
 
-class TestAdditive:
-    """Trend + a function of each regressor + the joint process."""
+class TestStructure:
+    """A trend alone, or with a function of each regressor and the joint process."""
 
     @pytest.fixture
     def sample(self):
@@ -204,7 +204,6 @@ class TestAdditive:
         for structure in ("joint", "additive"):
             options = {"structure": structure, "inference": inference, "n_latent": 0, "n_inducing": 40, "max_iter": 100}
             model = DependentGPRegressor(**options, random_state=0).fit(X, y)
-            assert model.structure_ == structure
             errors[structure] = np.sqrt(np.mean((model.predict(new) - np.sin(3 * new).sum(axis=1)) ** 2))
         assert errors["additive"] < 0.5 * errors["joint"]
 
@@ -212,9 +211,13 @@ class TestAdditive:
     def test_goes_with_any_trend(self, sample, trend):
         X, y = sample
         model = DependentGPRegressor(structure="additive", trend=trend, n_latent=0, optimizer=None).fit(X, y)
-        assert model.structure_ == "additive"
         parts = [part for part in model.kernel_.get_params().values() if isinstance(part, ConvolvedGaussian)]
         assert sorted(part.regressors for part in parts if part.regressors) == [[0], [1], [2], [3]]
+
+    @pytest.mark.parametrize("options", [{"kernel": ConvolvedGaussian(1)}, {"trend": "constant"}, {"trend": None}])
+    def test_a_trend_alone_needs_a_trend(self, sample, options):
+        with pytest.raises(ValueError, match="structure='trend'"):
+            DependentGPRegressor(structure="trend", **options).fit(*sample)
 
     def test_refuses_a_kernel(self, sample):
         with pytest.raises(ValueError, match=r"structure='additive' with kernel=.*expected kernel=None"):

@@ -98,7 +98,7 @@ class Console:
             else:
                 detail = f"all outputs together · {n_evaluations} evaluations"
                 if abs(log_likelihood) < float("inf"):
-                    words = "bound on the log likelihood" if stage == "bound" else "log likelihood"
+                    words = "log likelihood of a part" if stage == "members" else "log likelihood"
                     detail += f" · {words} {log_likelihood:.1f}"
             self._show(f"fit · {detail} · {time.monotonic() - self._began:.0f} s")
 

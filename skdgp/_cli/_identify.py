@@ -74,12 +74,10 @@ def _learn(run, train, aircraft, test, title=None, **known):
     options, console = run.options, run.console
     given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
     regressor = default_regressor(
-        gusty=options.gusty,
         structure=options.structure,
         trend=opt.none_of(options.trend),
         inference=options.inference,
         input_noise=opt.none_of(options.input_noise),
-        n_restarts_optimizer=options.restarts,
         n_jobs=options.n_jobs,
         random_state=options.seed,
         **{name: value for name, value in given.items() if value is not None},
@@ -97,7 +95,6 @@ def _learn(run, train, aircraft, test, title=None, **known):
                 regressor=regressor,
                 calibrate=options.calibrate,
                 symmetric=options.symmetric,
-                gusty=options.gusty,
                 horizons=options.horizons,
                 **known,
             )
@@ -139,24 +136,18 @@ LEARNING = [
     opt.choice("--input-noise", ["learned", "none"], "noise of the regressors (default: learned)"),
     opt.choice(
         "--structure",
-        ["auto", "joint", "additive", "trend"],
-        "trend: the trend alone; joint: with processes; additive: also with functions of one regressor "
-        "each; auto: additive up to 5000 samples, else joint, or the trend where it predicts quarters of the training "
-        "flights better that are held out in turn (default: auto)",
+        ["average", "joint", "additive", "trend"],
+        "trend: the trend alone; joint: with processes; additive: also with functions of one regressor each; average: "
+        "of these, weighted by what they predict of blocks of the training flights that are held out in turn (default: "
+        "average)",
     ),
     opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
-    opt.option(
-        "--latents M|auto",
-        "latents that the outputs share (default: 2, none if all rows are complete)",
-        opt.at_least(0, "auto"),
-    ),
+    opt.option("--latents M", "latents that the outputs share (default: 2)", opt.at_least(0)),
     opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),
     opt.flag("--symmetric", "the aircraft is symmetric: learn from mirrored flights, too"),
-    opt.flag("--gusty", "learn the aircraft without its gusts, to simulate or linearise; not to predict gusty flights"),
     opt.option("--max-iter N", "iterations of the fit", opt.at_least(1)),
-    opt.option("--restarts N", "further starting points of the fit (default: 0)", opt.at_least(0), default=0),
     opt.SEED,
-    opt.option("--n-jobs N", "processes for the restarts; -1: all cores", opt.jobs),
+    opt.option("--n-jobs N", "processes for the members of the average; -1: all cores", opt.jobs),
 ]
 IDENTIFY = Command(
     identify,

@@ -46,10 +46,10 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             stacklevel=2,
         )
     gusts = 0.0 if (turbulence := turbulence_of(pipeline)) is None else max(turbulence.intensity)
-    if gusts > NOTABLE_GUSTS and not getattr(pipeline, "gusty", False):
+    if gusts > NOTABLE_GUSTS:
         warnings.warn(
-            f"The model was learned in gusts of {gusts:.1f} m/s to predict flights in such gusts, so its derivatives "
-            "by rates are too small: learn one by identify --gusty --symmetric to simulate or to linearise.",
+            f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are too small: learn from "
+            "flights in calmer air to simulate or to linearise.",
             UserWarning,
             stacklevel=2,
         )

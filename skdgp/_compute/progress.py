@@ -13,7 +13,7 @@ from skdgp._compute.sklearn_compat import HAS_CALLBACKS, CallbackSupportMixin, c
 __all__ = ["CallbackSupportMixin", "FitTask", "listening", "notify"]
 
 ROUND = 10  # evaluations that one progress bar stands for
-ROUND_NAMES = {"fit": "log likelihood", "bound": "inducing inputs, bound"}
+ROUND_NAMES = {"fit": "log likelihood", "members": "log likelihood of a part"}
 Listener: TypeAlias = Callable[[str, int, float], Any]
 
 _listener: ContextVar[Listener | None] = ContextVar("skdgp_progress", default=None)
@@ -24,9 +24,9 @@ def listening(listener: Listener) -> Iterator[None]:
     """Call ``listener(stage, n_evaluations, log_likelihood)`` during every fit inside the ``with`` block.
 
     It is called after every evaluation of the likelihood. ``stage`` is "output 1", ... where each output is fitted
-    alone, side by side, "fit" where all are fitted together, "bound" where inducing inputs are placed;
+    alone, side by side, "fit" where all are fitted together, "members" where parts of an average learn their noise;
     ``n_evaluations`` counts those of a stage; ``log_likelihood`` is the best so far. What it raises reaches the fit:
-    KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Restarts in other processes do not call it.
+    KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Fits in other processes do not call it.
 
     Examples
     --------

@@ -45,7 +45,7 @@ def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, l
     return table, names or default_names(table.shape[1]), Y.ndim == 1
 
 
-def standardize(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def standardize(Y: np.ndarray, centered: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return centred and scaled targets, and the center and scale of each output, (P,).
 
     The center of a constant output is its value, and its scale is the magnitude of that value, so it becomes 0 or 1
@@ -54,8 +54,7 @@ def standardize(Y: np.ndarray, centered: bool, scaled: bool) -> tuple[np.ndarray
     constant, size = constant_columns(Y), np.nanmax(np.abs(Y), axis=0)
     Y = np.where(constant & np.isfinite(Y), Y[np.isfinite(Y).argmax(axis=0), range(Y.shape[1])], Y)
     center = np.where(constant, np.nanmax(Y, axis=0), np.nanmean(Y, axis=0)) if centered else np.zeros(Y.shape[1])
-    scale = np.sqrt(np.nanmean((Y - center) ** 2, axis=0)) if scaled else np.ones(Y.shape[1])
-    scale = np.where(constant & scaled, np.where(size > 0, size, 1.0), scale)
+    scale = np.where(constant, np.where(size > 0, size, 1.0), np.sqrt(np.nanmean((Y - center) ** 2, axis=0)))
     return (Y - center) / scale, center, scale
 
 
@@ -222,24 +221,24 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
         )
 
 
-def warn_of_few_rows(errors: np.ndarray, n_regressors: int, structure: str) -> None:
+def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) -> None:
     """Warn if there are fewer than `LEAST_ROWS` independent rows for each regressor.
 
     ``errors`` (n, P) are what the model leaves of the targets, in the order of the log, NaN where not observed. They
-    count as rows over their autocorrelation time, median over the outputs. A trend alone states its uncertainty well
-    with few rows, unless their errors are correlated.
+    count as rows over their autocorrelation time, median over the outputs. An average leans on its trend then. A trend
+    alone states its uncertainty well with few rows, unless their errors are correlated.
     """
     observed = [column[np.isfinite(column)] for column in errors.T]
     lasting = float(np.median([autocorrelation_time(column) for column in observed]))
     lasting = lasting if lasting >= WHITE else 1.0
     rows = float(np.median([len(column) for column in observed])) / lasting
-    if rows >= LEAST_ROWS * n_regressors or (structure == "trend" and lasting == 1.0):
+    if rows >= LEAST_ROWS * n_regressors or (members == ["trend"] and lasting == 1.0):
         return
     because = f", worth {rows:.0f} independent ones as errors last {lasting:.0f} rows," if lasting > 1.0 else ""
     _warn(
         f"Got {len(errors)} rows{because} for {n_regressors} regressors, {rows / n_regressors:.2g} for each, but "
-        f"expected at least {LEAST_ROWS} for each: with fewer, standard deviations are too small. Give more rows or "
-        "minutes of manoeuvres, name fewer regressors, or use structure='trend'.",
+        f"expected at least {LEAST_ROWS} for each: with fewer, the model leans on the linear trend, and standard "
+        "deviations may be too small. Give more rows or minutes of manoeuvres, or name fewer regressors.",
         FewRowsWarning,
     )
 

@@ -18,7 +18,7 @@ from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
-from skdgp._regressor._structure import choose
+from skdgp._regressor._structure import fit_structure, likeliest_mean, member_names
 from skdgp.inference import (
     Data,
     FunctionErrors,
@@ -68,30 +68,20 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     Parameters
     ----------
     kernel : MultiOutputKernel or None
-        Covariance of the processes. None: ``ConvolvedGaussian(n_latent, private_latents=private_latents,
-        covariance_type=covariance_type, length_scale_bounds=length_scale_bounds,
-        length_scale_prior=length_scale_prior)``. Missing values are estimated from the data.
-    n_latent : int, "auto" or None
-        Number of latent processes that all outputs share. "auto" adds latents, up to 3, as long as the Bayesian
-        information criterion improves. None: 2, but none where ``structure="auto"`` learns from outputs of which
-        at least 95 % of the values are observed: they have little to teach each other (docs/sharing.md).
-    private_latents : bool
-        Whether each output also has a private latent process.
+        Covariance of the processes. None: ``ConvolvedGaussian(n_latent, covariance_type=covariance_type)``, for
+        a log, which ``fit`` gets with ``time``, with ``length_scale_bounds="spacing"``. Missing values are estimated
+        from the data.
+    n_latent : int
+        Number of latent processes that all outputs share; each output also has a private one.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
-    length_scale_bounds : None, "spacing" or pair
-        Bounds on the widths, see ``ConvolvedGaussian``. None: .05 to 1000 standard deviations of the regressor.
-        "spacing", the default of identification: at least n^(-1/d) standard deviations, for n samples, at most 400, in
-        d regressors. In many regressors, a process of smaller width is noise to the samples (docs/inference.md).
-    length_scale_prior : None, "auto", pair or array (d, 2)
-        Prior median of the widths and standard deviation of their logarithms, see ``ConvolvedGaussian``. None: no
-        prior.
-    structure : {"joint", "additive", "trend", "auto"}
+    structure : {"average", "joint", "additive", "trend"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
-        (main effects). "trend": the trend alone, with its weights integrated out. "auto" is "additive" up to 5000
-        samples, and else "joint", unless the trend alone has the smaller mean squared error, averaged over the outputs,
-        in quarters of the log that are held out in turn. Rows must be in the order of the log. The result is in
-        ``structure_`` and ``structure_errors_``.
+        (main effects). "trend": the trend alone, with its weights integrated out. "average": the mixture of posteriors
+        of all terms ("additive" for up to 5000 samples of a log, else "joint"), of the trend and main effects, and of
+        the trend, at the same hyperparameters. Weights for each output come from blocks of rows that are held out in
+        turn, so rows must be in the order of the log (docs/theory.md). They are in ``weights_``. A model without a
+        linear trend, or whose hyperparameters are not learned, has one member.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -104,25 +94,20 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         observed values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
-    input_noise : None, "learned", float, array (d,) or (d, d)
+    input_noise : "auto", "learned", None, float, array (d,) or (d, d)
         Noise of the regressors, independent between samples: standard deviations or a covariance S in the units of X,
         or "learned" for one learned standard deviation for each regressor. With the slopes J of the mean it adds
-        J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None: exact regressors.
+        J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None: exact regressors. "auto" is
+        "learned" for a log, which ``fit`` gets with ``time``, and else None.
     optimizer : "fmin_l_bfgs_b", callable or None
-        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values.
-    n_restarts_optimizer : int
-        Number of further starting points; the best result is kept. ``n_jobs`` runs them in parallel.
-    early_stopping : bool
-        Whether the search stops when the error of held-out blocks of rows no longer falls, so that hyperparameters do
-        not fit what is particular to the log. They are then learned from at most 1800 other values. Rows must be in the
-        order of the log. The posterior uses all values.
+        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. For a log,
+        which ``fit`` gets with ``time``, the search stops when the error of held-out blocks of rows no longer falls, so
+        that hyperparameters do not fit what is particular to the log. The posterior uses all values.
     max_iter : int
         Iterations of the joint search. The preceding fits of single outputs use at most twice as many each.
-    normalize_y : bool
-        Whether each output is divided by its standard deviation before the fit. ``kernel_`` and ``posterior_`` are in
-        the normalised units.
     n_jobs : int or None
-        Processes for the restarts, as in joblib. None: the setting of ``joblib.parallel_config``, or one process.
+        Members of the average that are fitted side by side, as in joblib. None: the setting of
+        ``joblib.parallel_config``, or one process.
     random_state : int, RandomState or None
         Seed of the starting values.
 
@@ -147,17 +132,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Inference that was used.
     compaction_ : Compaction
         Change of the predictions by ``compact``; only in a compact model.
-    posterior_ : ExactPosterior or SparsePosterior
+    posterior_ : AveragePosterior, ExactPosterior or SparsePosterior
         Posterior of the normalised outputs.
-    n_latent_ : int or None
-        Number of shared latent processes; None if a kernel is given.
-    n_latent_scores_ : dict
-        Criterion in nats for each number of latents that ``n_latent="auto"`` tried; the largest is chosen.
-    structure_ : {"joint", "additive", "trend"}
-        Structure of the fitted model.
-    structure_errors_ : dict
-        Mean squared error of each output in held-out blocks, over its variance, (P,), of the two structures that were
-        compared, "trend" and "additive" or "joint"; empty unless ``structure="auto"``.
+    weights_ : dict of str to ndarray (P,)
+        Weight of each member of the average for each output: "joint", with all terms, "additive", with main effects,
+        and "trend".
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
@@ -182,25 +161,17 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     ((40, 2), (40, 2))
     """
 
-    n_latent_: Any
-    structure_: str
     _parameter_constraints = {
         "kernel": [MultiOutputKernel, None],
-        "n_latent": [Interval(Integral, 0, None, closed="left"), StrOptions({"auto"}), None],
-        "private_latents": ["boolean"],
+        "n_latent": [Interval(Integral, 0, None, closed="left")],
         "covariance_type": [StrOptions(set(COVARIANCE_TYPES))],
-        "length_scale_bounds": [StrOptions({"spacing"}), "array-like", None],
-        "length_scale_prior": [StrOptions({"auto"}), "array-like", None],
-        "structure": [StrOptions({"joint", "additive", "trend", "auto"})],
+        "structure": [StrOptions({"average", "joint", "additive", "trend"})],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
-        "input_noise": [StrOptions({"learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
+        "input_noise": [StrOptions({"auto", "learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
-        "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
-        "early_stopping": ["boolean"],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
-        "normalize_y": ["boolean"],
         "n_jobs": [Integral, None],
         "random_state": ["random_state"],
     }
@@ -209,40 +180,28 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self,
         kernel: Any = None,
         *,
-        n_latent: Any = None,
-        private_latents: bool = True,
+        n_latent: int = 2,
         covariance_type: str = "diag",
-        length_scale_bounds: Any = None,
-        length_scale_prior: Any = None,
-        structure: str = "joint",
+        structure: str = "average",
         trend: Any = "linear",
         inference: str = "auto",
         n_inducing: int = 100,
-        input_noise: Any = None,
+        input_noise: Any = "auto",
         optimizer: Any = "fmin_l_bfgs_b",
-        n_restarts_optimizer: int = 0,
-        early_stopping: bool = False,
         max_iter: int = 60,
-        normalize_y: bool = True,
         n_jobs: int | None = None,
         random_state: Seed = None,
     ) -> None:
         self.kernel = kernel
         self.n_latent = n_latent
-        self.private_latents = private_latents
         self.covariance_type = covariance_type
-        self.length_scale_bounds = length_scale_bounds
-        self.length_scale_prior = length_scale_prior
         self.structure = structure
         self.trend = trend
         self.inference = inference
         self.n_inducing = n_inducing
         self.input_noise = input_noise
         self.optimizer = optimizer
-        self.n_restarts_optimizer = n_restarts_optimizer
-        self.early_stopping = early_stopping
         self.max_iter = max_iter
-        self.normalize_y = normalize_y
         self.n_jobs = n_jobs
         self.random_state = random_state
 
@@ -265,8 +224,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Targets; NaN where an output was not observed.
         time : array (n,) or None
             Time of each sample [s], of rows in the order of the log. Use it if errors of neighbouring samples
-            are correlated: without it bands are too narrow. The posterior is that of white noise. Its residuals then
-            show the misfit, and the drift of each output, a part of the noise with the covariance
+            are correlated: without it bands are too narrow. It says that the rows are a log: noise of the regressors
+            is learned, and held-out blocks stop the search (``kernel``, ``input_noise``, ``optimizer``). The posterior
+            is that of white noise. Its residuals then show the misfit, and the drift of each output, a part of the
+            noise with the covariance
             ``tau^2 exp(-|t - t'| / T)`` within a flight. In a pipeline, pass it as
             ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;
             ``skdgp.identification.FlightPipeline`` does it itself. None: neither drift nor misfit.
@@ -317,20 +278,21 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             check_memory(n_values, "Exact inference on", FIT_REMEDY)
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
-        Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None, self.normalize_y)
-        found = task.run(choose, self, X, Z)
-        posterior, learned = found.fit.posterior, found.fit.learned
+        Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None)
+        found = task.run(fit_structure, self, X, Z, clock is not None)
+        posterior, learned = found.posterior, found.learned
+        names = member_names(posterior)
         _checks.warn_of_search(learned, self.max_iter, X, self._regressor_names())
         if not learned.interrupted:
-            _checks.warn_of_few_rows(Z - posterior.predict(X), X.shape[1], found.structure)
+            _checks.warn_of_few_rows(Z - likeliest_mean(posterior, X), X.shape[1], names)
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X, Z, clock)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
-        self.structure_, self.structure_errors_ = found.structure, found.structure_errors
-        self.n_latent_, self.n_latent_scores_ = found.n_latent, found.n_latent_scores
+        weights = posterior.weights if len(names) > 1 else np.ones((1, len(self._scale)))
+        self.weights_ = dict(zip(names, weights, strict=True))
         self._divide_noise(learned.noise * self._scale**2, misfit * self._scale**2)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
         self._root = learned.root
@@ -394,7 +356,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
         data = Data.from_table(X, (Y - self._center) / self._scale, loading)
         if self.inference_ == "exact":
-            check_memory(self.posterior_.data.n_values + data.n_values, "Exact inference on", UPDATE_REMEDY)
+            check_memory(self.posterior_.samples().n_values + data.n_values, "Exact inference on", UPDATE_REMEDY)
         if data.n_values:
             self.posterior_ = self.posterior_.updated(data)
             self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood

@@ -21,6 +21,7 @@ from skdgp._effects import in_units, samples_of, split_model
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft, as_aerodynamics
+from skdgp.export._pipeline import members_of
 from skdgp.inference import ExactPosterior
 
 MAX_POINTS, MAX_TESTED = 10000, 10000  # samples of the projection; samples over which its loss is measured
@@ -496,17 +497,24 @@ class Posterior:
 
     def root(self, i: int, X: Matrix) -> Matrix:
         """Return F (n, r) such that F F^T is the posterior covariance of coefficient i at X."""
-        posterior, i, X = self.regressor.posterior_, self.order[i], self._scaled(X)
-        left = posterior.loading(i, X)[0]
-        if isinstance(posterior, ExactPosterior):
-            right = posterior.solve(left.T)
-        else:
-            left = left @ posterior.roots[i]
-            right = left.T
-        covariance = np.empty((len(X), len(X)), order="F")  # the lower triangle
-        for a in range(0, len(X), CHUNK):
-            chunk = slice(a, a + CHUNK)
-            covariance[a:, chunk] = posterior.kernel.block(i, i, X[a:], X[chunk]) - left[a:] @ right[:, chunk]
+        (members, weights), i, X = members_of(self.regressor.posterior_), self.order[i], self._scaled(X)
+        chunks = [slice(a, a + CHUNK) for a in range(0, len(X), CHUNK)]
+        covariance = np.zeros((len(X), len(X)), order="F")  # the lower triangle
+        means = np.empty((len(X), len(members)))
+        for k, posterior in enumerate(members):
+            left, right = posterior.loading(i, X)
+            means[:, k] = left @ right
+            if isinstance(posterior, ExactPosterior):
+                right = posterior.solve(left.T)
+            else:
+                left = left @ posterior.roots[i]
+                right = left.T
+            for c in chunks:
+                of_member = posterior.kernel.block(i, i, X[c.start :], X[c]) - left[c.start :] @ right[:, c]
+                covariance[c.start :, c] += weights[k, i] * of_member
+        away = (means - (means @ weights[:, i])[:, None]) * np.sqrt(weights[:, i])
+        for c in chunks:
+            covariance[c.start :, c] += away[c.start :] @ away[c].T
         least = NEGLIGIBLE * max(float(np.mean(np.diag(covariance))), 0.0)
         lower, pivots, rank, _ = lapack.dpstrf(covariance, tol=least, lower=1, overwrite_a=1)
         root = np.empty((len(X), rank))

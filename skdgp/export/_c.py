@@ -28,7 +28,8 @@ LARGE = 2**20  # numbers of roots from which their rounding is not tried before 
 N_VECTORS = 40
 PER_LINE = 8
 BLOCK_BYTES = 56
-CODE_BYTES = 4096  # of the functions and names, and alignment
+PART_BYTES = 192  # pointers and numbers of a part, and alignment of its arrays
+CODE_BYTES = 4096  # of the functions and names
 UNBOUNDED = 1e30  # edge of an envelope that is not known
 _TEMPLATES = Path(__file__).with_name("c")
 _AXES = [("XX", 0, 0), ("YY", 1, 1), ("ZZ", 2, 2), ("XY", 0, 1), ("XZ", 0, 2), ("YZ", 1, 2)]
@@ -129,6 +130,7 @@ def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
     X = _points(model)
     std, other = (m.predict(X, True, False)[1] for m in (model, replace(model, readouts=tuple(readouts))))
     visible = np.abs(other - std).max(axis=0) > ROUNDED * std.max(axis=0)
+    visible = np.tile(visible, len(model.mixture))
     return [None if visible[model.readout_of == k].any() else root for k, root in enumerate(rounded)]
 
 
@@ -175,7 +177,8 @@ def c_bytes(model: PortableModel, precision: str = "double") -> int:
     numbers = sum(len(values) for values in (table.centres, table.shifts, table.roots))
     numbers += sum(np.size(getattr(model, name)) for name in _VECTORS) + 2 * len(model.regressors)
     numbers += sum(root.size for root in model.trend_roots) + sum(readout.size for readout in model.readouts)
-    size = CODE_BYTES + 8 * numbers + len(table.used) + BLOCK_BYTES * len(model.blocks)
+    size = CODE_BYTES + 8 * numbers + len(table.used)
+    size += BLOCK_BYTES * len(model.blocks) + PART_BYTES * len(model.readout_of)
     if precision == "double" or sum(triangles) > LARGE:
         return size + 8 * sum(triangles)
     roots = _roots(model, precision)
@@ -188,7 +191,7 @@ def c_bytes(model: PortableModel, precision: str = "double") -> int:
 
 _VECTORS = (
     *("shift", "scale", "center", "output_scale", "deviation_scale", "prior_variance", "trend_center", "trend_scale"),
-    "trend_weights",
+    *("trend_weights", "mixture"),
 )
 
 
@@ -200,7 +203,7 @@ def _header(model, precision, size) -> dict[str, Any]:
     return {
         "aircraft": _comment(aircraft.name),
         "size": size,
-        "stack": 8 * (functions + 4 * len(model.regressors) + 1),
+        "stack": 8 * (functions + 4 * len(model.regressors) + 1 + 2 * len(model.mixture)),
         "real": precision,
         "n_sources": len(model.columns),
         "d": len(model.regressors),
@@ -213,7 +216,7 @@ def _header(model, precision, size) -> dict[str, Any]:
 
 
 def _source(model, precision) -> dict[str, Any]:
-    P, table = len(model.outputs), _blocks(model)
+    J, table = len(model.readout_of), _blocks(model)
     order = sorted(block.output for block in model.blocks)
     readouts = [model.readouts[k] for k in model.readout_of]
     roots = _roots(model, precision)
@@ -237,17 +240,18 @@ def _source(model, precision) -> dict[str, Any]:
         *(_array(name, getattr(table, name)) for name in ("centres", "shifts", "roots")),
         _array("used", table.used or [0], "static const unsigned char"),
         f"static const block blocks[{len(blocks)}] = {{" + ",\n".join(blocks) + "};",
-        _array("first_block", np.searchsorted(order, np.arange(P + 1)), _INT),
+        _array("first_block", np.searchsorted(order, np.arange(J + 1)), _INT),
         _array("n_functions", [readout.size for readout in readouts], _INT),
         _array("n_columns", [root.shape[1] for root in model.trend_roots], _INT),
         *(_array(f"weights_{k}", readout.weights) for k, readout in enumerate(model.readouts)),
         *(text for k, root in enumerate(roots) for text in _triangle(k, root, model.readouts[k])),
-        *(_array(f"trend_root_{i}", root.T.ravel()) for i, root in enumerate(model.trend_roots)),
+        *(_array(f"trend_root_{j}", root.T.ravel()) for j, root in enumerate(model.trend_roots)),
         _pointers("weights", [f"weights_{k}" for k in model.readout_of]),
-        _pointers("trend_root", [f"trend_root_{i}" for i in range(P)]),
-        f"static const triangle root[{P}] = {{" + ",\n".join(pointers[k] for k in model.readout_of) + "};",
+        _pointers("trend_root", [f"trend_root_{j}" for j in range(J)]),
+        f"static const triangle root[{J}] = {{" + ",\n".join(pointers[k] for k in model.readout_of) + "};",
     ]
     return {
+        "members": len(model.mixture),
         "functions": max(1, *(readout.size for readout in model.readouts)),
         "full": int(table.full),
         "tables": "\n".join(texts),

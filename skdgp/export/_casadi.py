@@ -29,22 +29,25 @@ def casadi_function(model: PortableModel) -> Any:
     x = ca.MX.sym("x", len(model.regressors))
     z = (x - ca.DM(model.shift)) / ca.DM(model.scale)
     p = ca.vertcat(1, z - ca.DM(model.trend_center))
-    mean, std = [], []
-    for i in range(len(model.outputs)):
-        value = ca.dot(ca.DM(model.trend_weights[i]), p)
-        half = ca.mtimes(ca.DM(model.trend_roots[i].T), p)
-        for block, weights, rows in model.terms(i):
+    means, variances = [], []
+    for j in range(len(model.readout_of)):
+        value = ca.dot(ca.DM(model.trend_weights[j]), p)
+        half = ca.mtimes(ca.DM(model.trend_roots[j].T), p)
+        for block, weights, rows in model.terms(j):
             away = ca.repmat(z - ca.DM(block.shift), 1, block.size) - ca.DM(model.centres[block.rows].T)
             F = np.diag(block.root) if block.root.ndim == 1 else block.root.T
             g = block.gain * ca.exp(-0.5 * ca.sum1(ca.mtimes(ca.DM(F), away) ** 2)).T
             value += ca.dot(ca.DM(weights), g)
             half += ca.mtimes(ca.DM(rows.T), g)
-        prior = model.prior_variance[i] + ca.sumsqr(ca.DM(model.trend_scale[i]) * p)
-        variance = ca.fmax(prior - ca.sumsqr(half), np.finfo(float).eps * prior)
-        mean.append(model.center[i] + model.output_scale[i] * value)
-        std.append(model.deviation_scale[i] * ca.sqrt(variance))
-    outputs = ca.vertcat(*mean)
-    values = [outputs, ca.vertcat(*std), ca.jacobian(outputs, x)]
+        prior = model.prior_variance[j] + ca.sumsqr(ca.DM(model.trend_scale[j]) * p)
+        means.append(value)
+        variances.append(ca.fmax(prior - ca.sumsqr(half), np.finfo(float).eps * prior))
+    parts, mixer = ca.vertcat(*means), ca.DM(model.mixer.T)
+    mixed = ca.mtimes(mixer, parts)
+    away = parts - ca.repmat(mixed, len(model.mixture), 1)
+    variance = ca.mtimes(mixer, ca.vertcat(*variances) + away**2)
+    mean = ca.DM(model.center) + ca.DM(model.output_scale) * mixed
+    values = [mean, ca.DM(model.deviation_scale) * ca.sqrt(variance), ca.jacobian(mean, x)]
     return ca.Function("aero", [x], values, ["x"], ["mean", "std", "jacobian"])
 
 

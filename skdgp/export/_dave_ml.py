@@ -218,43 +218,55 @@ def _add_functions(root: Element, model: PortableModel, of_std: PortableModel, c
         place = _variable(root, short)
         _calculate(place, _apply("times", _apply("minus", name, float(shift + scale * center)), float(1.0 / scale)))
     for i, name in zip(_order(model), COEFFICIENTS, strict=True):
-        parts = []
-        for k, (block, weights, _) in enumerate(model.terms(i)):
-            parts.append(f"{name}_g{k}")
-            exponents = _exponents(root, model, block, parts[-1])
-            terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponents, strict=True)]
-            _calculate(_variable(root, parts[-1]), _apply("plus", *terms) if len(terms) > 1 else terms[0])
-        constant, *slopes = model.trend_weights[i]
-        trend = [_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v]
-        _deviation(root, of_std, i, name, scaled)
+        shares, mixed = model.mixture[:, i].tolist(), f"{name}_m"
+        for k in range(len(shares)):
+            _mean(root, model, k * len(model.outputs) + i, f"{name}_m{k}", scaled)
+            _variance(root, of_std, k * len(model.outputs) + i, f"{name}_v{k}", scaled)
+        _calculate(_variable(root, mixed), _sum([_apply("times", q, f"{name}_m{k}") for k, q in enumerate(shares)]))
+        scatter = [_power(_apply("minus", f"{name}_m{k}", mixed), 2.0) for k in range(len(shares))]
+        spread = [_apply("times", q, _apply("plus", f"{name}_v{k}", scatter[k])) for k, q in enumerate(shares)]
+        deviation = _apply("times", float(model.deviation_scale[i]), _power(_sum(spread), 0.5))
+        _calculate(_variable(root, f"{name}_std"), deviation)
         place = SubElement(root, "variableDef", name=_name(name), varID=name, units="nd")
-        total = _apply("times", float(model.output_scale[i]), _apply("plus", float(constant), *trend, *parts))
-        _calculate(place, _apply("plus", float(model.center[i]), total))
+        _calculate(place, _apply("plus", float(model.center[i]), _apply("times", float(model.output_scale[i]), mixed)))
         SubElement(place, "isOutput")
         normal = _normal(place)
         SubElement(SubElement(normal, "bounds"), "variableRef", varID=f"{name}_std")
         _add_correlations(normal, COEFFICIENTS, COEFFICIENTS.index(name), correlation)
 
 
-def _deviation(root: Element, model: PortableModel, i: int, name: str, scaled: Sequence[str]) -> None:
-    """Write the variable of the deviation of an output, sqrt(a + |tau p|^2 - |h|^2) with h = T^T p + (0, U^T g)."""
+def _mean(root: Element, model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> None:
+    """Write the variable of the mean of a part, v^T p + w^T g."""
+    functions = []
+    for k, (block, weights, _) in enumerate(model.terms(part)):
+        functions.append(f"{name}_g{k}")
+        exponents = _exponents(root, model, block, functions[-1])
+        terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponents, strict=True)]
+        _calculate(_variable(root, functions[-1]), _sum(terms))
+    constant, *slopes = model.trend_weights[part]
+    trend = [_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v]
+    _calculate(_variable(root, name), _apply("plus", float(constant), *trend, *functions))
+
+
+def _variance(root: Element, model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> None:
+    """Write the variable of the variance of a part, a + |tau p|^2 - |h|^2 with h = T^T p + (0, U^T g)."""
     functions, rows = [], []
-    for k, (block, _, U) in enumerate(model.terms(i)):
+    for k, (block, _, U) in enumerate(model.terms(part)):
         exponents = _exponents(root, model, block, f"{name}_h{k}")
         for j, (exponent, row) in enumerate(zip(exponents, block.gain * U, strict=True)):
             functions.append(f"{name}_e{k}_{j}")
             rows.append(row)
             _calculate(_variable(root, functions[-1]), exponent)
     squares = []
-    for j, column in enumerate(np.vstack([model.trend_roots[i], *rows]).T):
+    for j, column in enumerate(np.vstack([model.trend_roots[part], *rows]).T):
         of = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
         squares.append(f"{name}_r{j}")
         _calculate(_variable(root, squares[-1]), _apply("plus", float(column[0]), *of))
-    tau = model.trend_scale[i] ** 2
+    tau = model.trend_scale[part] ** 2
     prior = [_apply("times", float(t), s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
     explained = [_apply("times", -1.0, square, square) for square in squares]
-    variance = _apply("plus", float(model.prior_variance[i] + tau[0]), *prior, *explained)
-    _calculate(_variable(root, f"{name}_std"), _apply("times", float(model.deviation_scale[i]), _power(variance, 0.5)))
+    constant = float(model.prior_variance[part] + tau[0])
+    _calculate(_variable(root, name), _apply("plus", constant, *prior, *explained))
 
 
 def _exponents(root: Element, model: PortableModel, block: Block, name: str) -> list[Element]:
@@ -291,6 +303,10 @@ def _apply(operator: str, *operands: Element | str | float) -> Element:
         else:
             add_text(apply, "ci" if isinstance(operand, str) else "cn", operand)
     return apply
+
+
+def _sum(terms: list[Element]) -> Element:
+    return _apply("plus", *terms) if len(terms) > 1 else terms[0]
 
 
 def _power(base: Element | float, exponent: Element | float) -> Element:

@@ -16,16 +16,18 @@ from skdgp._compute.files import LARGEST, parse_json, sha256_of, write_atomicall
 from skdgp.dynamics import Aircraft
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 
-FORMAT, VERSION = "skdgp portable model", 1
+FORMAT, VERSIONS = "skdgp portable model", (1, 2)  # all are read, the last one is written
 HEAD = "model.json"
 DIGITS = 64  # of the SHA-256 at the end of the file
 EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
 MAX_NAMES = 1000  # regressors or outputs
 SHAPES = {
     **dict.fromkeys(("shift", "scale", "trend_center", "envelope_low", "envelope_high"), "d"),
-    **dict.fromkeys(("center", "output_scale", "deviation_scale", "prior_variance", "noise_variance"), "P"),
-    **dict.fromkeys(("drift_variance", "drift_memory", "readout_of"), "P"),
-    **dict.fromkeys(("trend_scale", "trend_weights"), "P e"),
+    **dict.fromkeys(("center", "output_scale", "deviation_scale", "noise_variance"), "P"),
+    **dict.fromkeys(("drift_variance", "drift_memory"), "P"),
+    "mixture": "K P",
+    **dict.fromkeys(("prior_variance", "readout_of"), "J"),
+    **dict.fromkeys(("trend_scale", "trend_weights"), "J e"),
     "centres": "m d",
     "input_covariance": "d d",
     "block_place": "B 4",
@@ -36,7 +38,8 @@ SHAPES = {
     "envelope_quantiles": "q d",
     "envelope_samples": "s d",
 }
-"""Shapes by sizes: d regressors, e = d + 1, P outputs, m centres, B blocks, q quantiles, s samples."""
+"""Shapes by sizes: d regressors, e = d + 1, P outputs, K members, J = K P parts, m centres, B blocks, q quantiles, s
+samples."""
 TYPES = {"block_place": "<i8", "readout_of": "<i8", "block_regressors": "|u1"}  # else "<f8"
 
 
@@ -88,7 +91,7 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
 def _write(path, model) -> None:
     head = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSIONS[-1],
         "outputs": list(model.outputs),
         "regressors": [asdict(regressor) for regressor in model.regressors],
         "aircraft": model.aircraft.to_dict(),
@@ -123,9 +126,9 @@ def _read(file: BinaryIO) -> PortableModel:
         if HEAD not in members or members[HEAD].file_size > LARGEST:
             raise ValueError(f"it has no {HEAD} of at most 16 MB")
         head = parse_json(archive.read(HEAD).decode(), f"{HEAD} is not JSON")
-        if not isinstance(head, dict) or head.get("format") != FORMAT or head.get("version") != VERSION:
+        if not isinstance(head, dict) or head.get("format") != FORMAT or head.get("version") not in VERSIONS:
             found = [head.get("format"), head.get("version")] if isinstance(head, dict) else head
-            raise ValueError(f"its format is {found}, but expected {[FORMAT, VERSION]}")
+            raise ValueError(f"its format is {found}, but expected {FORMAT} {VERSIONS}")
         arrays = {
             name.removesuffix(".npy"): _array(archive, member) for name, member in members.items() if name != HEAD
         }
@@ -150,9 +153,11 @@ def _assembled(head, arrays) -> PortableModel:
     """Return the model of checked names and arrays."""
     regressors, outputs = tuple(_regressor(r) for r in head["regressors"]), tuple(map(str, head["outputs"]))
     d, P, n = len(regressors), len(outputs), int(head["n_readouts"])
-    if not (0 < d <= MAX_NAMES and 0 < P <= MAX_NAMES and 0 < n <= P):
+    arrays = {"mixture": np.ones((1, P))} | arrays
+    J = len(arrays["mixture"]) * P
+    if not (0 < d <= MAX_NAMES and 0 < P <= MAX_NAMES and 0 < n <= J):
         raise ValueError(f"it has {d} regressors, {P} outputs and {n} readouts")
-    sizes = {"d": d, "e": d + 1, "P": P, "4": 4}
+    sizes = {"d": d, "e": d + 1, "P": P, "J": J, "4": 4}
     for name, letters in SHAPES.items():
         _check_shape(name, arrays, letters, sizes)
     _check_shape("block_root", arrays, "B d d" if np.ndim(arrays["block_root"]) == 3 else "B d", sizes)
@@ -162,11 +167,11 @@ def _assembled(head, arrays) -> PortableModel:
         _check_shape(f"root_{k}", arrays, f"t{k}", sizes)
     readout_of = arrays["readout_of"]
     _check_range("readout_of", readout_of, n)
-    for i in range(P):
-        _check_shape(f"trend_root_{i}", arrays, f"e r{i}", sizes)
-        k = sizes[f"k{readout_of[i]}"]
-        if not k <= sizes[f"r{i}"] <= k + d + 1:
-            raise ValueError(f"trend_root_{i} has {sizes[f'r{i}']} columns for {k} functions")
+    for j in range(J):
+        _check_shape(f"trend_root_{j}", arrays, f"e r{j}", sizes)
+        k = sizes[f"k{readout_of[j]}"]
+        if not k <= sizes[f"r{j}"] <= k + d + 1:
+            raise ValueError(f"trend_root_{j} has {sizes[f'r{j}']} columns for {k} functions")
     model = PortableModel(
         regressors=regressors,
         outputs=outputs,
@@ -174,7 +179,7 @@ def _assembled(head, arrays) -> PortableModel:
         **{name: arrays[name] for name in SHAPES if not name.startswith(("block_", "envelope_"))},
         blocks=_blocks(arrays, sizes),
         readouts=tuple(Readout(arrays[f"weights_{k}"], arrays[f"root_{k}"]) for k in range(n)),
-        trend_roots=tuple(arrays[f"trend_root_{i}"] for i in range(P)),
+        trend_roots=tuple(arrays[f"trend_root_{j}"] for j in range(J)),
         envelope=Envelope(**{name: arrays[f"envelope_{name}"] for name in Envelope.__dataclass_fields__}),
         provenance=dict(head["provenance"]),
     )
@@ -195,7 +200,7 @@ def _regressor(values) -> Regressor:
 def _blocks(arrays, sizes) -> tuple[Block, ...]:
     places = arrays["block_place"]
     outputs, first_centre, first_column, counts = places.T
-    _check_range("block_place", outputs, sizes["P"])
+    _check_range("block_place", outputs, sizes["J"])
     width = np.array([sizes[f"k{k}"] for k in arrays["readout_of"]])[outputs]
     for first, most in ((first_centre, sizes["m"]), (first_column, width)):
         if (first < 0).any() or (counts < 0).any() or (first > most - counts).any():

@@ -13,8 +13,8 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import Posterior
-from skdgp.export._pipeline import sparse_form
-from skdgp.kernels._prior_paths import FeaturePaths, SumPaths, TrendPaths
+from skdgp.export._pipeline import posterior_form
+from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths
 from skdgp.kernels._prior_paths import Waves as WavePaths
 
 
@@ -88,25 +88,27 @@ def gaussian_sums(
     if posterior.regressor.inference_ == "exact":
         posterior.regressor = posterior.regressor.compact(tolerance=tolerance)
     form, (shift, scale) = _form(posterior), posterior.affine()
-    weights, d = [readout.weights for readout in form["readouts"]], len(posterior.names)
+    shares, d = form["mixture"].ravel(), len(posterior.names)
+    weights = [share * readout.weights for share, readout in zip(shares, form["readouts"], strict=True)]
+    trend = shares[:, None] * form["trend_weights"]
     mean = GaussianSum(
         regressors=tuple(posterior.names),
         lengths=posterior.lengths(aircraft),
         limits=posterior.limits,
         shift=shift,
         scale=scale,
-        **_terms(posterior, form, weights, form["trend_weights"]),
+        **_terms(posterior, form, weights, trend),
         waves=Waves(np.empty((0, d)), np.empty(0), np.empty((len(COEFFICIENTS), 0))),
         loss=pd.DataFrame(),
     )
     off = np.sqrt(np.mean((mean.evaluate(posterior.tested) - original) ** 2, axis=0))
     mean = replace(mean, loss=pd.DataFrame({"loss": off, "deviation": deviation}, index=list(COEFFICIENTS)))
-    return [mean, *_drawn(mean, posterior, form, n_draws, random_state)]
+    return [mean, *_drawn(mean, posterior, form, weights, trend, n_draws, random_state)]
 
 
 def _form(posterior: Posterior) -> dict[str, Any]:
     try:
-        form = sparse_form(posterior.regressor.posterior_)
+        form = posterior_form(posterior.regressor.posterior_)
     except ValueError as error:
         raise ValueError(f"{error} Or use form='tables' with max_loss=np.inf.") from error
     if any(block.root.ndim == 2 for block in form["blocks"]):
@@ -117,14 +119,18 @@ def _form(posterior: Posterior) -> dict[str, Any]:
 
 
 def _terms(posterior: Posterior, form: dict[str, Any], weights: list[Vector], trend: Matrix) -> dict[str, Any]:
-    """Return constants (6,), slopes (6, d) and Gaussian functions, for weights of each output's basis and trend."""
-    order, scale = posterior.order, posterior.scale
-    blocks: list[list[Gaussians]] = [[] for _ in order]
+    """Return constants (6,), slopes (6, d) and Gaussian functions: sums over parts, for weights of basis and trend."""
+    order, scale, P = posterior.order, posterior.scale, form["mixture"].shape[1]
+    blocks: list[list[Gaussians]] = [[] for _ in range(P)]
     for block in form["blocks"]:
+        i, own = block.output % P, weights[block.output][block.columns]
+        if not own.any():
+            continue
         used = np.isin(np.arange(len(block.root)), block.regressors)
         r, a = used * block.root**2, form["centres"][block.rows] + block.shift
-        own = posterior.regressor._scale[block.output] * block.gain * weights[block.output][block.columns]
-        blocks[block.output].append(Gaussians(own, -0.5 * a**2 @ r, a * r, r, used))
+        own = posterior.regressor._scale[i] * block.gain * own
+        blocks[i].append(Gaussians(own, -0.5 * a**2 @ r, a * r, r, used))
+    trend = trend.reshape(-1, P, trend.shape[1]).sum(axis=0)
     constants = trend[:, 0] - trend[:, 1:] @ form["trend_center"]
     return {
         "constants": posterior.regressor._center[order] + constants[order] * scale,
@@ -134,32 +140,50 @@ def _terms(posterior: Posterior, form: dict[str, Any], weights: list[Vector], tr
 
 
 def _drawn(
-    mean: GaussianSum, posterior: Posterior, form: dict[str, Any], n_draws: int, random_state: Seed
+    mean: GaussianSum,
+    posterior: Posterior,
+    form: dict[str, Any],
+    weights: list[Vector],
+    trend: Matrix,
+    n_draws: int,
+    random_state: Seed,
 ) -> Iterator[GaussianSum]:
     """Yield draws: waves of the prior, and the functions of the mean with weights of their own (Matheron's rule).
 
-    A draw f of a calibrated model with the mean m is m + s (f - m), with s its factor of the deviation.
+    Each output of a draw is that of one member of an average. A draw f of a calibrated model with the mean m is
+    m + s (f - m), with s its factor of the deviation.
     """
     if n_draws == 0:
         return
-    regressor, order = posterior.regressor, posterior.order
-    leaves = list(_leaves(regressor.sample_paths(n_draws, random_state).bundle))
-    gaussians = [leaf._weights for leaf in leaves if isinstance(leaf, FeaturePaths)]
-    waves = [leaf for leaf in leaves if isinstance(leaf, WavePaths)]
-    trends = [leaf for leaf in leaves if isinstance(leaf, TrendPaths)]
+    regressor, order, (K, P) = posterior.regressor, posterior.order, form["mixture"].shape
+    bundle = regressor.sample_paths(n_draws, random_state).bundle
+    if not isinstance(bundle, MixedPaths):
+        bundle = MixedPaths.of_all([bundle], np.zeros((n_draws, P), dtype=int))
     s = posterior.factors / regressor._scale
+    kept = 1.0 - np.tile(s, K)
     for k in range(n_draws):
-        trend = (1.0 - s)[:, None] * form["trend_weights"]
-        for leaf in trends:
-            trend += s[:, None] * np.hstack([leaf._intercept[k].T, leaf._slope[k].T])
-        weights = [
-            (1.0 - s[i]) * readout.weights + s[i] * np.concatenate([np.empty(0), *(own[i][k] for own in gaussians)])
-            for i, readout in enumerate(form["readouts"])
-        ]
-        parts = [mean.waves, *(_waves(leaf, k, posterior.factors[order], order) for leaf in waves)]
-        frequencies, phases, amplitudes = zip(*parts, strict=True)
-        joined = Waves(np.concatenate(frequencies), np.concatenate(phases), np.hstack(amplitudes))
-        yield replace(mean, **_terms(posterior, form, weights, trend), waves=joined)
+        lines = kept[:, None] * trend
+        of_basis = [share * own for share, own in zip(kept, weights, strict=True)]
+        waves = [mean.waves]
+        for member, (paths, rows) in enumerate(zip(bundle.bundles, bundle.rows, strict=True)):
+            taken, row = s * (bundle.member[k] == member), int(np.searchsorted(rows, k))
+            if not taken.any():
+                continue
+            gaussians: list[Any] = [np.empty((P, 0))]
+            for leaf in _leaves(paths):
+                if isinstance(leaf, TrendPaths):
+                    drawn = np.hstack([leaf._intercept[row].T, leaf._slope[row].T])
+                    lines[member * P : (member + 1) * P] += taken[:, None] * drawn
+                elif isinstance(leaf, FeaturePaths):
+                    gaussians.append([own[row] for own in leaf._weights])
+                else:
+                    waves.append(_waves(leaf, row, (taken * regressor._scale)[order], order))
+            for i in np.flatnonzero(taken):
+                of_basis[member * P + i] += taken[i] * np.concatenate([own[i] for own in gaussians])
+        joined = Waves(
+            *(np.concatenate(parts, axis) for parts, axis in zip(zip(*waves, strict=True), (0, 0, 1), strict=True))
+        )
+        yield replace(mean, **_terms(posterior, form, of_basis, lines), waves=joined)
 
 
 def _leaves(bundle: Any) -> Iterator[Any]:

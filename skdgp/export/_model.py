@@ -72,7 +72,7 @@ class Regressor:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    r"""Gaussian functions of one width, which add to neighbouring columns of the basis of one output.
+    r"""Gaussian functions of one width, which add to neighbouring columns of the basis of one part.
 
     .. math:: g_k(z) = \mathrm{gain} \, \exp\left(-\frac{1}{2} |F^T (z - \mathrm{shift} - Z_k)|^2\right)
 
@@ -81,9 +81,9 @@ class Block:
     Parameters
     ----------
     output : int
-        The output i.
+        The part j, see :class:`PortableModel`.
     first_centre, first_column, size : int
-        Rows of ``PortableModel.centres``, and columns of the basis of the output's readout.
+        Rows of ``PortableModel.centres``, and columns of the basis of the part's readout.
     gain : float
     shift : ndarray (d,)
     root : ndarray (d,) or (d, d)
@@ -177,16 +177,23 @@ class Envelope:
 class PortableModel:
     r"""The posterior of the coefficients of an aircraft, as arrays.
 
-    For regressors x (d,), with z = (x - ``shift``) / ``scale``, p = (1, z - ``trend_center``) and the basis g(z) of
-    output i (:class:`Block`), mean and variance of the coefficient are
+    An output is the mixture of K posteriors, the members of an average; K is 1 for a single one. Member k of output i
+    of P is the part j = k P + i. For regressors x (d,), with z = (x - ``shift``) / ``scale``,
+    p = (1, z - ``trend_center``) and the basis g(z) of a part (:class:`Block`), normalised mean and variance of the
+    part are
 
-    .. math:: m_i = c_i + s_i (v_i^T p + w^T g), \quad
-              \sigma_i^2 = t_i^2 \left(a_i + |\tau_i \circ p|^2 - |h|^2\right), \quad
-              h = T_i^T p + (0, U^T g),
+    .. math:: \mu_j = v_j^T p + w^T g, \quad
+              \nu_j = a_j + |\tau_j \circ p|^2 - |h|^2, \quad
+              h = T_j^T p + (0, U^T g),
 
-    with c ``center``, s ``output_scale``, t ``deviation_scale``, a ``prior_variance``, v ``trend_weights``, tau
-    ``trend_scale``, T ``trend_roots``, and w and U of the output's :class:`Readout`, which acts on the last k entries
-    of h. This is the posterior of the function at exact regressors. At measured ones, whose noise has the covariance S
+    with a ``prior_variance``, v ``trend_weights``, tau ``trend_scale``, T ``trend_roots``, and w and U of the part's
+    :class:`Readout`, which acts on the last k entries of h. With the weights q (``mixture``), c ``center``, s
+    ``output_scale`` and t ``deviation_scale``, mean and variance of the coefficient are those of the mixture,
+
+    .. math:: \mu_i = \sum_k q_{ki} \mu_j, \quad m_i = c_i + s_i \mu_i, \quad
+              \sigma_i^2 = t_i^2 \sum_k q_{ki} \left(\nu_j + (\mu_j - \mu_i)^2\right).
+
+    This is the posterior of the function at exact regressors. At measured ones, whose noise has the covariance S
     (``input_covariance``), their noise adds :math:`(t_i / s_i)^2 J_i S J_i^T` to the variance, with the slopes J of the
     mean: on most flights the larger part of it.
 
@@ -202,14 +209,16 @@ class PortableModel:
         Centres of Gaussian functions, in scaled regressors.
     blocks : tuple of Block
     readouts : tuple of Readout
-    readout_of : ndarray (P,) of int
-        The readout of each output; outputs may share one.
+    readout_of : ndarray (K P,) of int
+        The readout of each part; parts may share one.
     trend_center : ndarray (d,)
-    trend_scale, trend_weights : ndarray (P, d + 1)
+    trend_scale, trend_weights : ndarray (K P, d + 1)
     trend_roots : tuple of ndarray (d + 1, r)
-        One for each output, with k <= r <= k + d + 1.
-    prior_variance : ndarray (P,)
+        One for each part, with k <= r <= k + d + 1.
+    prior_variance : ndarray (K P,)
         Of the Gaussian functions and of the misfit, of normalised outputs.
+    mixture : ndarray (K, P)
+        Weight of each member for each output; columns add up to one.
     noise_variance : ndarray (P,)
         Of measurements of the coefficients; it is no part of the deviation.
     drift_variance, drift_memory : ndarray (P,)
@@ -242,6 +251,7 @@ class PortableModel:
     trend_weights: Matrix
     trend_roots: tuple[Matrix, ...]
     prior_variance: Vector
+    mixture: Matrix
     noise_variance: Vector
     drift_variance: Vector
     drift_memory: Vector
@@ -262,6 +272,17 @@ class PortableModel:
         """Every column of a flight that the regressors are computed from, each once."""
         return tuple(dict.fromkeys(name for regressor in self.regressors for name in regressor.columns))
 
+    @cached_property
+    def mixer(self) -> Matrix:
+        """The matrix (K P, P) by which values of parts (n, K P) become those of outputs, weighted sums."""
+        return np.vstack([np.diag(weights) for weights in self.mixture])
+
+    def mixed(self, mean: Matrix, variance: Matrix) -> tuple[Matrix, Matrix]:
+        """Return normalised mean and variance of the outputs (n, P), of those of the parts (n, K P)."""
+        of_outputs = mean @ self.mixer
+        away = mean - np.tile(of_outputs, len(self.mixture))
+        return of_outputs, (variance + away**2) @ self.mixer
+
     def with_identifiers(self) -> tuple[PortableModel, dict[str, str]]:
         """Return the model with identifiers for the names of its columns, regressors and outputs, and these by name."""
         names = identifiers((*self.columns, *self.regressor_names, *self.outputs))
@@ -274,7 +295,10 @@ class PortableModel:
         return replace(self, regressors=tuple(regressors), outputs=tuple(names[name] for name in self.outputs)), names
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these."""
+        """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these.
+
+        A single posterior has no ``mixture``.
+        """
         d = len(self.regressors)
         places = [(b.output, b.first_centre, b.first_column, b.size) for b in self.blocks]
         depends = np.zeros((len(self.blocks), d), dtype=bool)
@@ -282,8 +306,10 @@ class PortableModel:
             row[list(block.regressors)] = True
         full = any(block.root.ndim == 2 for block in self.blocks)
         roots = [np.diag(b.root) if full and b.root.ndim == 1 else b.root for b in self.blocks]
+        single = {"mixture"} if len(self.mixture) == 1 else set()
+        named = [each.name for each in fields(self) if each.type in ARRAYS and each.name not in single]
         return {
-            **{each.name: getattr(self, each.name) for each in fields(self) if each.type in ARRAYS},
+            **{name: getattr(self, name) for name in named},
             "block_place": np.array(places, dtype=np.int64).reshape(-1, 4),
             "block_gain": np.array([b.gain for b in self.blocks], dtype=float),
             "block_shift": np.array([b.shift for b in self.blocks]).reshape(-1, d),
@@ -295,12 +321,12 @@ class PortableModel:
             **{f"envelope_{name}": getattr(self.envelope, name) for name in Envelope.__dataclass_fields__},
         }
 
-    def terms(self, i: int) -> Iterator[tuple[Block, Vector, Matrix]]:
-        """Yield every block of output i, with the weights (size,) and the rows of (0, U) (size, r) of its functions."""
-        readout = self.readouts[self.readout_of[i]]
-        left = self.trend_roots[i].shape[1] - readout.size  # U stands under the last columns of T
+    def terms(self, j: int) -> Iterator[tuple[Block, Vector, Matrix]]:
+        """Yield every block of part j, with the weights (size,) and the rows of (0, U) (size, r) of its functions."""
+        readout = self.readouts[self.readout_of[j]]
+        left = self.trend_roots[j].shape[1] - readout.size  # U stands under the last columns of T
         for block in self.blocks:
-            if block.output == i:
+            if block.output == j:
                 yield block, readout.weights[block.columns], np.pad(readout.root[block.columns], ((0, 0), (left, 0)))
 
     @cached_property
@@ -357,7 +383,8 @@ class PortableModel:
 
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
-        and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. The factor 2 is five times the largest found, in C,
+        and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means add to it through
+        the scatter of the members. The factor 2 is five times the largest found, in C,
         ONNX and CasADi over 40 exact models of 8 to 60 samples on three kinds of processor. X and errors are those of
         :meth:`predict`.
         """
@@ -377,45 +404,51 @@ class PortableModel:
     def _trend(self, Z):
         return np.column_stack([np.ones(len(Z)), Z - self.trend_center])
 
-    def _basis(self, Z, i):
-        """Return the basis of output i at scaled regressors, (n, k)."""
-        basis = np.zeros((len(Z), self.readouts[self.readout_of[i]].size))
+    def _basis(self, Z, j):
+        """Return the basis of part j at scaled regressors, (n, k)."""
+        basis = np.zeros((len(Z), self.readouts[self.readout_of[j]].size))
         for block in self.blocks:
-            if block.output == i:
+            if block.output == j:
                 basis[:, block.columns] += block.functions(Z, self.centres[block.rows])
         return basis
 
     def _predict(self, Z, return_std, input_noise):
-        mean, std = np.zeros((2, len(Z), len(self.outputs)))
+        mean, variance = np.zeros((2, len(Z), len(self.readout_of)))
         trend = self._trend(Z)
-        for i, k in enumerate(self.readout_of):
-            basis, readout = self._basis(Z, i), self.readouts[k]
-            mean[:, i] = trend @ self.trend_weights[i] + basis @ readout.weights
+        for j, k in enumerate(self.readout_of):
+            basis, readout = self._basis(Z, j), self.readouts[k]
+            mean[:, j] = trend @ self.trend_weights[j] + basis @ readout.weights
             if return_std:
-                std[:, i] = self._deviation(i, trend, basis @ readout.root)
+                variance[:, j] = self._variance(j, trend, basis @ readout.root)
+        mean, variance = self.mixed(mean, variance)
         if return_std and input_noise.any() and self.input_covariance.any():
             slopes = self._gradient(Z) / self.output_scale[:, None]
-            variance = np.einsum("npd,de,npe->np", slopes, self.input_covariance, slopes, optimize=True)
-            std = np.sqrt(std**2 + input_noise[:, None] * variance)
-        return self.center + self.output_scale * mean, self.deviation_scale * std
+            added = np.einsum("npd,de,npe->np", slopes, self.input_covariance, slopes, optimize=True)
+            variance = variance + input_noise[:, None] * added
+        return self.center + self.output_scale * mean, self.deviation_scale * np.sqrt(variance)
 
-    def _deviation(self, i: int, trend: Matrix, half: Matrix) -> Vector:
-        """Return the scaled deviation (n,) of output i, of the trend's basis p (n, d + 1) and of U^T g, (n, k)."""
-        prior, whole = self._prior(i, trend), _added(trend @ self.trend_roots[i], half)
-        return np.sqrt(np.maximum(prior - np.einsum("nr,nr->n", whole, whole), ROUNDING * prior))
+    def _variance(self, j: int, trend: Matrix, half: Matrix) -> Vector:
+        """Return the normalised variance (n,) of part j, of the trend's basis p (n, d + 1) and of U^T g, (n, k)."""
+        prior, whole = self._prior(j, trend), _added(trend @ self.trend_roots[j], half)
+        return np.asarray(np.maximum(prior - np.einsum("nr,nr->n", whole, whole), ROUNDING * prior))
 
-    def _prior(self, i: int, trend: Matrix) -> Vector:
-        return np.asarray(self.prior_variance[i] + ((trend * self.trend_scale[i]) ** 2).sum(axis=1))
+    def _prior(self, j: int, trend: Matrix) -> Vector:
+        return np.asarray(self.prior_variance[j] + ((trend * self.trend_scale[j]) ** 2).sum(axis=1))
 
     def _rounding(self, Z):
-        error, trend = np.zeros((len(Z), len(self.outputs))), self._trend(Z)
-        for i, k in enumerate(self.readout_of):
-            g, U, T = self._basis(Z, i), self.readouts[k].root, self.trend_roots[i]
+        mean, mean_error, variance, error = np.zeros((4, len(Z), len(self.readout_of)))
+        trend = self._trend(Z)
+        for j, k in enumerate(self.readout_of):
+            g, readout, v, T = self._basis(Z, j), self.readouts[k], self.trend_weights[j], self.trend_roots[j]
+            w, U, epsilon = readout.weights, readout.root, 2 * ROUNDING * np.sqrt(trend.shape[1] + g.shape[1])
             h, squares = _added(trend @ T, g @ U), _added(trend**2 @ T**2, g**2 @ U**2)
-            size = np.hypot(self._prior(i, trend), 2 * np.sqrt((h**2 * squares).sum(axis=1)))
-            of_variance = 2 * ROUNDING * np.sqrt(trend.shape[1] + g.shape[1]) * size
-            error[:, i] = of_variance / np.maximum(self._deviation(i, trend, g @ U), np.sqrt(of_variance))
-        return self.deviation_scale * error
+            mean[:, j], variance[:, j] = trend @ v + g @ w, self._variance(j, trend, g @ U)
+            mean_error[:, j] = epsilon * np.sqrt(trend**2 @ v**2 + g**2 @ w**2)
+            error[:, j] = epsilon * np.hypot(self._prior(j, trend), 2 * np.sqrt((h**2 * squares).sum(axis=1)))
+        of_outputs, variance = self.mixed(mean, variance)
+        away = mean - np.tile(of_outputs, len(self.mixture))
+        of_variance = (error + 2 * np.abs(away) * mean_error) @ self.mixer
+        return self.deviation_scale * of_variance / np.sqrt(np.maximum(variance, of_variance))
 
     def _gradient(self, Z):
         slopes = np.repeat(self.trend_weights[None, :, 1:], len(Z), axis=0)
@@ -426,7 +459,7 @@ class PortableModel:
             pull = E @ centres - E.sum(axis=1)[:, None] * (Z - block.shift)
             root = block.root
             slopes[:, block.output] += pull @ (root @ root.T) if root.ndim == 2 else pull * root**2
-        return slopes * self.output_scale[:, None] / self.scale
+        return np.einsum("njd,jp->npd", slopes, self.mixer) * self.output_scale[:, None] / self.scale
 
 
 def _added(whole: Matrix, half: Matrix) -> Matrix:

@@ -32,26 +32,29 @@ def onnx_model(model: PortableModel) -> Any:
     graph = _Graph()
     z = graph("Div", graph("Sub", "x", model.shift), model.scale)
     trend = graph("Sub", z, model.trend_center)
-    means, stds = [], []
-    for i in range(len(model.outputs)):
-        weights, root = model.trend_weights[i], model.trend_roots[i]
+    means, variances = [], []
+    for j in range(len(model.readout_of)):
+        weights, root = model.trend_weights[j], model.trend_roots[j]
         value = graph("Add", graph("MatMul", trend, weights[1:, None]), weights[:1, None])
         half = graph("Add", graph("MatMul", trend, root[1:]), root[:1])
-        for block, w, rows in model.terms(i):
+        for block, w, rows in model.terms(j):
             square = graph.squares(graph("Sub", z, block.shift), block.root, model.centres[block.rows])
             g = graph("Exp", graph("Mul", square, np.array(-0.5)))
             value = graph("Add", value, graph("MatMul", g, block.gain * w[:, None]))
             half = graph("Add", half, graph("MatMul", g, block.gain * rows))
-        tau = model.trend_scale[i]
+        tau = model.trend_scale[j]
         prior = graph.sum(graph("Mul", graph("Mul", trend, trend), tau[1:] ** 2), 1)
-        prior = graph("Add", prior, np.array(model.prior_variance[i] + tau[0] ** 2))
+        prior = graph("Add", prior, np.array(model.prior_variance[j] + tau[0] ** 2))
         explained = graph.sum(graph("Mul", half, half), 1)
         least = graph("Mul", prior, np.array(np.finfo(float).eps))
-        variance = graph("Max", graph("Sub", prior, explained), least)
         means.append(value)
-        stds.append(graph("Sqrt", variance))
-    graph("Add", graph("Mul", graph("Concat", *means, axis=1), model.output_scale), model.center, out="mean")
-    graph("Mul", graph("Concat", *stds, axis=1), model.deviation_scale, out="std")
+        variances.append(graph("Max", graph("Sub", prior, explained), least))
+    parts, spread = (graph("Concat", *values, axis=1) for values in (means, variances))
+    mean = graph("MatMul", parts, model.mixer)
+    away = graph("Sub", parts, graph("Concat", *[mean] * len(model.mixture), axis=1))
+    variance = graph("MatMul", graph("Add", spread, graph("Mul", away, away)), model.mixer)
+    graph("Add", graph("Mul", mean, model.output_scale), model.center, out="mean")
+    graph("Mul", graph("Sqrt", variance), model.deviation_scale, out="std")
 
     sizes = {"x": len(model.regressors), "mean": len(model.outputs), "std": len(model.outputs)}
     x, *results = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", n]) for name, n in sizes.items())

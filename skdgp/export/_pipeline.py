@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,6 +12,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
@@ -18,8 +20,8 @@ from skdgp.dynamics._equations.aerodynamics import SCALERS, standard_scaling
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
-from skdgp.kernels import ConvolvedGaussian, LinearTrend, Sum
-from skdgp.kernels._features import LatentFeatures, SumFeatures, TrendFeatures
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels._features import LatentFeatures, TrendFeatures
 
 LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 MAX_SAMPLES = 1000  # rows of the training data that an envelope holds
@@ -61,9 +63,8 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     if not isinstance(regressor, DependentGPRegressor):
         raise ValueError(f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. {REMEDY}")
     regressors, shift, scale, limits = _inputs(pipeline)
-    form = _exact(regressor.posterior_) if isinstance(regressor.posterior_, ExactPosterior) else None
-    form = sparse_form(regressor.posterior_) if form is None else form
-    form["prior_variance"] += regressor.misfit_variance_ / regressor._scale**2
+    form = posterior_form(regressor.posterior_)
+    form["prior_variance"] += np.tile(regressor.misfit_variance_ / regressor._scale**2, len(form["mixture"]))
     drift = np.zeros((2, len(regressor._scale)))
     if np.any(regressor.drift_variance_):
         drift = np.stack([regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_])
@@ -127,7 +128,7 @@ def _regressor(name, rates, controls) -> Regressor:
 
 
 def _envelope(posterior, shift, scale, limits) -> Envelope:
-    if isinstance(posterior, SparsePosterior) and posterior.shares is None:
+    if posterior.samples() is None:
         X, quantiles = np.empty((0, len(shift))), np.empty((0, len(shift)))
     else:
         X = training_inputs(posterior) * scale + shift
@@ -143,6 +144,33 @@ def _envelope(posterior, shift, scale, limits) -> Envelope:
 
 
 # -- posteriors --------------------------------------------------------------------------------------------------
+
+
+def members_of(posterior: Any) -> tuple[list[Any], Matrix]:
+    """Return the members of an average and their weights (K, P), or a single posterior with the weight one."""
+    members = getattr(posterior, "members", [posterior])
+    return members, posterior.weights if len(members) > 1 else np.ones((1, posterior.kernel.n_outputs))
+
+
+def posterior_form(posterior: Any) -> dict[str, Any]:
+    """Return the arrays of a posterior, those of the members of an average one after another."""
+    members, mixture = members_of(posterior)
+    forms = [_exact(member) if isinstance(member, ExactPosterior) else _sparse(member) for member in members]
+    centres, readouts = (np.cumsum([0, *(len(form[name]) for form in forms)]) for name in ("centres", "readouts"))
+    blocks = [
+        replace(block, output=block.output + k * mixture.shape[1], first_centre=block.first_centre + int(centre))
+        for k, (form, centre) in enumerate(zip(forms, centres, strict=False))
+        for block in form["blocks"]
+    ]
+    joined = ("centres", "trend_scale", "trend_weights", "prior_variance")
+    return {
+        **{name: np.concatenate([form[name] for form in forms]) for name in joined},
+        **{name: sum((form[name] for form in forms), ()) for name in ("readouts", "trend_roots")},
+        "blocks": tuple(blocks),
+        "readout_of": np.concatenate([form["readout_of"] + n for form, n in zip(forms, readouts, strict=False)]),
+        "trend_center": forms[0]["trend_center"],
+        "mixture": mixture,
+    }
 
 
 def _exact(posterior: ExactPosterior) -> dict[str, Any]:
@@ -177,7 +205,7 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
     return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
 
 
-def sparse_form(posterior: SparsePosterior) -> dict[str, Any]:
+def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
     """Return the arrays of a sparse or compact posterior: its inducing inputs are the centres."""
     gaussians, trend = _parts(posterior.kernel)
     P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
@@ -188,7 +216,7 @@ def sparse_form(posterior: SparsePosterior) -> dict[str, Any]:
         of_trend: list[int] = []
         of_gaussians: list[int] = []
         first = 0
-        for features, start in _leaves(posterior.features):
+        for features, start in _summands(posterior.features):
             columns = features.columns(i)
             index = list(range(first, first + len(columns)))
             first += len(columns)
@@ -230,7 +258,7 @@ def _form(gaussians, center, tau, centres, blocks, readouts, readout_of, weights
 
 def _parts(kernel) -> tuple[list[ConvolvedGaussian], LinearTrend | None]:
     """Return the terms of a kernel."""
-    terms = _terms(kernel)
+    terms = kernel.summands()
     trends = [term for term in terms if isinstance(term, LinearTrend)]
     others = [type(t).__name__ for t in terms if not isinstance(t, LinearTrend | ConvolvedGaussian)]
     if others or len(trends) > 1:
@@ -239,10 +267,6 @@ def _parts(kernel) -> tuple[list[ConvolvedGaussian], LinearTrend | None]:
             f"LinearTrend have a portable form. {REMEDY}"
         )
     return [term for term in terms if isinstance(term, ConvolvedGaussian)], trends[0] if trends else None
-
-
-def _terms(kernel):
-    return [*_terms(kernel.k1), *_terms(kernel.k2)] if isinstance(kernel, Sum) else [kernel]
 
 
 def _trend_values(trend, P, d):
@@ -265,22 +289,21 @@ def _blocks(kernel, i, j, first_centre, first_column, size, of=None) -> list[Blo
     ]
 
 
-def _leaves(features, start=0):
+def _summands(features):
     """Yield the features of every term, and the number of variables before them."""
-    if isinstance(features, SumFeatures):
-        yield from _leaves(features.first, start)
-        yield from _leaves(features.second, start + features.first.size)
-    elif isinstance(features, LatentFeatures | TrendFeatures):
-        yield features, start
-    else:
-        raise ValueError(f"Got {type(features).__name__} as inducing variables, which have no form. {REMEDY}")
+    start = 0
+    for term in features.summands():
+        if not isinstance(term, LatentFeatures | TrendFeatures):
+            raise ValueError(f"Got {type(term).__name__} as inducing variables, which have no form. {REMEDY}")
+        yield term, start
+        start += term.size
 
 
 def _centres(features, d):
     """Return the first centre of every block of variables, and all centres (m, d)."""
     places, centres, first = {}, [np.empty((0, d))], 0
-    for leaf, start in _leaves(features):
-        for f, Z in enumerate(leaf.Z if isinstance(leaf, LatentFeatures) else ()):
+    for term, start in _summands(features):
+        for f, Z in enumerate(term.Z if isinstance(term, LatentFeatures) else ()):
             places[start, f] = first
             first += len(Z)
             centres.append(Z)

@@ -16,9 +16,9 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp.export._model import Block, PortableModel, Readout
 
 FIRST, GROWTH = 4, 1.15  # numbers of functions that are tried: the first, and the ratio of one to the next
-MAX_CANDIDATES, MAX_FUNCTIONS = 3000, 500  # functions of an output to choose from, and that may stay
+MAX_CANDIDATES, MAX_FUNCTIONS = 3000, 500  # functions of a part to choose from, and that may stay
 MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
-PATIENCE = 8  # sizes without a smaller loss after which an output grows no more
+PATIENCE = 8  # sizes without a smaller loss after which a part grows no more
 MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points that functions are fitted at are moved
 MOVED_CHECK = (0.5,)  # the same of the points that the loss is measured at
 MAX_TERMS = 2**28  # bytes
@@ -26,7 +26,7 @@ NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
 
 
 class Loss(NamedTuple):
-    """Change of an output by the reduction, at flown points and around them that it was not fitted to."""
+    """Change of an output by the reduction of a part, at flown points and around them that it was not fitted to."""
 
     mean: float
     """Root mean square change of the mean, in posterior deviations."""
@@ -35,7 +35,7 @@ class Loss(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """The blocks and centres that stay for one output, its new weights and root, and the loss."""
+    """The blocks and centres that stay for one part, its new weights and root, and the loss."""
 
     blocks: list[Block]
     centres: Matrix
@@ -50,24 +50,26 @@ class _Fit(NamedTuple):
 def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
     r"""Return the model with so few basis functions that ``size(model) <= most``, at the least loss.
 
-    The Gaussian functions of an output overlap, so that a few of them, g_S, and the trend p span the others nearly. A
+    The Gaussian functions of a part overlap, so that a few of them, g_S, and the trend p span the others nearly. A
     pivoted QR factorisation at flown points chooses them, as in an interpolative decomposition (Cheng et al. 2005).
-    Least squares fit mean and explained root as functions of p and g_S. The output with the largest loss gets the next
-    functions, until the size is reached. ``provenance["reduction"]`` holds the loss. Raises ValueError if no model is
-    small enough.
+    Least squares fit mean and explained root as functions of p and g_S. The part whose reduction changes its output
+    most gets the next functions, until the size is reached. ``provenance["reduction"]`` holds the loss of each output,
+    the sum over its parts. Raises ValueError if no model is small enough.
     """
     if size(model) <= most:
         return model
-    outputs = [_Output(model, i, *_points(model)) for i in range(len(model.outputs))]
-    best = _assembled(model, [output.best() for output in outputs])
+    Z, check = _points(model)
+    truth = np.empty((2, len(check), len(model.readout_of)))
+    parts = [_Part(model, j, Z, check, truth) for j in range(len(model.readout_of))]
+    best = _assembled(model, [part.best() for part in parts])
     if size(best) > most:
         raise ValueError(
             f"Got a size of at most {most} bytes, but the smallest form of this model takes {size(best)}: allow more."
         )
-    while growing := [output for output in outputs if output.can_grow()]:
-        worst = max(growing, key=lambda output: max(output.best().loss))
+    while growing := [part for part in parts if part.can_grow()]:
+        worst = max(growing, key=lambda part: max(part.best().loss))
         worst.number += 1
-        trial = _assembled(model, [output.best() for output in outputs])
+        trial = _assembled(model, [part.best() for part in parts])
         if size(trial) > most:
             return best
         best = trial
@@ -113,18 +115,21 @@ def _points(model) -> tuple[Matrix, Matrix]:
     return around(samples[::2], MOVED), around(samples[1::2], MOVED_CHECK)
 
 
-class _Output:
-    """One output: its functions in the order of their use, and the fit of the first ones."""
+class _Part:
+    """One part: its functions in the order of their use, and the fit of the first ones.
 
-    def __init__(self, model: PortableModel, i: int, Z: Matrix, check: Matrix) -> None:
-        readout = model.readouts[model.readout_of[i]]
-        self.model, self.i = model, i
-        self.v, self.T = model.trend_weights[i], model.trend_roots[i]
+    ``truth`` holds mean and variance of all parts at the points to check at, (2, n, K P); each part writes its own.
+    """
+
+    def __init__(self, model: PortableModel, j: int, Z: Matrix, check: Matrix, truth: np.ndarray) -> None:
+        readout = model.readouts[model.readout_of[j]]
+        self.model, self.j, self.truth = model, j, truth
+        self.v, self.T = model.trend_weights[j], model.trend_roots[j]
         self.p = model._trend(check)
-        self.truth = self._predicted(*_readout(readout, model._basis(check, i)))
-        p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, i))
-        weight = 1 / model._deviation(i, p, half)[:, None]
-        self.blocks = [block for block in model.blocks if block.output == i]
+        truth[:, :, j] = self._predicted(*_readout(readout, model._basis(check, j)))
+        p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, j))
+        weight = 1 / np.sqrt(model._variance(j, p, half))[:, None]
+        self.blocks = [block for block in model.blocks if block.output == j]
         candidates = self._candidates()
         g = weight * self._functions(Z, candidates)
         trend, _ = qr(weight * p, mode="economic")
@@ -167,19 +172,28 @@ class _Output:
         return found
 
     def _predicted(self, mean: Vector, half: Matrix) -> tuple[Vector, Vector]:
-        """Return scaled mean and deviation at the points to check at, from what the functions add to mean and root."""
-        return self.p @ self.v + mean, self.model._deviation(self.i, self.p, half)
+        """Return normalised mean and variance at the points to check at, of what functions add to mean and root."""
+        return self.p @ self.v + mean, self.model._variance(self.j, self.p, half)
+
+    def _loss(self, mean: Vector, variance: Vector) -> Loss:
+        """Return how the output changes if this part has another mean and variance."""
+        changed = self.truth.copy()
+        changed[:, :, self.j] = mean, variance
+        i = self.j % len(self.model.outputs)
+        (mean, variance), (new_mean, new) = (
+            (found[:, i] for found in self.model.mixed(*values)) for values in (self.truth, changed)
+        )
+        return Loss(
+            float(np.sqrt(np.mean((new_mean - mean) ** 2 / variance))),
+            float(np.sqrt(np.mean((np.sqrt(new / variance) - 1) ** 2))),
+        )
 
     def _fit(self, number: int) -> _Fit:
         n, size = self.p.shape[1], self.sizes[number]
         kept = self.kept[:size]
         solved: Any = solve_triangular(self.R[: n + size, : n + size], self.targets[: n + size])
         columns = self.checked[:, : n + size]
-        mean, std = self._predicted(columns @ solved[:, 0], columns @ solved[:, 1:])
-        loss = Loss(
-            float(np.sqrt(np.mean(((mean - self.truth[0]) / self.truth[1]) ** 2))),
-            float(np.sqrt(np.mean((std / self.truth[1] - 1) ** 2))),
-        )
+        loss = self._loss(*self._predicted(columns @ solved[:, 0], columns @ solved[:, 1:]))
         order = np.lexsort((kept[:, 1], kept[:, 0]))
         solved = np.concatenate([solved[:n], solved[n:][order]])
         root: Any = np.zeros((n + size, max(self.T.shape[1], n + size)))
@@ -209,7 +223,9 @@ def _readout(readout: Readout, g: Matrix) -> tuple[Vector, Matrix]:
 
 def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
     """Return the model with the functions that stay."""
-    places = np.cumsum([0, *(len(fit.centres) for fit in fits)]).tolist()
+    places, P = np.cumsum([0, *(len(fit.centres) for fit in fits)]).tolist(), len(model.outputs)
+    of_outputs = [[fit.loss for fit in fits[i::P]] for i in range(P)]
+    losses = [Loss(sum(loss.mean for loss in of), sum(loss.std for loss in of)) for of in of_outputs]
     return replace(
         model,
         centres=np.concatenate([fit.centres for fit in fits]),
@@ -223,5 +239,5 @@ def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
         trend_weights=np.stack([fit.trend_weights for fit in fits]),
         trend_roots=tuple(fit.trend_root for fit in fits),
         provenance=model.provenance
-        | {"reduction": {name: fit.loss._asdict() for name, fit in zip(model.outputs, fits, strict=True)}},
+        | {"reduction": {name: loss._asdict() for name, loss in zip(model.outputs, losses, strict=True)}},
     )

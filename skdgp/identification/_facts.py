@@ -20,7 +20,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     facts = {
         "inference": regressor.inference_,
-        "structure": regressor.structure_,
+        "weights": {name: by_coefficient(values) for name, values in regressor.weights_.items()},
         "regressors": names,
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
@@ -32,10 +32,6 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),
         "reconstruction": reconstruction_of(pipeline),
     }
-    if regressor.structure_errors_:
-        facts["structure_errors"] = {
-            name: [float(value) for value in errors] for name, errors in regressor.structure_errors_.items()
-        }
     if isinstance(pipeline[-1], CalibratedRegressor):
         facts["std_scale"] = by_coefficient(pipeline[-1].std_scale_)
         facts["guaranteed_level"] = by_coefficient(pipeline[-1].max_level_)
@@ -52,20 +48,19 @@ def settings_of(pipeline, reconstruction, horizons) -> dict:
         "structure": regressor.structure,
         "regressors": pipeline["regressorselector"].regressors,
         "reconstruction": "none" if reconstruction in (None, "passthrough") else reconstruction,
-        "input_noise": "none" if regressor.input_noise is None else regressor.input_noise,
+        "input_noise": "none" if regressor.input_noise is None else "learned",
         "trend": "none" if regressor.trend is None else regressor.trend,
         "seed": regressor.random_state,
-        "restarts": regressor.n_restarts_optimizer,
         "horizons": list(horizons),
         "inducing": regressor.n_inducing,
-        "latents": regressor.n_latent_,
+        "latents": regressor.n_latent,
         "max_iter": regressor.max_iter,
     }
     if isinstance(pipeline[-1], CalibratedRegressor):
         settings["calibrate"] = True
     if "lagcorrector" in pipeline.named_steps:
         settings["lags"] = pipeline["lagcorrector"].lags
-    return settings | {name: True for name in ("symmetric", "gusty") if getattr(pipeline, name)}
+    return settings | ({"symmetric": True} if pipeline.symmetric else {})
 
 
 def reconstruction_of(pipeline) -> str | None:

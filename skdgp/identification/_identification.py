@@ -53,20 +53,11 @@ WIDTHS = {
     "full": "a full matrix of widths",
     "tied": "one width for each regressor, common to all outputs",
 }
-STRUCTURES = {
-    "joint": "the trend and processes",
-    "additive": "the trend, main effects and processes",
-    "trend": "the trend alone",
-}
+MEMBERS = {"joint": "all terms", "additive": "trend and main effects", "trend": "trend alone"}
 THRUSTS = {
     "columns": "from the thrust columns of the flights",
     "propeller": "from the propeller's bench table",
     "none": "none subtracted: that of an engine is part of the coefficients",
-}
-KERNELS = {
-    "joint": "convolved Gaussian, {widths}",
-    "additive": "functions of one regressor each, and convolved Gaussian, {widths}",
-    "trend": "none: the trend alone",
 }
 N_WARNINGS = 3  # of the summary
 MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
@@ -217,7 +208,7 @@ class Identification:
 
     def _report_content(self) -> ReportContent:
         regressor, fit = regressor_and_scale(self.pipeline)[0], self.fit
-        aircraft, coupled = self.aircraft, fit["structure"] != "trend"
+        aircraft, coupled = self.aircraft, "joint" in fit["weights"]
         return ReportContent(
             title=self.title,
             train=[FlightRecord(name=name, table=table) for name, table in self.train.items()],
@@ -226,9 +217,9 @@ class Identification:
                 n_samples=fit.get("samples"),
                 n_available=fit.get("samples_available"),
                 regressors=fit["regressors"],
-                n_latent=regressor.n_latent_,
-                n_private=len(COEFFICIENTS) if regressor.private_latents and coupled else 0,
-                kernel=KERNELS[fit["structure"]].format(widths=WIDTHS[regressor.covariance_type]),
+                n_latent=regressor.n_latent if coupled else 0,
+                n_private=len(COEFFICIENTS) if coupled else 0,
+                kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if coupled else "none",
                 trend=regressor.trend or "none",
                 inference=regressor.inference_ + " (chosen by auto)" * (regressor.inference == "auto"),
                 log_marginal_likelihood=fit["log_marginal_likelihood"],
@@ -284,13 +275,10 @@ class Identification:
         lags = {name: row["applied"] for name, row in fit.get("lags", {}).items() if row["applied"]}
         if "lags" in fit:
             remarks["Lags"] = ", ".join(f"{name} {lag:.3g} s" for name, lag in lags.items()) or "none to correct"
-        errors = {name: float(np.nanmean(values)) for name, values in fit.get("structure_errors", {}).items()}
-        if errors:
-            words = " and ".join(f"{error:.3g} of {STRUCTURES[name]}" for name, error in errors.items())
-            remarks["Structure"] = (
-                f"{STRUCTURES[fit['structure']]}. Mean squared error of quarters of the training flights, predicted "
-                f"from the rest, over the variance: {words}"
-            )
+        if len(fit["weights"]) > 1:
+            shares = {name: np.mean(list(by_output.values())) for name, by_output in fit["weights"].items()}
+            words = ", ".join(f"{share:.0%} {MEMBERS[name]}" for name, share in shares.items())
+            remarks["Average"] = f"{words}; weights by blocks of the training flights, predicted from the others"
         noisy = {name: value for name, value in fit["input_noise_std"].items() if value > 0}
         if noisy:
             remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())

@@ -32,7 +32,6 @@ from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     check_aircraft,
     clock_of,
-    default_regressor,
     flight_noise,
     flown_turbulence,
     make_identification_pipeline,
@@ -56,7 +55,6 @@ def identify(
     regressor: DependentGPRegressor | None = None,
     calibrate: bool = False,
     symmetric: bool = False,
-    gusty: bool = False,
     horizons: Sequence[float] = (2.0, 10.0),
     random_state: Seed = 0,
     n_jobs: int | None = None,
@@ -87,11 +85,11 @@ def identify(
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     regressor : DependentGPRegressor, optional
-        By default :func:`default_regressor`.
+        By default ``DependentGPRegressor(random_state=random_state, n_jobs=n_jobs)``.
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
         show that are held out in turn. It takes one more fit for each of up to 5 groups of flights.
-    symmetric, gusty
+    symmetric
         As of :func:`make_identification_pipeline`, not with ``calibrate``.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
@@ -136,7 +134,7 @@ def identify(
     (400, 6)
     """
     if regressor is None:
-        regressor = default_regressor(gusty=gusty, random_state=random_state, n_jobs=n_jobs)
+        regressor = DependentGPRegressor(random_state=random_state, n_jobs=n_jobs)
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
             f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "
@@ -151,7 +149,7 @@ def identify(
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
         train, test, held_out = _flights.train_and_test(train, test)
         if calibrate:
-            _check_calibration(train, symmetric, gusty)
+            _check_calibration(train, symmetric)
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
@@ -175,7 +173,6 @@ def identify(
             mixer=_mixer(table),
             regressor=CalibratedRegressor(clone(regressor)) if calibrate else regressor,
             symmetric=symmetric,
-            gusty=gusty,
         )
         began = time.monotonic()
         X = _fit(pipeline, table, targets)
@@ -318,22 +315,22 @@ def _warn(message):
     warnings.warn(message, stacklevel=3)
 
 
-def _check_calibration(train, symmetric, gusty) -> None:
+def _check_calibration(train, symmetric) -> None:
     if len(train) < 2:
         raise ValueError(
             f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at least two, to hold "
             "each out in turn: give more flights, or do not calibrate."
         )
-    if symmetric or gusty:
+    if symmetric:
         raise ValueError(
-            f"Got calibrate with symmetric={symmetric}, gusty={gusty}, but expected one or the other: calibration "
-            "is by measured coefficients of flights held out, in the same air."
+            "Got calibrate with symmetric=True, but expected one or the other: calibration is by flights held out, "
+            "which a symmetric model would learn from twice."
         )
 
 
 def _fit(pipeline, table, targets) -> Matrix:
     """Fit a pipeline as its ``fit`` does, and return the regressors (n, d), which are not computed twice."""
-    if pipeline.symmetric or pipeline.gusty:
+    if pipeline.symmetric:
         return pipeline.fit(table, targets)[:-1].transform(table)
     groups = {"groups": table["flight"]} if isinstance(pipeline[-1], CalibratedRegressor) else {}
     X = pipeline[:-1].fit_transform(table, targets)

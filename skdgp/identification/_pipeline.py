@@ -21,8 +21,8 @@ from skdgp._flight.clock import flight_segments
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
-from skdgp.identification._other_air import mirrored, named_targets, without_gusts
-from skdgp.inference import ExactPosterior, SparsePosterior, autocorrelation_time, misfit_variance, residual_drift
+from skdgp.identification._mirror import mirrored, named_targets
+from skdgp.inference import misfit_variance
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -36,10 +36,6 @@ from skdgp.preprocessing import (
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 LEAST_ROWS, MOST_ROWS = 5, 20000
 """For each term of a polynomial, and for all of them."""
-LEARNS = {"structure": "auto", "input_noise": "learned", "early_stopping": True, "length_scale_bounds": "spacing"}
-"""What the default regressor has."""
-SMOOTH = {"length_scale_prior": "auto", "n_latent": 2}
-"""What it also has for gusty flights; for others these are None."""
 
 
 def make_identification_pipeline(
@@ -53,7 +49,6 @@ def make_identification_pipeline(
     memory: Any = None,
     lags: str | dict | None = None,
     symmetric: bool = False,
-    gusty: bool = False,
 ) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
@@ -90,15 +85,14 @@ def make_identification_pipeline(
         What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
         elevator or an aileron.
     regressor : estimator, optional
-        By default :func:`default_regressor`. It is cloned.
+        By default ``DependentGPRegressor()``. It is cloned.
         Any regressor of several outputs will do: a linear model for comparison.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
     lags : "auto", dict or None, default=None
         As for :class:`skdgp.preprocessing.LagCorrector`; None: no such step.
-    symmetric, gusty : bool, default=False
-        As for :class:`FlightPipeline`: the aircraft is symmetric, and the model is of the aircraft rather than of
-        flights in the same gusts.
+    symmetric : bool, default=False
+        As for :class:`FlightPipeline`: whether the aircraft is symmetric.
 
     Returns
     -------
@@ -132,35 +126,25 @@ def make_identification_pipeline(
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
         RegressorSelector(regressors),
         StandardScaler(),
-        default_regressor(gusty=gusty) if regressor is None else clone(regressor),
+        DependentGPRegressor() if regressor is None else clone(regressor),
     )
-    pipeline = FlightPipeline(steps.steps, memory=memory, symmetric=symmetric, gusty=gusty)
+    pipeline = FlightPipeline(steps.steps, memory=memory, symmetric=symmetric)
     pipeline.set_params(flightpathreconstruction=reconstruction)
     if lags is not None:
         pipeline.steps.insert(1, ("lagcorrector", LagCorrector(lags)))
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def default_regressor(*, gusty: bool = False, **parameters: Any) -> DependentGPRegressor:
-    """Return the regressor that pipelines and the command line learn with, with some parameters changed.
-
-    It learns the noise of the regressors. Held-out blocks stop its search and choose its structure. Its smallest width
-    follows from the number of samples (``length_scale_bounds="spacing"``). ``parameters`` are those of
-    :class:`skdgp.DependentGPRegressor`.
-
-    What gusts leave in the targets looks like a function of very small width. So with ``gusty``, as of
-    :class:`FlightPipeline`, a prior stands against these (``length_scale_prior="auto"``), and outputs share two
-    latents.
+def default_regressor(**parameters: Any) -> DependentGPRegressor:
+    """Return ``DependentGPRegressor(**parameters)``, the regressor of pipelines and of the command line.
 
     Examples
     --------
     >>> from skdgp.identification import default_regressor
-    >>> default_regressor(n_latent=2, random_state=0)
-    DependentGPRegressor(early_stopping=True, input_noise='learned',
-                         length_scale_bounds='spacing', n_latent=2, random_state=0,
-                         structure='auto')
+    >>> default_regressor(random_state=0)
+    DependentGPRegressor(random_state=0)
     """
-    return DependentGPRegressor(**{**LEARNS, **(SMOOTH if gusty else {}), **parameters})
+    return DependentGPRegressor(**parameters)
 
 
 def check_aircraft(aircraft) -> Aircraft:
@@ -229,7 +213,7 @@ class FlightPipeline(Pipeline):
     regressors, which is larger in rougher air, see :func:`flight_regressors`. Searches, scorers and displays call
     ``predict`` and so use these standard deviations.
 
-    ``symmetric`` and ``gusty`` change the samples of the last step in ``fit``, and nothing in ``predict``. They need a
+    ``symmetric`` adds samples for the last step in ``fit``, and changes nothing in ``predict``. It needs a
     :class:`skdgp.preprocessing.RegressorSelector`, and targets with names or of all six coefficients.
 
     Parameters
@@ -239,12 +223,6 @@ class FlightPipeline(Pipeline):
     symmetric : bool, default=False
         Whether the aircraft is symmetric about its x-z plane: it also learns from the flights as seen in a mirror, and
         the standard deviations count each sample once. It takes half as long again.
-    gusty : bool, default=False
-        Whether the flights were in gusts and the model is for other air: simulation, derivatives, control. In gusts,
-        rates relative to the air differ from measured ones, and a flexible function learns this as curvature of the
-        aircraft. Targets of the fit lose what past errors predict of theirs (extended least squares). The function of
-        the aircraft becomes more accurate, and the prediction of flights in the same gusts less. A
-        ``CalibratedRegressor`` at the end scales its bands to errors of these targets, so they are too narrow.
 
     Attributes
     ----------
@@ -279,30 +257,9 @@ class FlightPipeline(Pipeline):
         memory: Any = None,
         verbose: bool = False,
         symmetric: bool = False,
-        gusty: bool = False,
     ) -> None:
         super().__init__(steps, transform_input=transform_input, memory=memory, verbose=verbose)
         self.symmetric = symmetric
-        self.gusty = gusty
-
-    def set_params(self, **params: Any) -> FlightPipeline:
-        """Set parameters as scikit-learn's ``Pipeline``; ``gusty`` also turns the prior of the last step on or off.
-
-        ``length_scale_prior`` and ``n_latent`` of a :class:`skdgp.DependentGPRegressor` at the end become those of
-        :func:`default_regressor`, unless the same call sets them or the step, or they differ from those of the other
-        setting: this changes a regressor of your own, too.
-        """
-        before = SMOOTH if self.gusty else dict.fromkeys(SMOOTH)
-        super().set_params(**params)
-        after, (step, last) = SMOOTH if self.gusty else dict.fromkeys(SMOOTH), self.steps[-1]
-        if isinstance(last, CalibratedRegressor):
-            step, last = f"{step}__estimator", last.estimator
-        if isinstance(last, DependentGPRegressor) and "steps" not in params:
-            for name in SMOOTH:
-                value, given = getattr(last, name), any(f"{step}__{name}".startswith(key) for key in params)
-                if not given and np.ndim(value) == 0 and value == before[name]:
-                    last.set_params(**{name: after[name]})
-        return self
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P).
@@ -314,54 +271,39 @@ class FlightPipeline(Pipeline):
         if not get_config()["enable_metadata_routing"]:
             name = self.steps[-1][0]
             params = {f"{name}__{key}": value for key, value in clock_of(self[-1], X).items()} | params
-        if self.symmetric or self.gusty:
-            self._fit_samples(X, y, params)
+        if self.symmetric:
+            self._fit_symmetric(X, y, params)
         else:
             super().fit(X, y, **params)
         self.turbulence_ = flown_turbulence(self, X)
         return self
 
-    def _fit_samples(self, X, y, params):
-        """Fit the steps up to the regressors, and the last one to samples of the aircraft."""
+    def _fit_symmetric(self, X, y, params):
+        """Fit the steps up to the regressors, and the last one to the samples and their mirror images."""
         chosen = [k for k, (_, step) in enumerate(self.steps) if isinstance(step, RegressorSelector)]
         if not chosen or "time" not in X:
             raise ValueError(
-                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)} for symmetric or gusty, but "
-                "expected a RegressorSelector and the column time: add them."
+                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)} for symmetric, but expected a "
+                "RegressorSelector and the column time: add them."
             )
         first, rest, (name, last) = self[: chosen[0] + 1], self[chosen[0] + 1 : -1], self.steps[-1]
         table, targets = first.fit_transform(X, y), named_targets(y).reset_index(drop=True)
-        regressors = [np.asarray(rest.fit_transform(table, y) if rest.steps else table)]
+        own = np.asarray(rest.fit_transform(table, y) if rest.steps else table)
         self.steps = [*first.steps, *rest.steps, (name, last)]  # a memory fits clones
-        time, flight = X["time"].to_numpy(float), np.asarray(X["flight"] if "flight" in X else np.zeros(len(X)))
-        samples = [targets]
-        if self.symmetric:
-            mirror, image = mirrored(table.reset_index(drop=True), targets)
-            regressors.append(np.asarray(rest.transform(mirror) if rest.steps else mirror))
-            samples.append(image)
-        Z, Y = np.concatenate(regressors), pd.concat(samples, ignore_index=True)
-        numbers = pd.factorize(flight)[0]
-        clock = {
-            "time": np.tile(time, len(samples)),
-            "flight": np.concatenate([numbers + k * (numbers.max() + 1) for k in range(len(samples))]),
-        }
-        learned = Y
-        if self.gusty:
-            learned = pd.DataFrame(without_gusts(Z, Y.to_numpy(float), **clock), columns=Y.columns)
-        words = {key.removeprefix(f"{name}__"): np.tile(value, len(samples)) for key, value in params.items()}
-        words |= {key: value for key, value in clock.items() if key in words}
-        last.fit(Z, learned, **words)
-        if isinstance(last, DependentGPRegressor):
-            if self.symmetric and "time" in words:  # the noise of a mirrored sample is that of the sample
-                n, own = len(targets), np.column_stack([time, numbers])
-                misfit = misfit_variance(last, Z[:n], learned.to_numpy(float)[:n], own)
+        mirror, image = mirrored(table.reset_index(drop=True), targets)
+        Z = np.concatenate([own, np.asarray(rest.transform(mirror) if rest.steps else mirror)])
+        Y = pd.concat([targets, image], ignore_index=True)
+        time, numbers = X["time"].to_numpy(float), pd.factorize(X["flight"] if "flight" in X else np.zeros(len(X)))[0]
+        clock = {"time": np.tile(time, 2), "flight": np.concatenate([numbers, numbers + numbers.max() + 1])}
+        words = {key.removeprefix(f"{name}__"): np.tile(value, 2) for key, value in params.items()}
+        last.fit(Z, Y, **words | {key: value for key, value in clock.items() if key in words})
+        if isinstance(last, DependentGPRegressor):  # each sample counts once
+            if "time" in words:  # the noise of a mirrored sample is that of the sample
+                misfit = misfit_variance(last, own, targets.to_numpy(float), np.column_stack([time, numbers]))
                 last._divide_noise(last.noise_variance_ + last.misfit_variance_, misfit)
-            factor = np.full(Y.shape[1], float(len(samples)))
-            if self.gusty:
-                factor *= restore_noise(last, Z, Y.to_numpy(float), learned.to_numpy(float), **clock)
             rows = np.flatnonzero(targets.notna().any(axis=1))
-            measured = Z[rows], (targets.to_numpy(float)[rows] - last._center) / last._scale
-            last.posterior_ = with_more_noise(last.posterior_, factor, measured)
+            last.posterior_ = last.posterior_.scaled_noise(2.0)
+            last.posterior_.measured = own[rows], (targets.to_numpy(float)[rows] - last._center) / last._scale
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
@@ -376,37 +318,6 @@ class FlightPipeline(Pipeline):
         check_is_fitted(self)
         regressors, ratio = flight_regressors(self, X)
         return _predict(self[-1], regressors, ratio, params)
-
-
-def restore_noise(regressor: Any, X: Matrix, measured: Matrix, learned: Matrix, time: Vector, flight: Vector) -> Vector:
-    """Set noise and drift of a regressor to those of the measured targets (n, P) in place of the learned ones.
-
-    Returns by how much the noise of the posterior grows, (P,): the ratio of the variances of errors that are summed
-    over seconds, at least 1.
-    """
-    mean, factor, more = regressor.predict(X), np.ones(measured.shape[1]), np.ones(measured.shape[1])
-    for i in range(measured.shape[1]):
-        errors = [(targets - mean)[np.isfinite(targets[:, i]), i] for targets in (measured, learned)]
-        before, after = (np.array([e.var(), e.var() * autocorrelation_time(e)]) for e in errors)
-        more[i], factor[i] = np.maximum(before / after, 1.0)
-    misfit = regressor.misfit_variance_
-    regressor._divide_noise((regressor.noise_variance_ + misfit) * more, misfit)
-    clock = np.column_stack([time, flight])
-    _, regressor.drift_variance_, regressor.drift_memory_ = residual_drift(regressor, X, measured, clock)
-    return factor
-
-
-def with_more_noise(posterior: Any, factor: Vector, measured: tuple[Matrix, Matrix]) -> Any:
-    """Return the posterior with the noise of each output times a factor (P,), and X, Y as they were measured."""
-    noise = np.array(posterior.noise)
-    noise[: len(factor)] *= factor
-    more: Any
-    if isinstance(posterior, ExactPosterior):
-        more = ExactPosterior(posterior.kernel, noise, posterior.data)
-    else:
-        more = SparsePosterior(posterior.kernel, posterior.features, noise, posterior.shares)
-    more.measured = measured
-    return more
 
 
 def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:

@@ -14,11 +14,11 @@ misfit    the error of the function that residuals show where flights come back 
 """
 
 from skdgp._compute.correlation import autocorrelation_time
+from skdgp.inference._average import AveragePosterior, average
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._fit import Fit, fit_exact, fit_sparse, residual_drift
-from skdgp.inference._kernel_selection import Choice, choose_kernel, held_out_errors
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._optimize import Optimum, maximize
@@ -26,11 +26,11 @@ from skdgp.inference._search import input_noise_loading
 from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, slope_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
-from skdgp.inference._terms import CentredTerm, training_inputs
+from skdgp.inference._terms import CentredTerm, centred_term, training_inputs
 
 __all__ = [
+    "AveragePosterior",
     "CentredTerm",
-    "Choice",
     "Compaction",
     "Data",
     "ExactPosterior",
@@ -40,12 +40,12 @@ __all__ = [
     "SlopeErrors",
     "SparsePosterior",
     "autocorrelation_time",
-    "choose_kernel",
+    "average",
+    "centred_term",
     "compact",
     "fit_exact",
     "fit_sparse",
     "function_errors",
-    "held_out_errors",
     "input_noise_loading",
     "log_likelihood",
     "maximize",

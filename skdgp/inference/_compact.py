@@ -12,9 +12,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Seed
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._likelihood import Data
 from skdgp.inference._sparse import SparsePosterior, maximize_features
-from skdgp.inference._sums import data_from_shares, shares_of
 
 MAX_POINTS = 1000  # largest number of training inputs at which the change is measured
 PERTURBATION = 0.5  # of the same number of further points, in standard deviations of the regressors
@@ -77,7 +75,7 @@ def compact(
 
     Parameters
     ----------
-    posterior : ExactPosterior or SparsePosterior
+    posterior : AveragePosterior, ExactPosterior or SparsePosterior
     n_inducing : int
         Largest number of variables, besides the weights of a trend. A sparse posterior with no more variables keeps
         them.
@@ -93,25 +91,28 @@ def compact(
     -------
     SparsePosterior, Compaction
     """
-    data = observed_values(posterior)
+    data = posterior.samples()
+    if data is None:
+        raise ValueError("A compact model holds no samples to be compacted again. Compact the model it was made from.")
     random_state = check_random_state(random_state)
     X = np.unique(np.concatenate(data.X), axis=0)
     check = _Check(posterior, X, random_state)
     best = posterior.kernel.feature_ranking(X, check.scale(), random_state)
-    shares = shares_of(data)
+    whole = getattr(posterior, "whole", posterior)
 
     def compact_to(n):
-        if isinstance(posterior, SparsePosterior) and n >= posterior.features.size:
+        if isinstance(whole, SparsePosterior) and n >= whole.features.size:
             return posterior, check.compare(posterior)
         features = best(n)
         allow(features.size)
-        new = SparsePosterior(posterior.kernel, features, posterior.noise, shares)
+        new = posterior.sparse(features)
         return new, check.compare(new)
 
     new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
-    if max_iter > 0 and new is not posterior and len(new.features.theta):
-        features, _ = maximize_features(new, column_scale(X), max_iter=max_iter, stage="compact")
-        improved = SparsePosterior(new.kernel, features, new.noise, new.shares)
+    start = getattr(new, "whole", new)
+    if max_iter > 0 and new is not posterior and len(start.features.theta):
+        features, _ = maximize_features(start, column_scale(X), max_iter=max_iter, stage="compact")
+        improved = posterior.sparse(features)
         improved_change = check.compare(improved)
         if tolerance is None or improved_change.change <= max(tolerance, change.change):
             new, change = improved, improved_change
@@ -137,15 +138,6 @@ def _fewest(compact_to, most, tolerance):
         else:
             n, best = middle, trial
     return best
-
-
-def observed_values(posterior) -> Data:
-    """Return the observed values that a posterior holds."""
-    if isinstance(posterior, ExactPosterior):
-        return posterior.data
-    if posterior.shares is None:
-        raise ValueError("A compact model holds no samples to be compacted again. Compact the model it was made from.")
-    return data_from_shares(posterior.shares, posterior.kernel.n_outputs)
 
 
 class _Check:
@@ -175,7 +167,7 @@ class _Check:
         if isinstance(self.posterior, ExactPosterior):
             divergence = max(float(self.posterior.log_marginal_likelihood - new.log_marginal_likelihood), 0.0)
         return Compaction(
-            n_inducing=new.features.size,
+            n_inducing=getattr(new, "whole", new).features.size,
             n_checked=len(self.points),
             mean_rms=np.sqrt((shift**2).mean(axis=0)),
             mean_max=shift.max(axis=0),

@@ -13,6 +13,8 @@ from skdgp._compute.threads import few_threads, n_threads, thread_map, threads_f
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
 from skdgp.inference._posterior_paths import Paths, exact_paths
+from skdgp.inference._sparse import SparsePosterior
+from skdgp.inference._sums import shares_of
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
 FEW = 16  # up to this many points the mean is one matrix product instead of many tiles
@@ -123,6 +125,22 @@ class ExactPosterior:
         old = np.arange(sum(sizes)) + np.repeat(before, sizes)
         new = np.arange(sum(added)) + np.repeat(np.cumsum(sizes), added)
         return np.concatenate([old[self._rows], new])
+
+    def samples(self) -> Data:
+        """Return the values that the posterior has learned from."""
+        return self.data
+
+    def of(self, data: Data, noise: Vector) -> ExactPosterior:
+        """Return the posterior of other values with another noise, at the same hyperparameters."""
+        return ExactPosterior(self.kernel, noise, data)
+
+    def scaled_noise(self, factor: Vector) -> ExactPosterior:
+        """Return the posterior with the noise of each output times a factor (P,)."""
+        return ExactPosterior(self.kernel, self.noise * factor, self.data)
+
+    def sparse(self, features: Any) -> SparsePosterior:
+        """Return the sparse posterior of the same values, with these features of the kernel."""
+        return SparsePosterior(self.kernel, features, self.noise, shares_of(self.data))
 
     def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
         """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""

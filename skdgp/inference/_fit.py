@@ -15,22 +15,21 @@ from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import fit_drift_to_integrals
 from skdgp.inference._rows import held_out_rows, some_rows
-from skdgp.inference._search import NOISE_BOUNDS, NOISE_STEPS, Hyperparameters, input_noise_loading, search
-from skdgp.inference._sparse import SparsePosterior, maximize_features
+from skdgp.inference._search import NOISE_BOUNDS, NOISE_STEPS, Hyperparameters, input_noise_loading, noise_alone, search
+from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
 
-FEATURE_ITERATIONS = 4  # iterations that move and scale the inducing variables on the bound
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
 
 
 class Fit(NamedTuple):
-    """A posterior, the hyperparameters it has, and how well it explains its data.
+    """An ExactPosterior, SparsePosterior or AveragePosterior, its hyperparameters, and how well it explains its data.
 
     ``value`` is the log likelihood, or its bound, plus the log prior of the kernel: it compares fits of the same data.
     A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples are correlated.
     """
 
-    posterior: ExactPosterior | SparsePosterior
+    posterior: Any
     learned: Hyperparameters
     value: float
 
@@ -53,9 +52,7 @@ def fit_exact(
     max_iter: int,
     random_state: Seed,
     input_noise: Any = None,
-    spread: float = 0.0,
-    found: Any = None,
-    early_stopping: bool = False,
+    stop_early: bool = False,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
 
@@ -73,26 +70,21 @@ def fit_exact(
     random_state : int, RandomState or None
     input_noise : ndarray (d, r), "learned" or None
         R of the covariance R R^T of the regressors' noise. "learned": one variance for each regressor is learned.
-    spread : float
-        Standard deviation of the random perturbation of the starting theta, for restarts.
-    found : Hyperparameters or None
-        Hyperparameters to use without a search.
-    early_stopping : bool
-        Whether hyperparameters are learned only until the error of held-out blocks no longer falls.
+    stop_early : bool
+        Whether hyperparameters are learned only until the error of held-out blocks of rows no longer falls.
 
     Returns
     -------
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    learned = found
-    if learned is None:
-        random_state = check_random_state(random_state)
-        rows, held = held_out_rows(Y, random_state) if early_stopping else (slice(None), None)
-        options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise, "spread": spread}
-        options |= {"random_state": random_state, "held": held}
-        learned = search(kernel.prepared(X), X, Y, rows, **options, exact=True)
-    return _fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y)), learned)
+    random_state = check_random_state(random_state)
+    rows, held = held_out_rows(Y, random_state) if stop_early else (slice(None), None)
+    options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
+    options |= {"random_state": random_state, "held": held}
+    learned = search(kernel.prepared(X), X, Y, rows, **options, exact=True)
+    posterior = ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y))
+    return Fit(posterior, learned, posterior.log_marginal_likelihood + learned.kernel.log_prior())
 
 
 def fit_sparse(
@@ -105,10 +97,7 @@ def fit_sparse(
     max_iter: int,
     random_state: Seed,
     input_noise: Any = None,
-    spread: float = 0.0,
-    found: Any = None,
-    early_stopping: bool = False,
-    centres: Matrix | None = None,
+    stop_early: bool = False,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
 
@@ -117,11 +106,9 @@ def fit_sparse(
     kernel, X, Y
         As for ``fit_exact``.
     n_inducing : int
-        Inducing inputs of each latent process. They start at the centres of k-means and are then optimised.
-    optimizer, max_iter, random_state, input_noise, spread, found, early_stopping
-        As for ``fit_exact``. With ``early_stopping`` the inducing inputs stay where they start.
-    centres : ndarray (k, d) or None
-        Where the inducing inputs start. None: ``inducing_centres`` of X.
+        Inducing inputs of each latent process: the centres of k-means.
+    optimizer, max_iter, random_state, input_noise, stop_early
+        As for ``fit_exact``.
 
     Returns
     -------
@@ -135,65 +122,77 @@ def fit_sparse(
     """
     random_state, kernel = check_random_state(random_state), kernel.prepared(X)
     start = kernel.initialize(X, Y, np.random.RandomState(0))
-    Z = inducing_centres(start, X, n_inducing, random_state) if centres is None else centres
+    Z = inducing_centres(start, X, n_inducing, random_state)
     size = start.features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    learned = found
-    if learned is None:
-        rows, held = held_out_rows(Y, random_state) if early_stopping else (some_rows(Y, random_state), None)
-        options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise, "spread": spread}
-        options |= {"random_state": random_state, "held": held}
-        learned = search(kernel, X, Y, rows, **options)
-    kernel, features = learned.kernel, learned.kernel.features(Z)
-    shares = shares_of(Data.from_table(X, Y))
+    rows, held = held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
+    options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
+    options |= {"random_state": random_state, "held": held}
+    learned = search(kernel, X, Y, rows, **options)
+    features, shares = learned.kernel.features(Z), shares_of(Data.from_table(X, Y))
+    if optimizer is None:
+        with sharing(shares):
+            posterior = SparsePosterior(learned.kernel, features, learned.noise, shares)
+            value = posterior.log_marginal_likelihood
+            return _final_fit(learned, posterior, X, Y, np.ones(len(posterior.noise)), value)
+    learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
+    return _final_fit(learned, posterior, X, Y, inflation, value)
+
+
+def _with_converged_noise(learned, features, X, Y, shares):
+    """Return hyperparameters with the noise that is best for these features, posterior, inflation and bound.
+
+    Errors of neighbours are correlated: a sample carries less information, so the posterior's noise is larger by the
+    inflation (P,).
+    """
+    least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
     with sharing(shares):
-        posterior = SparsePosterior(kernel, features, learned.noise, shares)
-        if optimizer is None:
-            return _final_fit(learned, posterior, X, Y, 1.0)
-        least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
-        posterior = _converge_noise(posterior, 1.0, least)
+        posterior = _converge_noise(SparsePosterior(learned.kernel, features, learned.noise, shares), 1.0, least)
         value = posterior.log_marginal_likelihood
         residual = Y - posterior.predict(X)
         inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
-        # Errors of neighbours are correlated: a sample carries less information, so its noise variance is inflated.
         posterior = _converge_noise(posterior, inflation, least)
-        noise = posterior.noise
-        hyperparameters = learned._replace(noise=noise / inflation)
-    if hyperparameters.interrupted or early_stopping:
-        return _final_fit(hyperparameters, posterior, X, Y, inflation, value)
-    features, best = _learn_features(features, kernel, noise, X, Y, int(inflation.min()))
-    with sharing(shares):
-        posterior = SparsePosterior(kernel, features, noise, shares)
-    return _final_fit(hyperparameters, posterior, X, Y, inflation, value, best)
+    return learned._replace(noise=posterior.noise / inflation), posterior, inflation, value
 
 
-def _fit(posterior, learned, value=None, more=None) -> Fit:
-    """Return the fit; ``more`` is an Optimum of a later search, or None."""
-    if more is not None:
-        learned = learned._replace(
-            n_evaluations=learned.n_evaluations + more.n_evaluations,
-            interrupted=learned.interrupted or more.interrupted,
-        )
-    value = posterior.log_marginal_likelihood if value is None else value
-    return Fit(posterior, learned, value + posterior.kernel.log_prior())
+def with_noise_for(kernel: Any, features: Any, fit: Fit, X: Matrix, Y: Matrix) -> Fit:
+    """Return the fit of another kernel, a part of that of a fit, at its hyperparameters but for the white noise.
+
+    ``features`` of the kernel are those of a sparse fit; None for an exact one. Noise of the regressors propagates by
+    the slopes of the given fit. Evaluations are those for the noise.
+    """
+    learned = fit.learned._replace(kernel=kernel, n_evaluations=0)
+    if features is None:
+        data = fit.posterior.data
+        noise, n_evaluations = noise_alone(kernel, X, Y, data)
+        learned = learned._replace(noise=noise, n_evaluations=n_evaluations)
+        return Fit(ExactPosterior(kernel, learned.noise, data), learned, fit.value)
+    shares = shares_of(Data.from_table(X, Y))
+    learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
+    return _final_fit(learned, posterior, X, Y, inflation, value, loading_of(fit, X))
 
 
-def _final_fit(hyperparameters, posterior, X, Y, inflation, value=None, more=None) -> Fit:
+def loading_of(fit: Fit, X: Matrix) -> np.ndarray | None:
+    """Return what noise of the regressors adds to the outputs at X, G (n, P, r), or None for exact regressors."""
+    return None if fit.learned.root is None else input_noise_loading(fit.posterior, X, fit.learned.root)
+
+
+def _final_fit(learned, posterior, X, Y, inflation, value, loading=None) -> Fit:
     """Return the fit; with noisy regressors, part of each output's noise becomes noise of the regressors.
 
     ``inflation`` (P,) multiplies the variances of both parts: errors of the regressors are correlated in time, too.
+    ``loading`` is G of this noise, by default by the slopes of the posterior.
     """
-    if hyperparameters.root is None:
-        return _fit(posterior, hyperparameters, value, more)
-    loading = input_noise_loading(posterior, X, hyperparameters.root)
-    propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
-    noise = hyperparameters.noise
-    loading = loading * np.sqrt(inflation * np.ones(len(noise)))[:, None]
-    noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
-    shares = shares_of(Data.from_table(X, Y, loading))
-    with sharing(shares):
-        posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
-    return _fit(posterior, hyperparameters._replace(noise=noise), value, more)
+    if learned.root is not None:
+        if loading is None:
+            loading = input_noise_loading(posterior, X, learned.root)
+        propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
+        noise = np.maximum(learned.noise - propagated, MIN_WHITE_FRACTION * learned.noise)
+        shares = shares_of(Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None]))
+        with sharing(shares):
+            posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
+        learned = learned._replace(noise=noise)
+    return Fit(posterior, learned, value + posterior.kernel.log_prior())
 
 
 def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
@@ -220,16 +219,6 @@ def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matri
         if observed.sum() > 2:
             found[:, i] = fit_drift_to_integrals(e[observed], clock[observed], least[i])
     return found
-
-
-def _learn_features(features, kernel, noise, X, Y, step):
-    """Return the best features and their Optimum, from every ``step``-th sample: neighbours are redundant."""
-    if len(features.theta) == 0:
-        return features, None
-    shares = shares_of(Data.from_table(X[::step], Y[::step]))
-    with sharing(shares):
-        start = SparsePosterior(kernel, features, noise / step, shares)
-        return maximize_features(start, column_scale(X), max_iter=FEATURE_ITERATIONS, stage="bound")
 
 
 def _converge_noise(posterior, inflation, least):

@@ -60,6 +60,11 @@ class Data(NamedTuple):
             sample_noise = sample_noise.joined(other.sample_noise)
         return Data(X, y, sample_noise)
 
+    def every(self, step: int) -> Data:
+        """Return every ``step``-th value of each output."""
+        X, y, noise = [x[::step] for x in self.X], [y[::step] for y in self.y], self.sample_noise
+        return Data(X, y, noise and SampleNoise(*([part[::step] for part in parts] for parts in noise)))
+
     def by_output(self) -> list[Data]:
         """Return the values of each output that has any alone, for evaluations one after another.
 

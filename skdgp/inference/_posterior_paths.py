@@ -152,3 +152,17 @@ def exact_paths(posterior: Any, n_paths: int, random_state: Any) -> Paths:
     coefficients = posterior.solve(residual.T).T
     by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
     return Paths(prior + kernel.paths(data.X, by_output), n_paths, kernel.n_features)
+
+
+def mixed_paths(members: Any, weights: Matrix, n_paths: int, random_state: Any) -> Paths:
+    """Return paths of a mixture of posteriors with weights (K, P): each output of a path is that of one member.
+
+    The numbers that pick members are spread evenly, so that few paths have them in proportion to the weights.
+    """
+    random_state = check_random_state(random_state)
+    pick = random_state.permutation(n_paths) + random_state.uniform(size=n_paths)
+    ends = np.cumsum(weights, axis=0)[:-1]
+    member = np.sum(pick[:, None, None] >= n_paths * ends, axis=1)
+    seeds = random_state.randint(2**31 - 1, size=len(members))
+    bundles = [each.paths(n_paths, int(seed)).bundle for each, seed in zip(members, seeds, strict=True)]
+    return Paths(bundles[0].mixed(bundles[1:], member), n_paths, members[0].kernel.n_features)

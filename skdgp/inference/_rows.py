@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from skdgp._compute.typing import Indices, Matrix, Seed
 
-SEARCH_VALUES = 1800  # values from which a search learns where it is sparse, stops early or compares kernels
+SEARCH_VALUES = 1800  # values from which a search learns where it is sparse or stops early, and noise alone
 BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
 GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
 HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
@@ -55,10 +53,3 @@ def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None
     if min(np.isfinite(Y[held]).sum(axis=0).min(), np.isfinite(Y[rest]).sum(axis=0).min()) < FEWEST_VALUES:
         return some_rows(Y, random_state), None
     return rest[some_rows(Y[rest], random_state)], held
-
-
-def quarters(rows: Indices) -> Iterator[tuple[Indices, Indices, slice]]:
-    """Yield for each quarter of the rows those outside, without GAP on either side, those inside, and their places."""
-    for a, b in pairwise(np.linspace(0, len(rows), 5).astype(int)):
-        gap = int(GAP * (b - a))
-        yield np.concatenate([rows[: max(a - gap, 0)], rows[b + gap :]]), rows[a:b], slice(a, b)

@@ -22,7 +22,7 @@ from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._objective import Objective, theta_bounds
 from skdgp.inference._optimize import GRID, Optimum, maximize
-from skdgp.inference._rows import HELD_OUT_ROWS, stratified
+from skdgp.inference._rows import HELD_OUT_ROWS, SEARCH_VALUES, stratified
 from skdgp.inference._singles import fit_singles
 
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
@@ -73,9 +73,9 @@ class _Stages:
     likelihood knows what errors of regressors have in common.
     """
 
-    def __init__(self, X, Y, held_out, optimizer, random_state, common, stop):
+    def __init__(self, X, Y, held_out, optimizer, common, stop):
         self.X, self.Y, self.held_out = X, Y, held_out
-        self.optimizer, self.random_state, self.common, self.stop = optimizer, random_state, common, stop
+        self.optimizer, self.common, self.stop = optimizer, common, stop
         self.n_evaluations = 0
 
     def hyperparameters(self, kernel, noise, root) -> Hyperparameters:
@@ -85,22 +85,21 @@ class _Stages:
         """Return the values of some rows, with the noise that the slopes of an exact fit propagate to them."""
         return self.hyperparameters(kernel, noise, root).data(self.X[rows], self.Y[rows], 1)
 
-    def run(self, data, kernel, noise, bounds, max_iter, spread=0.0) -> tuple[Any, Vector, Optimum]:
+    def run(self, data, kernel, noise, bounds, max_iter) -> tuple[Any, Vector, Optimum]:
         """Return kernel and noise at the end of a stage, and its Optimum."""
         objective = Objective(kernel, data, len(noise), self.held_out, self.common)
         error = None if self.held_out is None else objective.held_out_error
-        return self._maximize(objective, noise, theta_bounds(kernel, bounds), max_iter, spread, error)
+        return self._maximize(objective, noise, theta_bounds(kernel, bounds), max_iter, error)
 
-    def run_noise(self, data, kernel, noise, bounds) -> Vector:
+    def run_noise(self, data, kernel, noise, bounds, stage="fit") -> Vector:
         """Return the noise that is best for this kernel."""
         objective, bounds = Objective(kernel, data, len(noise)), theta_bounds(kernel, bounds)
         bounds[: kernel.n_dims] = kernel.theta[:, None]
-        return self._maximize(objective, noise, bounds, NOISE_STEPS)[1]
+        return self._maximize(objective, noise, bounds, NOISE_STEPS, stage=stage)[1]
 
-    def _maximize(self, objective, noise, bounds, max_iter, spread=0.0, error=None):
+    def _maximize(self, objective, noise, bounds, max_iter, error=None, stage="fit"):
         theta = np.concatenate([objective.kernel.theta, np.log(noise)])
-        theta += spread * self.random_state.normal(size=theta.shape)
-        options = {"optimizer": self.optimizer, "max_iter": max_iter, "stop": self.stop, "grid": GRID}
+        options = {"optimizer": self.optimizer, "max_iter": max_iter, "stop": self.stop, "grid": GRID, "stage": stage}
         with threads_for(objective.data.n_values):
             best = maximize(objective, theta, bounds, **options, held_out_error=error)
         self.n_evaluations += best.n_evaluations
@@ -118,7 +117,6 @@ def search(
     max_iter: int,
     random_state: Any,
     input_noise: Any,
-    spread: float,
     held: Any = None,
     exact: bool = False,
 ) -> Hyperparameters:
@@ -141,7 +139,7 @@ def search(
             open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop
         )
     scale, X, Y = column_scale(X), X[rows], Y[rows]
-    stages = _Stages(X, Y, held_out, optimizer, random_state, exact, stop)
+    stages = _Stages(X, Y, held_out, optimizer, exact, stop)
     learned_root = isinstance(input_noise, str)
     root = np.diag(scale) if learned_root else input_noise
     if optimizer is None:
@@ -153,15 +151,15 @@ def search(
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or root is not None:
-        coarse, noise, best = stages.run(data, coarse, noise, bounds, -(-max_iter // 2), spread)
-        n_iter, spread = best.n_iter, 0.0
+        coarse, noise, best = stages.run(data, coarse, noise, bounds, -(-max_iter // 2))
+        n_iter = best.n_iter
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     if root is not None:
         data = stages.data(coarse, noise, root)
     if learned_root:
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
-    kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter, spread)
+    kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter)
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
         if not exact:  # the white noise will be that of all samples
@@ -176,6 +174,20 @@ def search(
         remaining=best.remaining,
         converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * np.isfinite(Y).sum()),
     )
+
+
+def noise_alone(kernel: Any, X: Matrix, Y: Matrix, data: Data) -> tuple[Vector, int]:
+    """Return the noise (P,) that is best for a kernel, and the number of evaluations of the likelihood it took.
+
+    It is learned from at most ``SEARCH_VALUES`` of the values of X and Y. Raises KeyboardInterrupt after Ctrl-C.
+    """
+    step, stop = -(-data.n_values // SEARCH_VALUES), Event()
+    noise, bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
+    stages = _Stages(X, Y, None, "fmin_l_bfgs_b", True, stop)
+    found = stages.run_noise(data.every(step), kernel, noise, bounds, "members")
+    if stop.is_set():
+        raise KeyboardInterrupt
+    return found, stages.n_evaluations
 
 
 def _initial_noise(residual, scale):

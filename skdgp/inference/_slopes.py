@@ -19,7 +19,6 @@ from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._compact import observed_values
 from skdgp.inference._likelihood import Data
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
@@ -104,9 +103,8 @@ def function_errors(posterior: Any) -> FunctionErrors | None:
 
 def _measured(posterior: Any) -> Data | None:
     """Return the measured samples of a posterior, None if it has none (compact models)."""
-    if getattr(posterior, "shares", ()) is None:
-        return None
-    return observed_values(posterior) if posterior.measured is None else Data.from_table(*posterior.measured)
+    data = posterior.samples()
+    return data if data is None or posterior.measured is None else Data.from_table(*posterior.measured)
 
 
 @one_blas_thread()

@@ -151,6 +151,22 @@ class SparsePosterior:
             residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / max(s.n, 1)
         return residual
 
+    def samples(self) -> Data | None:
+        """Return the values that the posterior has learned from; None without samples."""
+        return None if self.shares is None else data_from_shares(self.shares, self.kernel.n_outputs)
+
+    def of(self, data: Data, noise: Vector) -> SparsePosterior:
+        """Return the posterior of other values with another noise, at the same hyperparameters and features."""
+        return SparsePosterior(self.kernel, self.features, noise, shares_of(data))
+
+    def scaled_noise(self, factor: Vector) -> SparsePosterior:
+        """Return the posterior with the noise of each output times a factor (P,)."""
+        return SparsePosterior(self.kernel, self.features, self.noise * factor, self.shares)
+
+    def sparse(self, features: Any) -> SparsePosterior:
+        """Return the posterior of the same samples with other features."""
+        return SparsePosterior(self.kernel, features, self.noise, self.shares)
+
     def without_samples(self) -> SparsePosterior:
         """Return the same posterior without samples: it keeps only their sums and predicts the same."""
         posterior = self._with(None, None, self.sums)

@@ -8,7 +8,6 @@ import numpy as np
 
 from skdgp._compute.linalg import unexplained_variance
 from skdgp._compute.typing import Matrix
-from skdgp.inference._compact import observed_values
 
 
 class CentredTerm:
@@ -58,6 +57,32 @@ class CentredTerm:
         return (mean, variance) if return_variance else mean
 
 
+class AverageTerm:
+    """The centred term of an average: the mixture of those of its members, zero where a member lacks the term."""
+
+    def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
+        self.posterior = posterior
+        self.terms = [
+            CentredTerm(member, regressors, X) if regressors in member.kernel.term_regressors() else None
+            for member in posterior.members
+        ]
+        zero = np.zeros((len(X), posterior.kernel.n_outputs))
+        self.values = posterior.mixed([zero if term is None else term.values for term in self.terms])[0]
+
+    def predict(self, X: Matrix, return_variance: bool = False) -> Any:
+        """Return the mean and, with ``return_variance``, the variance at X (n, d): (n, P) each."""
+        zero = np.zeros((len(X), self.posterior.kernel.n_outputs))
+        found = [(zero, zero) if term is None else term.predict(X, return_variance=True) for term in self.terms]
+        means, variances = zip(*found, strict=True)
+        mean, scatter = self.posterior.mixed(means)
+        return (mean, self.posterior.mixed(variances)[0] + scatter) if return_variance else mean
+
+
+def centred_term(posterior: Any, regressors: tuple[int, ...], X: Matrix) -> CentredTerm | AverageTerm:
+    """Return the centred term of a posterior."""
+    return (AverageTerm if hasattr(posterior, "members") else CentredTerm)(posterior, regressors, X)
+
+
 def training_inputs(posterior: Any) -> np.ndarray:
     """Return the distinct inputs of the observed values of a posterior that is not compact, (n, d)."""
-    return np.unique(np.concatenate(observed_values(posterior).X), axis=0)
+    return np.unique(np.concatenate(posterior.samples().X), axis=0)

@@ -191,6 +191,10 @@ class MultiOutputKernel(Kernel):
         """Return the terms of the covariance that depend only on the separation, or None."""
         return self if self.is_stationary() else None
 
+    def summands(self) -> list[MultiOutputKernel]:
+        """Return the kernels that add up to this one, which are not sums themselves."""
+        return [self]
+
     def term_regressors(self) -> list[tuple[int, ...]]:
         """Return the regressors of every independent term of the kernel: columns of X, and () for a constant."""
         return [tuple(range(self.n_features))]
@@ -500,6 +504,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def prior_paths(self, *args: Any) -> PathBundle:
         return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
+
+    def summands(self) -> list[MultiOutputKernel]:
+        return [*self.k1.summands(), *self.k2.summands()]
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return list(dict.fromkeys([*self.k1.term_regressors(), *self.k2.term_regressors()]))

@@ -32,6 +32,13 @@ class Features(ABC):
     kernel: Any  # a MultiOutputKernel; its module imports this one
     size: int
 
+    def summands(self) -> list[Features]:
+        """Return the features that are joined in these, which are not sums themselves."""
+        return [self]
+
+    def __add__(self, other: Features) -> SumFeatures:
+        return SumFeatures(self, other)
+
     @abstractmethod
     def columns(self, i: int) -> Indices:
         """Return the indices of the variables that covary with output i, (c_i,): whole blocks of Kuu."""
@@ -353,6 +360,9 @@ class SumFeatures(Features):
     def __init__(self, first: Features, second: Features):
         self.first, self.second = first, second
         self.size = first.size + second.size
+
+    def summands(self):
+        return [*self.first.summands(), *self.second.summands()]
 
     def columns(self, i):
         return np.concatenate([self.first.columns(i), self.first.size + self.second.columns(i)])

@@ -30,7 +30,7 @@ class PathBundle(ABC):
         """Return the slopes of all outputs, (S, n, P, d)."""
 
     @abstractmethod
-    def take(self, index: slice) -> PathBundle:
+    def take(self, index: slice | np.ndarray) -> PathBundle:
         """Return some of the functions."""
 
     @abstractmethod
@@ -39,6 +39,10 @@ class PathBundle(ABC):
 
     def __add__(self, other) -> SumPaths:
         return SumPaths(self, other)
+
+    def mixed(self, others: list[PathBundle], member: np.ndarray) -> MixedPaths:
+        """Return S functions whose outputs are those of this bundle, where ``member`` (S, P) is 0, or of another."""
+        return MixedPaths.of_all([self, *others], member)
 
     def values(self, X) -> np.ndarray:
         """Return the values at many points, in chunks."""
@@ -76,6 +80,49 @@ class SumPaths(PathBundle):
 
     def gradient(self, X):
         return self.first.gradient(X) + self.second.gradient(X)
+
+
+class MixedPaths(PathBundle):
+    """Functions whose outputs are those of one of several bundles.
+
+    ``member`` (S, P) is the number of the bundle that each output of each function is taken from. A bundle holds the
+    functions that need it, whose numbers are ``rows``.
+    """
+
+    def __init__(self, bundles: list[PathBundle], rows: list[np.ndarray], member: np.ndarray):
+        self.bundles, self.rows, self.member = bundles, rows, member
+
+    @classmethod
+    def of_all(cls, bundles: list[PathBundle], member: np.ndarray) -> MixedPaths:
+        """Return the functions from bundles of all S functions."""
+        rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
+        return cls([bundle.take(own) for bundle, own in zip(bundles, rows, strict=True)], rows, member)
+
+    def take(self, index):
+        wanted, bundles, rows = np.arange(len(self.member))[index], [], []
+        for bundle, own in zip(self.bundles, self.rows, strict=True):
+            new = np.flatnonzero(np.isin(wanted, own))
+            bundles.append(bundle.take(np.searchsorted(own, wanted[new])))
+            rows.append(new)
+        return MixedPaths(bundles, rows, self.member[index])
+
+    def doubles(self, same_points):
+        return max(b.doubles(same_points) for b, rows in zip(self.bundles, self.rows, strict=True) if len(rows))
+
+    def each(self, X):
+        return self._assembled(X, (), "each")
+
+    def gradient(self, X):
+        return self._assembled(X, X.shape[-1:], "gradient")
+
+    def _assembled(self, X, slopes, name):
+        values = np.empty((len(self.member), X.shape[1], self.member.shape[1], *slopes))
+        for k, (bundle, rows) in enumerate(zip(self.bundles, self.rows, strict=True)):
+            if len(rows):
+                found = getattr(bundle, name)(X if len(X) == 1 else X[rows])
+                function, output = np.nonzero(self.member[rows] == k)
+                values[rows[function], :, output] = found[function, :, output]
+        return values
 
 
 class TrendPaths(PathBundle):

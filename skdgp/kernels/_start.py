@@ -70,8 +70,9 @@ def _directions(Y, n_latent, rng):
     rows = principal[:n_latent]
     if n_latent > P:
         rows = np.concatenate([rows, 0.5 * rng.normal(size=(n_latent - P, P))])
-    # A small perturbation, since an amplitude of exactly zero has no gradient.
-    rows = rows + 0.05 * rng.normal(size=rows.shape)
+    # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of the amplitude, so
+    # that outputs of the other sign start, and end, as the same model.
+    rows = rows + 0.05 * rng.normal(size=rows.shape) * np.where(rows < 0, -1.0, 1.0)
     return rows / np.sqrt((rows**2).sum(axis=0, keepdims=True)) if n_latent else rows
 
 

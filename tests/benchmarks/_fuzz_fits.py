@@ -27,7 +27,7 @@ from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
 from skdgp._compute.linalg import JitterWarning
-from skdgp.inference import Data, ExactPosterior
+from skdgp.inference import ExactPosterior
 from skdgp.inference._sums import data_from_shares
 
 DOCUMENTED = (
@@ -142,15 +142,12 @@ def table(rng):
 def parameters(rng, d):
     """Return parameters of the regressor."""
     chosen = {
-        "n_latent": [0, 1, 1, 2, 2, 3, "auto"],
-        "private_latents": [True, True, False],
+        "n_latent": [0, 1, 1, 2, 2, 3],
+        "structure": ["average", "average", "joint", "additive"],
         "covariance_type": ["diag", "diag", "spherical", "full", "tied"],
         "trend": ["linear", "linear", "constant", None],
         "inference": ["exact", "exact", "sparse", "sparse", "auto"],
-        "length_scale_prior": [None, None, "auto"],
         "optimizer": ["fmin_l_bfgs_b", None],
-        "normalize_y": [True, True, True, False],
-        "n_restarts_optimizer": [0] * 9 + [1],
         "input_noise": [None, None, None, "learned", 0.1],
     }
     options = {name: values[rng.integers(len(values))] for name, values in chosen.items()}
@@ -219,7 +216,7 @@ def _check(model, X, Y, rng):
     around = X + 0.3 * spread * rng.normal(size=X.shape)
     points = np.concatenate([X, around])
     mean, std = _predictions(model, points)
-    near = partial(_near, Y=table, centred=model.trend is not None, normalized=model.normalize_y)
+    near = partial(_near, Y=table, centred=model.trend is not None)
     near(mean[: len(X)])
     prior = _prior(model, points)
     rounding = ROUNDING[model.inference_]
@@ -269,7 +266,7 @@ def _finite(what, values, least=-np.inf):
         raise Difference(f"{what} below {least:g}: {values.min():g}")
 
 
-def _near(mean, Y, centred, normalized, what="mean"):
+def _near(mean, Y, centred, what="mean"):
     size = np.nanmax(np.abs(Y), axis=0)
     size = np.where(size > 0, size, 1.0)
     scaled = Y / size
@@ -277,7 +274,7 @@ def _near(mean, Y, centred, normalized, what="mean"):
     if not centred and (most - least < 1e-3).any():
         return  # a process around zero, as wide as the targets vary, cannot know of an offset
     # What is known of a constant target is its size, and that only where each target has a scale of its own.
-    own = np.maximum(most - least, np.where(most - least > STILL, 1e-5, 10 / FAR if normalized else np.inf))
+    own = np.maximum(most - least, np.where(most - least > STILL, 1e-5, 10 / FAR))
     off = np.abs(mean / size - (least + most) / 2) / own
     off = np.where(np.isfinite(Y), off, 0.0).max(axis=0)
     if off.max() > FAR:
@@ -355,15 +352,14 @@ def _unmoved(model, X, Y, points, mean, std, prior, rng):
     every = slice(None)
     if model.covariance_type != "spherical" or varies.all():  # what is constant shares its scale with no other
         refitted("columns in other units", X * times, Y, points * times, every, input_noise=noise)
-    if model.normalize_y:
-        refitted("targets in other units", X, Y * up, points, every, factor=up)
+    refitted("targets in other units", X, Y * up, points, every, factor=up)
     if model.trend is not None and (spread > 1e-3 * np.max(size)).all():
         shift = float(2 * np.max(size))
         refitted("targets moved", X, Y + shift, points, every, shift=shift)
     still = np.ptp(X, axis=0) == 0
     if still.any():  # the rounded mean of equal numbers may differ from them: at which number a column stood is nothing
         _unmoved_at_zero(model, X, Y, points, still)
-    if model.inference_ == "exact" and model.n_latent != "auto":  # which is chosen on some of the rows
+    if model.inference_ == "exact" and not hasattr(model.posterior_, "members"):  # weights are by blocks of rows
         refitted("another order of rows", X, Y, points, rng.permutation(len(X)))
 
 
@@ -386,10 +382,9 @@ def _online(model, X, Y, points, rng):
     model.partial_fit(more, Y[rows])
     mean, _ = _predictions(model, points)
     posterior = model.posterior_
-    if model.inference_ != "exact" or posterior is before or not model.normalize_y:
+    if model.inference_ != "exact" or posterior is before:
         return
-    data = posterior.data
-    expected = ExactPosterior(posterior.kernel, posterior.noise, Data(*data)).predict(points) * unit + model._center
+    expected = posterior.scaled_noise(np.ones(len(unit))).predict(points) * unit + model._center
     _same("partial_fit", model, mean, expected, _prior(model, points))
 
 

@@ -16,7 +16,6 @@ from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp.dynamics import air_velocity, stability_derivatives
 from skdgp.dynamics._control.derivatives import PARTS
 from skdgp.identification import FlightPipeline
-from skdgp.identification._pipeline import default_regressor
 from skdgp.inference import autocorrelation_time
 from skdgp.inference._slopes import _parabola, _Polynomial
 from skdgp.preprocessing import RegressorSelector
@@ -169,15 +168,11 @@ def noise_spectra(subject, logs):
 
 
 def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
-    """Return what the default regressor finds; with ``kernel`` at known hyperparameters and known noise.
-
-    On so many rows its structure "auto" is "joint", which takes half the time if it is not chosen first.
-    """
+    """Return what the default regressor finds; with ``kernel`` at known hyperparameters and known noise."""
     X, Y = case.table(seen)
-    options = {name: value for name, value in changes.items() if name in ("symmetric", "gusty")}
-    joint = {"structure": "joint"} if options.get("gusty") else {"structure": "joint", "n_latent": 0}
-    changes = joint | {name: value for name, value in changes.items() if name not in options}
-    model = default_regressor(gusty=options.get("gusty", False), random_state=seed, max_iter=max_iter, **changes)
+    options = {name: value for name, value in changes.items() if name == "symmetric"}
+    changes = {name: value for name, value in changes.items() if name not in options}
+    model = DependentGPRegressor(random_state=seed, max_iter=max_iter, **changes)
     if kernel is not None:
         model.set_params(kernel=kernel, trend="constant", optimizer=None, input_noise=None, inference="sparse")
     pipeline = learned(model, X, Y, case, seen.log.table, **options)

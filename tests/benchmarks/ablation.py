@@ -27,13 +27,10 @@ PARTS = {  # of Identification: arguments of make_identification_pipeline, param
     "input_noise": {"parameters": {"dependentgpregressor__input_noise": None}},
     "gusts_in_bands": {"gusts": False},
     "trend": {"parameters": {"dependentgpregressor__trend": "constant"}},
-    "independence__two_shared_latents": {"parameters": {"dependentgpregressor__n_latent": 2}},
-    "choice_of_structure__always_joint": {"parameters": {**INDEPENDENT, "dependentgpregressor__structure": "joint"}},
-    "choice_of_structure__always_additive": {
-        "parameters": {**INDEPENDENT, "dependentgpregressor__structure": "additive"}
-    },
+    "shared_latents": {"parameters": INDEPENDENT},
+    "average__of_all_terms": {"parameters": {"dependentgpregressor__structure": "joint"}},
+    "average__of_all_terms_and_main_effects": {"parameters": {"dependentgpregressor__structure": "additive"}},
     "processes__the_trend_alone": {"parameters": {"dependentgpregressor__structure": "trend"}},
-    "early_stopping": {"parameters": {"dependentgpregressor__early_stopping": False}},
     "all_samples_but_755": {"samples": 755},
 }
 

@@ -143,13 +143,13 @@ def covered(y, mean, std):
 
 
 def jura(folder):
-    """Return mean absolute errors, the median of three seeds, by the number of shared latents."""
+    """Return mean absolute errors, the median of three seeds."""
 
     def median(**options):
         return float(np.median([jura_error(folder / "jura", seed=seed, **options) for seed in range(3)]))
 
     kinds = {"raw": False, "logarithms": True}
-    return {str(n): {kind: median(logarithms=logs, n_latent=n) for kind, logs in kinds.items()} for n in (2, "auto")}
+    return {"2": {kind: median(logarithms=logs) for kind, logs in kinds.items()}}
 
 
 def wanted(options, peers):

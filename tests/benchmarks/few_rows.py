@@ -14,13 +14,11 @@ import numpy as np
 from _common import finish, parser_of
 
 from skdgp import DependentGPRegressor, FewRowsWarning
-from skdgp.identification import default_regressor
 from skdgp.metrics import interval_coverage
 
 RATIOS, REGRESSORS, NEW = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0), (4, 8), 200
 MODELS = {
     "DependentGPRegressor": DependentGPRegressor,
-    "of identification": default_regressor,
     "trend alone": lambda **options: DependentGPRegressor(structure="trend", **options),
 }
 

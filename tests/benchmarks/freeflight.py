@@ -4,8 +4,8 @@
 
 Free flight: from 20 points of a flight, spread over it, at the true state, under the logged controls and thrust and
 the true wind, by simulate: nothing of that flight enters after the start. It is another flight than the one learned
-from, or its last 40 %, then not learned from. "default": the pipeline of make_identification_pipeline; "gusty": that
-with gusty=True, symmetric=True; "least squares": that with LinearRegression at its end; "truth replayed": the true
+from, or its last 40 %, then not learned from. "default": the pipeline of make_identification_pipeline;
+"least squares": that with LinearRegression at its end; "truth replayed": the true
 coefficients, open loop in time, integrated from the same starts. Errors are medians of the absolute errors over the
 starts and --seeds models, which differ in their random numbers; bands are those of an ensemble of posterior functions,
 and their coverage counts v_north ... r. With the mean wind, the velocity over the ground of the start is known, not its
@@ -62,7 +62,7 @@ PAIRS = [
 ]
 """Aircraft, flight to learn from, and to fly: another flight, or the rest of the first one."""
 SHARE = 0.6
-LEARNED: dict = {"default": {}, "gusty": {"gusty": True, "symmetric": True}}
+LEARNED: dict = {"default": {}}
 SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
 ANGLES = ("phi", "theta", "psi")
 HORIZONS = (2.0, 10.0)

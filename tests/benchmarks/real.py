@@ -104,9 +104,9 @@ def _attas(folder, name, boom=True):
         u, v, w = airspeed * np.stack(flow) - np.cross(rates, BOOM).T
         airspeed = np.sqrt(u**2 + v**2 + w**2)
         vanes = np.column_stack([np.arctan2(w, u), np.arcsin(v / airspeed)])
-    accelerations = np.gradient(rates, 0.04, axis=0)
-    arm = np.cross(accelerations, ACCELEROMETER) + np.cross(rates, np.cross(rates, ACCELEROMETER))
-    force = log[:, 2:5] - arm
+    accelerations, force = degrees[:, 17:20], log[:, 2:5]
+    if boom:  # the stalls hold them at the centre of gravity, as their header says
+        force = force - np.cross(accelerations, ACCELEROMETER) - np.cross(rates, np.cross(rates, ACCELEROMETER))
     left, right = log[:, 37], log[:, 38]
     columns = {
         "time": np.arange(len(log)) * 0.04,
@@ -115,6 +115,7 @@ def _attas(folder, name, boom=True):
         "beta": vanes[:, 1],
         **dict(zip(("ax", "ay", "az"), force.T, strict=True)),
         **dict(zip("pqr", rates.T, strict=True)),
+        **dict(zip(("p_dot", "q_dot", "r_dot"), accelerations.T, strict=True)),
         **dict(zip(("phi", "theta", "psi"), degrees[:, 10:13].T, strict=True)),
         "altitude": (0.3048 if boom else 1.0) * log[:, 16],  # the stalls hold metres
         "density": log[:, 34],
@@ -177,7 +178,8 @@ def result(task, method, seed, **parameters):
     start = time.process_time()
     model = Identification(arguments, seeded).fit_flight(task)
     seconds = time.process_time() - start
-    kept = {"structure": model.pipeline[-1].structure_, "cpu_seconds": seconds, "date": time.strftime("%Y-%m-%d")}
+    shares = {name: float(np.mean(weights)) for name, weights in model.pipeline[-1].weights_.items()}
+    kept = {"weights": shares, "cpu_seconds": seconds, "date": time.strftime("%Y-%m-%d")}
     return {**kept, **scores(task, model, model.transform(task.test))}
 
 
@@ -198,7 +200,6 @@ def table(runs):
                         "by seed": " to ".join(f"{f(each.mean(axis=1)):.3f}" for f in (np.min, np.max)),
                         **dict(zip(some[0]["outputs"], np.median(each, axis=0).tolist(), strict=True)),
                         "band of measured holds %": 100 * float(np.mean(held)) if held else None,
-                        "structure": ", ".join(sorted({run["structure"] for run in some if "structure" in run})) or "-",
                         "CPU s": float(np.median([run["cpu_seconds"] for run in some])),
                     }
                 )

@@ -93,7 +93,7 @@ class Method(NamedTuple):
 
 
 def structured(structure):
-    return DependentGPRegressor(structure=structure, input_noise="learned", early_stopping=True, random_state=0)
+    return DependentGPRegressor(structure=structure, random_state=0)
 
 
 METHODS = {
@@ -324,8 +324,8 @@ def run(task, method, n_paths):
                 "test": coverage([test]),
             }
     if method.bands and not method.output_error:
-        structures = [getattr(each[-1], "structure_", None) for each in (model, *models.values())]
-        result["structures"] = [str(structure) for structure in structures]
+        shares = [getattr(each[-1], "weights_", {}).get("trend", 0.0) for each in (model, *models.values())]
+        result["trend"] = [float(np.mean(share)) for share in shares]
         result["drift_std"] = np.sqrt(getattr(model[-1], "drift_variance_", np.zeros(6))).tolist()
         result["drift_memory"] = np.asarray(getattr(model[-1], "drift_memory_", np.zeros(6))).tolist()
     return result
@@ -351,11 +351,11 @@ def tables(runs):
             for part, held in run.get(f"bands_{drift}_drift", {}).items():
                 covered = {f"{group} %": share for group, share in held.items()}
                 bands.append({"method": METHODS[name].name, "states": way, "records": part, "drift": drift, **covered})
-        if "structures" in run:
-            first, *others = run["structures"]
-            counted = ", ".join(f"{one} {others.count(one)} times" for one in sorted(set(others)))
-            chosen.append({"method": METHODS[name].name, "states": way, "all records": first, "one left out": counted})
-    return {**{way: found for way, found in rows.items() if found}, "bands": bands, "chosen": chosen}
+        if "trend" in run:
+            first, *others = run["trend"]
+            row = {"all records": first, "one left out, least": min(others), "most": max(others)} if others else {}
+            chosen.append({"method": METHODS[name].name, "states": way, **row})
+    return {**{way: found for way, found in rows.items() if found}, "bands": bands, "weight_of_the_trend": chosen}
 
 
 def mean_of(errors, which=slice(None)):

@@ -1,6 +1,6 @@
-"""What trends and priors on widths are worth, on training flights alone: no test flight is read.
+"""What trends are worth, on training flights alone: no test flight is read.
 
-    python tests/benchmarks/structure.py ../shared/data [--out FOLDER] [--parts trend prior] [--samples N]
+    python tests/benchmarks/structure.py ../shared/data [--out FOLDER] [--samples N]
 
 Learned from N samples spread over one training flight, scored on the measured coefficients of another, or, where there
 is one flight alone, on the odd eighths of it after learning from the even ones. Inputs are those of the identification
@@ -35,11 +35,6 @@ PARTS = {  # samples, regressors, and what is compared
         300,
         "quasi-steady",
         {"constant": {"trend": "constant"}, "linear": {}, "PolynomialFeatures(2)": {"trend": PolynomialFeatures(2)}},
-    ),
-    "prior": (
-        150,
-        "paper",
-        {"none": {"n_latent": 6}, "auto": {"n_latent": 6, "length_scale_prior": "auto"}},
     ),
 }
 EVERY = 4  # of the rows that are scored

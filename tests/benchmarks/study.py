@@ -36,9 +36,8 @@ from _study_methods import weighted as weighted_least_squares
 from comparison import task_of
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
-from skdgp import make_identification_pipeline
+from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.identification._pipeline import default_regressor
 
 EXACT = Case("exact", "exact", "air", "exact")
 CHAINS = {  # each case adds the cause that names it
@@ -62,18 +61,11 @@ AGITATED = Case(rows="agitated")
 ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical", AGITATED: "quasi-steady, agitated half of the rows"}
 ASKED |= {GIVEN: "classical, rates of the air given"}
 QUADRATIC = {"trend": PolynomialFeatures(2)}
-SYMMETRIC, OTHER_AIR = {"symmetric": True}, {"symmetric": True, "gusty": True}
-WIDE = {"length_scale_prior": "auto"}  # as gusty has it
-JUDGED = {  # what the model for other air is compared with: case, and what is changed of the default
-    "default": (LOGGED, {}),
-    "gusty and symmetric": (LOGGED, OTHER_AIR),
-    "rates of the air given": (Case(rates="air"), SYMMETRIC | WIDE),
-}
+SYMMETRIC = {"symmetric": True}
 DEFAULTS = [(air, case, {}) for case in (LOGGED, CLASSICAL) for air in ("light", "moderate", "calm")]
-AIRED = [(air, *task) for air in ("light", "moderate") for task in JUDGED.values()]
+AIRED = [(air, Case(rates="air"), SYMMETRIC) for air in ("light", "moderate")]
 COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
     *((air, LOGGED, QUADRATIC) for air in ("light", "moderate", "calm")),
-    *((air, LOGGED, OTHER_AIR | QUADRATIC) for air in ("light", "moderate")),
     *((air, AGITATED, {}) for air in ("light", "moderate")),
     ("light", CLASSICAL, QUADRATIC),
     ("light", CLASSICAL, {"structure": "additive"}),
@@ -83,7 +75,6 @@ CHAINED = [("light", case, {}) for chain in CHAINS.values() for case in chain.va
 DERIVATIVES = [  # label, case, method
     ("default", LOGGED, "default"),
     ("default, classical", CLASSICAL, "default"),
-    ("gusty and symmetric", LOGGED, "default, symmetric=True, gusty=True"),
     ("least squares", LOGGED, "least squares"),
     ("least squares, classical", CLASSICAL, "least squares"),
     ("IV surfaces", LOGGED, "IV surfaces"),
@@ -91,7 +82,7 @@ DERIVATIVES = [  # label, case, method
     ("IV commands, classical", CLASSICAL, "IV commands"),
     ("least squares, classical, rates of the air given", GIVEN, "least squares"),
 ]
-COVERED = DERIVATIVES[:4]  # of them, those whose deviations are compared with their errors
+COVERED = DERIVATIVES[:3]  # of them, those whose deviations are compared with their errors
 LINEAR = ("least squares", "second order", "IV commands", "weighted")
 ALONG = 0.25  # of a rolling gust in the pitching of an aircraft that flies along the wind
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
@@ -212,24 +203,15 @@ def function_table(results):
 
 
 def air_table(results):
-    """Return the error of a model for other air, beside what it could reach if more were known."""
+    """Return the error of a symmetric process that is given the rates of the air, over that of the default."""
     rows = []
     for air in flights.AIR:
-        keys = {name: (air, case, method_of(changes)) for name, (case, changes) in JUDGED.items()}
-        seeds = min(len(results.found.get(key, [])) for key in keys.values())
+        keys = (air, Case(rates="air"), method_of(SYMMETRIC)), (air, LOGGED, method_of({}))
+        seeds = min(len(results.found.get(key, [])) for key in keys)
         if seeds:
-            error = {name: results.nrmse(key, seeds).mean() for name, key in keys.items()}
-            ours, bound = error["gusty and symmetric"], error["rates of the air given"]
-            row = {"air": air} | {f"NRMSE {name}": float(value) for name, value in error.items()}
-            row |= {"over default": float(ours / error["default"]), "over rates given": float(ours / bound)}
-            row |= {"rates given over default": float(bound / error["default"])}
-            found = results.found[keys["gusty and symmetric"]][:seeds]
-            off = np.array([one.function - results.truth for one in found])
-            std = np.array([one.function_std for one in found])
-            more = np.hypot(std, [one.function_random for one in found])
-            row |= {"within 2 std, %": float(100 * np.mean(np.abs(off) < 2 * std))}
-            row |= {"with correlated errors, %": float(100 * np.mean(np.abs(off) < 2 * more))}
-            rows.append(row | {"seeds": seeds})
+            given, default = (float(results.nrmse(key, seeds).mean()) for key in keys)
+            row = {"air": air, "NRMSE default": default, "NRMSE rates of the air given": given}
+            rows.append(row | {"rates given over default": given / default, "seeds": seeds})
     return rows
 
 
@@ -249,11 +231,11 @@ def viggen_table(folder):
     given[:, flights.ROTATION] -= flights.milspec_rates(task.train, task.aircraft.span)[0] * flights.hats(
         task.train, task.aircraft
     )
-    tasks = {name: (X, JUDGED[name][1]) for name in ("default", "gusty and symmetric")}
-    tasks |= {"symmetric": (X, SYMMETRIC), "symmetric, rates q and r of the air given": (given, SYMMETRIC)}
+    tasks = {"default": (X, {}), "symmetric": (X, SYMMETRIC)}
+    tasks |= {"symmetric, rates q and r of the air given": (given, SYMMETRIC)}
     rows = []
     for name, (regressors, options) in tasks.items():
-        model = default_regressor(gusty=options.get("gusty", False), structure="joint", random_state=0)
+        model = DependentGPRegressor(random_state=0)
         pipeline = learned(model, regressors, Y, LOGGED, task.train, **options)
         at = pipeline[:-1].transform(pd.DataFrame(asked.mean(axis=0, keepdims=True), columns=LOGGED.regressors))
         slopes = pipeline[-1].predict_gradient(at)[0] / pipeline[-2].scale_
@@ -467,7 +449,7 @@ def main(words=None):
     parser.add_argument("--aircraft", default="example", choices=["example", *flights.KNOTS, "viggen"])
     parser.add_argument("--data", help="folder of the shared flights, for the viggen")
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
-    parser.add_argument("--processes", type=int, default=3, help="of them, for the default and gusty=True")
+    parser.add_argument("--processes", type=int, default=3, help="of them, for the default")
     parser.add_argument("--others", type=int, default=1, help="of them, for other dependent processes")
     parser.add_argument(
         "--trends", type=int, default=0, help="flights in light and in moderate air that a trend learns"

@@ -20,7 +20,7 @@ from _common import extra_memory, finish, in_own_process, parser_of
 from _peers import OnTrend, SparseLCM, trees
 from heldout import flights, toy
 
-from skdgp.identification._pipeline import default_regressor
+from skdgp import DependentGPRegressor
 
 SIZES = (2000, 14400, 144000)
 DENSER = 5
@@ -48,7 +48,7 @@ def dense(X, Y):
 def fitted(method, X, Y, time_, flight):
     """Return a function that predicts coefficients."""
     if method == "ours":
-        return default_regressor(random_state=0).fit(X, Y, time=time_, flight=flight).predict
+        return DependentGPRegressor(random_state=0).fit(X, Y, time=time_, flight=flight).predict
     known = np.isfinite(Y).all(axis=1)
     model = OnTrend(trees() if method == "trees" else SparseLCM())
     return model.fit(X[known], Y[known]).predict
@@ -80,7 +80,7 @@ def main(words=None):
         return
     if options.smoke:
         task = toy(60)
-        default_regressor(max_iter=1, random_state=0).fit(task.X, task.Y, time=np.arange(60.0))
+        DependentGPRegressor(max_iter=1, random_state=0).fit(task.X, task.Y, time=np.arange(60.0))
         rows = [{"samples": 60, "method": "ours"}]
     else:
         methods = ["ours"] if options.no_peers else ["ours", "trees", "gpytorch"]

@@ -360,7 +360,7 @@ class TestSimulate:
         assert main(["simulate", str(tmp_path / "kite.joblib"), *words]) == 0
         said = capsys.readouterr()
         assert "flies without the external forces ['tether']" in said.err
-        assert "identify --gusty --symmetric to simulate" in said.err
+        assert "learn from flights in calmer air to simulate" in said.err
         assert json.loads(said.out)["end"]["altitude"] < 0  # without thrust it glides down
 
 

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from joblib import parallel_config
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import GridSearchCV
 from threadpoolctl import threadpool_limits
 
-from skdgp import DependentGPRegressor, listening
+from skdgp import DependentGPRegressor
 from skdgp._compute.parallel import fit_map, share_map, sharing
+from skdgp.inference import _fit, fit_exact
+from skdgp.kernels import ConvolvedGaussian
 
 distributed = pytest.importorskip("distributed", reason='dask.distributed is not installed: pip install "skdgp[dask]"')
 
@@ -86,17 +87,17 @@ class TestSameNumbers:
         for mine, theirs in zip(here.predict(X, return_std=True), there.predict(X, return_std=True), strict=True):
             np.testing.assert_allclose(theirs, mine, rtol=1e-6, atol=1e-9)
 
-    def test_restarts(self, on_dask):
-        model, (X, Y) = quick(n_restarts_optimizer=2), data(40)
+    def test_members_of_an_average(self, on_dask):
+        model, (X, Y) = quick(), data(40)
         with threadpool_limits(1):
-            there = model.fit(X, Y).theta_
+            there = model.fit(X, Y).predict(X)
             with parallel_config(backend="sequential"):
-                np.testing.assert_allclose(model.fit(X, Y).theta_, there, rtol=1e-6, atol=1e-9)
+                np.testing.assert_allclose(model.fit(X, Y).predict(X), there, rtol=1e-6, atol=1e-9)
 
     def test_grid_search_over_the_estimator(self, client):
         X, Y = data(40)
         grid = {"n_latent": [0, 1]}
-        model = quick(optimizer=None, n_restarts_optimizer=1, inference="sparse", n_inducing=5)
+        model = quick(optimizer=None, inference="sparse", n_inducing=5)
         with parallel_config(backend="dask", client=client):
             there = GridSearchCV(model, grid, cv=2, error_score="raise").fit(X, Y)
         here = GridSearchCV(model, grid, cv=2).fit(X, Y)
@@ -159,16 +160,18 @@ def deadly():
 
 
 class TestLoss:
-    def test_a_worker_killed_between_evaluations_changes_nothing(self, on_dask, here):
-        victim, killed = pids(on_dask)[0], []
+    def test_a_worker_killed_between_evaluations_changes_nothing(self, on_dask, here, monkeypatch):
+        victim, killed, converged = pids(on_dask)[0], [], _fit._converge_noise
 
-        def kill(stage, n_evaluations, value):
-            if stage == "bound" and not killed:
+        def killing(*args):
+            posterior = converged(*args)
+            if not killed:
                 os.kill(victim, signal.SIGKILL)
                 killed.append(victim)
+            return posterior
 
-        with listening(kill):
-            there = sparse().fit(*data())
+        monkeypatch.setattr(_fit, "_converge_noise", killing)
+        there = sparse().fit(*data())
         assert killed
         np.testing.assert_allclose(there.theta_, here.theta_, rtol=1e-6, atol=1e-9)
         assert there.log_marginal_likelihood_value_ == pytest.approx(here.log_marginal_likelihood_value_, rel=1e-9)
@@ -228,7 +231,7 @@ class TestLoss:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
-def test_ctrl_c_keeps_the_best_of_every_restart(on_dask, tmp_path):
+def test_ctrl_c_keeps_the_best_of_every_fit(on_dask, tmp_path):
     begun = tmp_path / "begun"
     path = str(begun)
 
@@ -242,13 +245,16 @@ def test_ctrl_c_keeps_the_best_of_every_restart(on_dask, tmp_path):
         _until(begun.exists)
         os.kill(os.getpid(), signal.SIGINT)
 
+    def fit(seed):
+        return fit_exact(ConvolvedGaussian(0), X, Y, optimizer=endless, max_iter=5, random_state=seed)
+
+    X, Y = data(40)
     finger = threading.Thread(target=press)
     finger.start()
-    X, Y = data(40)
-    with pytest.warns(ConvergenceWarning, match="interrupted after .* the best hyperparameters so far are kept"):
-        model = quick(optimizer=endless, n_restarts_optimizer=3).fit(X, Y[:, 0])
+    ends = fit_map(fit, [{"seed": k} for k in range(4)])
     finger.join()
-    assert np.isfinite(model.predict(X, return_std=True)).all()
+    assert ends
+    assert all(end.interrupted and np.isfinite(end.posterior.predict(X)).all() for end in ends)
     assert _answers(on_dask)
 
 

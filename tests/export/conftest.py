@@ -71,12 +71,15 @@ def regressors():
 @pytest.fixture(scope="session")
 def fitted(regressors):
     """Return fitted pipelines by name, each fitted once."""
+    shared = ConvolvedGaussian(1, private_latents=False, length_scale_bounds="spacing")
     noise = np.array([1e-3, 1e-3, 5e-3, 3e-4, 2e-3, 3e-4])
     options = {
         "trend": (linear, {"structure": "trend"}),
-        "additive": (bent, {"kernel": LinearTrend() + alone(0) + alone(1), "trend": None}),
-        "joint": (curved, {"n_latent": 1, "private_latents": False}),
-        "sparse": (curved, {"n_latent": 1, "private_latents": False, "inference": "sparse", "n_inducing": 40}),
+        "additive": (bent, {"kernel": LinearTrend() + alone(0) + alone(1), "trend": None, "structure": "joint"}),
+        "joint": (curved, {"kernel": shared, "structure": "joint"}),
+        "sparse": (curved, {"kernel": shared, "structure": "joint", "inference": "sparse", "n_inducing": 40}),
+        "average": (curved, {"kernel": alone(0) + shared}),
+        "sparse-average": (curved, {"kernel": alone(0) + shared, "inference": "sparse", "n_inducing": 20}),
     }
 
     @cache

@@ -110,11 +110,11 @@ def build(fitted, uav):
     return build_up(fitted("joint"), uav, max_loss=np.inf, tolerance=1.0)
 
 
-@pytest.fixture(scope="module")
-def pipeline(fitted, regressors):
+@pytest.fixture(scope="module", params=["sparse", "sparse-average"])
+def pipeline(request, fitted, regressors):
     """Return a pipeline of a sparse model that has a portable form."""
     names = list(regressors.columns)
-    return Pipeline([("selector", RegressorSelector(names).fit(regressors)), *fitted("sparse").steps])
+    return Pipeline([("selector", RegressorSelector(names).fit(regressors)), *fitted(request.param).steps])
 
 
 @pytest.fixture(scope="module")

@@ -72,8 +72,9 @@ def model_of(regressors, **parts):
         blocks=tuple(Block(i, 0, 0, 3, 0.01, np.zeros(d), np.full(d, 0.5), tuple(range(d))) for i in range(6)),
         readouts=(Readout(rng.normal(size=3), rng.normal(size=6)),), readout_of=np.zeros(6, dtype=int),
         trend_center=np.zeros(d), trend_scale=np.ones((6, d + 1)), trend_weights=weights,
-        trend_roots=(np.zeros((d + 1, 3)),) * 6, prior_variance=np.ones(6), noise_variance=np.zeros(6),
-        drift_variance=np.zeros(6), drift_memory=np.zeros(6), input_covariance=np.zeros((d, d)),
+        trend_roots=(np.zeros((d + 1, 3)),) * 6, prior_variance=np.ones(6), mixture=np.ones((1, 6)),
+        noise_variance=np.zeros(6), drift_variance=np.zeros(6), drift_memory=np.zeros(6),
+        input_covariance=np.zeros((d, d)),
         envelope=Envelope(np.full(d, -0.3), np.full(d, 0.3), np.empty(0), np.empty((0, d)), np.empty((0, d))),
     )  # fmt: skip
 

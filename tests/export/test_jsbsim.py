@@ -62,7 +62,9 @@ def placed(fdm, row, aircraft, largest):
         ("trend", "functions", 1e-6),
         ("trend", "tables", 1e-6),
         ("sparse", "functions", 1e-6),
+        ("sparse-average", "functions", 1e-6),
         ("additive", "functions", 1e-4),  # compacted
+        ("average", "functions", 1e-3),
     ],
 )
 def test_coefficients_are_those_of_the_model(name, form, tolerance, load, fitted, uav, regressors, tmp_path):
@@ -107,22 +109,24 @@ def test_thrust_is_that_of_the_propeller(load, fitted, uav, regressors, tmp_path
     np.testing.assert_allclose(found, moment, rtol=1e-6, atol=1e-9)
 
 
-def test_functions_of_draws_are_sample_paths(load, fitted, uav, regressors, tmp_path):
-    paths = write_jsbsim(tmp_path, fitted("sparse"), uav, n_draws=2, random_state=3)
+@pytest.mark.parametrize("name", ["sparse", "sparse-average"])
+def test_functions_of_draws_are_sample_paths(name, load, fitted, uav, regressors, tmp_path):
+    paths = write_jsbsim(tmp_path, fitted(name), uav, n_draws=2, random_state=3)
     assert [path.stem for path in paths] == ["uav", "uav_001", "uav_002"]
-    drawn = fitted("sparse")[-1].sample_paths(2, random_state=3)[1]
+    drawn = fitted(name)[-1].sample_paths(2, random_state=3)[1]
     found = placed(load("uav_002"), regressors.iloc[5], uav, regressors.abs().max())
-    np.testing.assert_allclose(found, drawn(fitted("sparse")[0].transform(regressors[5:6]))[0], atol=1e-6)
+    np.testing.assert_allclose(found, drawn(fitted(name)[0].transform(regressors[5:6]))[0], atol=1e-6)
 
 
-def test_draws_of_a_calibrated_model_are_its_sample_paths(fitted, uav, regressors):
-    scaler, regressor = fitted("sparse")
+@pytest.mark.parametrize("name", ["sparse", "sparse-average"])
+def test_draws_of_a_calibrated_model_are_its_sample_paths(name, fitted, uav, regressors):
+    scaler, regressor = fitted(name)
     calibrated = CalibratedRegressor(regressor)
     calibrated.estimator_, calibrated.std_scale_, calibrated._single = regressor, np.linspace(1.0, 2.0, 6), False
-    (mean, drawn), X = gaussian_sums(make_pipeline(scaler, calibrated), uav, n_draws=1), regressors[:9]
-    expected = calibrated.sample_paths(1, 0)[0](scaler.transform(X))
-    np.testing.assert_allclose(drawn.evaluate(X), expected, atol=1e-9)
-    assert np.abs(drawn.evaluate(X) - mean.evaluate(X)).max() > 1e-4
+    (mean, *drawn), X = gaussian_sums(make_pipeline(scaler, calibrated), uav, n_draws=3), regressors[:9]
+    for found, path in zip(drawn, calibrated.sample_paths(3, 0), strict=True):
+        np.testing.assert_allclose(found.evaluate(X), path(scaler.transform(X)), atol=1e-9)
+        assert np.abs(found.evaluate(X) - mean.evaluate(X)).max() > 1e-4
 
 
 def test_what_tables_lose_too_much_of_becomes_functions(load, fitted, built, uav, regressors, tmp_path):

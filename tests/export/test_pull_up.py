@@ -11,6 +11,7 @@ from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, simulate, standard_density, trim
 from skdgp.export import portable_model
 from skdgp.identification import make_identification_pipeline
+from skdgp.kernels import ConvolvedGaussian
 
 pytest.importorskip("casadi", reason='plans with IPOPT: pip install "skdgp[export]"')
 pytestmark = [
@@ -57,8 +58,9 @@ def pipeline(aircraft):
         0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder,
     ], axis=-1)  # fmt: skip
     Y = Y + rng.normal(0, [5e-3, 5e-3, 2e-2, 1e-3, 5e-3, 1e-3], Y.shape)
-    regressor = DependentGPRegressor(n_latent=1, private_latents=False, inference="sparse", n_inducing=15, max_iter=6,
-                                     random_state=0)  # fmt: skip
+    kernel = ConvolvedGaussian(1, private_latents=False)
+    regressor = DependentGPRegressor(kernel, structure="joint", inference="sparse", n_inducing=15, max_iter=10,
+                                     input_noise=None, random_state=0)  # fmt: skip
     model = make_identification_pipeline(
         aircraft, regressors=REGRESSORS, reconstruction="passthrough", cutoff=None, mixer="passthrough",
         regressor=regressor,

@@ -37,9 +37,9 @@ def test_the_objective_keeps_or_neglects_it(log):
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
 def test_the_noise_of_each_regressor_is_found(log, inference):
     X, Y = log if inference == "sparse" else (part[:150] for part in log)
-    model = DependentGPRegressor(
-        n_latent=0, inference=inference, input_noise="learned", early_stopping=True, random_state=0, max_iter=30
-    ).fit(X, Y)
+    model = DependentGPRegressor(n_latent=0, structure="joint", inference=inference, random_state=0, max_iter=30).fit(
+        X, Y, time=0.1 * np.arange(len(X))
+    )
     found = np.sqrt(np.diag(model.input_covariance_))
     assert found[0] == pytest.approx(STD[0], rel=0.2)
     assert found[1] < 3 * STD[1]

@@ -41,6 +41,7 @@ class TestResiduals:
 
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     def test_show_tau_and_T_and_change_nothing_else(self, log, inference):
+        """Another clock has another drift, and the same posterior."""
         X, Y, time, flight = log
         Y = Y.copy()
         Y[:400:2, 0] = np.nan
@@ -49,7 +50,7 @@ class TestResiduals:
             Y[::2, 1] = np.nan
             Y[1::4, 1] = np.nan
         model = DependentGPRegressor(structure="trend", inference=inference, n_inducing=10, random_state=0)
-        white = clone(model).fit(X, Y)
+        other = clone(model).fit(X, Y, time=np.arange(len(X)))
         model.fit(X, Y, time=time, flight=flight)
         assert model.drift_variance_[0] == pytest.approx(self.tau2, rel=0.3)
         for horizon in (0.5, 2.0, 5.0):  # what a simulated flight integrates
@@ -57,10 +58,11 @@ class TestResiduals:
             assert found == pytest.approx(integral_variance(self.tau2, self.memory, horizon), rel=0.4)
         after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
         assert after_a_second[1] < 0.05 * 0.3**2
-        for found, expected in zip(*(m.posterior_.predict(X[:9], True) for m in (model, white)), strict=True):
+        for found, expected in zip(*(m.posterior_.predict(X[:9], True) for m in (model, other)), strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(model.noise_variance_ + model.misfit_variance_, white.noise_variance_)
-        np.testing.assert_array_equal(white.drift_variance_, 0.0)
+        totals = [m.noise_variance_ + m.misfit_variance_ for m in (model, other)]
+        np.testing.assert_allclose(*totals, rtol=1e-6)
+        np.testing.assert_array_equal(clone(model).fit(X, Y).drift_variance_, 0.0)
 
     def test_flights_are_independent(self, log):
         """Any order of the flights has the same likelihood."""

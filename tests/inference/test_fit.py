@@ -53,7 +53,8 @@ class TestFit:
         _, gradient = posterior.likelihood_at(posterior.kernel, posterior.noise, eval_gradient=True)
         theta, bounds = posterior.kernel.theta, posterior.kernel.bounds
         inside = (theta > bounds[:, 0] + 1e-6) & (theta < bounds[:, 1] - 1e-6)
-        assert np.abs(gradient[: len(theta)][inside]).max() < 0.5  # one unit of log likelihood is nothing
+        # One unit of log likelihood is nothing. The bound of given inducing inputs has its maximum a little elsewhere.
+        assert np.abs(gradient[: len(theta)][inside]).max() < (0.5 if fit is fit_exact else 1.0)
 
     def test_never_ends_below_its_start(self, fit, drawn):
         X, Y, *_ = drawn
@@ -83,7 +84,7 @@ class TestFit:
         with listening(lambda stage, n, value: stages.append(stage)):
             found = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 3}))
         assert len(stages) == found.learned.n_evaluations
-        assert set(stages) == {"output 1", "output 2", "fit"} | ({"bound"} if fit is not fit_exact else set())
+        assert set(stages) == {"output 1", "output 2", "fit"}
 
     def test_constant_targets_and_single_values_do_not_break_it(self, fit, drawn):
         X, Y, *_ = drawn

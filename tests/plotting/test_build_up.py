@@ -9,6 +9,7 @@ from scipy.stats import norm
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft
 from skdgp.export import build_up
+from skdgp.kernels import ConvolvedGaussian
 from skdgp.plotting import BuildUpDisplay
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -19,7 +20,7 @@ def build():
     X = pd.DataFrame(np.random.default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"])
     Y = pd.DataFrame({name: np.sin(5 * X["alpha"]) - X["throttle"] for name in COEFFICIENTS})
     Y["Cm"] += 20 * X["alpha"] * X["throttle"]
-    model = DependentGPRegressor(n_latent=1, private_latents=False, optimizer=None).fit(X, Y)
+    model = DependentGPRegressor(ConvolvedGaussian(1, private_latents=False), optimizer=None).fit(X, Y)
     aircraft = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
     return build_up(model, aircraft, max_loss=np.inf)
 

@@ -5,6 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#define MEMBERS ${members} /* of the mixture: the part k * AERO_OUTPUTS + i is member k of output i */
 #define FUNCTIONS ${functions} /* of the largest basis, at least 1 */
 #define FULL ${full} /* whether F is a matrix, (n_used, n_used), or its diagonal */
 #define ROUNDING 2.220446049250313e-16
@@ -76,74 +77,95 @@ void aero_inputs(const aero_real source[AERO_SOURCES], aero_real x[AERO_INPUTS])
 ${formulas}
 }
 
+/* The normalised mean of a part and, unless variance is NULL, its variance; g has space for its basis. */
+static double part(int j, const double z[], const double p[], double g[], double *variance)
+{
+    const int n = n_functions[j], rank = n_columns[j];
+    const double *T = trend_root[j], *U = root[j].full;
+    const int32_t *R = root[j].rounded;
+    double u[AERO_INPUTS], value = 0, prior = prior_variance[j], explained = 0;
+    int b, c, k, r;
+    for (c = 0; c < n; c++)
+        g[c] = 0;
+    for (b = first_block[j]; b < first_block[j + 1]; b++) {
+        relative(&blocks[b], z, u);
+        for (c = 0; c < blocks[b].size; c++)
+            g[blocks[b].column + c] += exponential(&blocks[b], c, u, NULL);
+    }
+    for (k = 0; k <= AERO_INPUTS; k++)
+        value += p[k] * trend_weights[j][k];
+    for (c = 0; c < n; c++)
+        value += g[c] * weights[j][c];
+    if (variance == NULL)
+        return value;
+    for (k = 0; k <= AERO_INPUTS; k++) {
+        const double t = p[k] * trend_scale[j][k];
+        prior += t * t;
+    }
+    for (c = 0; R != NULL && c < n; c++)
+        g[c] *= root[j].row_scale[c];
+    for (r = 0; r < rank; r++) {
+        const int length = r + 1 - (rank - n); /* functions in this column of the triangle */
+        double half = 0, sum = 0;
+        for (k = 0; k <= AERO_INPUTS; k++)
+            half += p[k] * *T++;
+        if (R == NULL)
+            for (c = 0; c < length; c++)
+                sum += g[c] * *U++;
+        else
+            for (c = 0; c < length; c++)
+                sum += g[c] * *R++;
+        if (R != NULL && length > 0)
+            sum *= root[j].column_scale[length - 1];
+        explained += (half + sum) * (half + sum);
+    }
+    *variance = prior - explained > ROUNDING * prior ? prior - explained : ROUNDING * prior;
+    return value;
+}
+
 void aero_predict(const aero_real x[AERO_INPUTS], aero_real mean[AERO_OUTPUTS], aero_real std[AERO_OUTPUTS])
 {
-    double z[AERO_INPUTS], u[AERO_INPUTS], p[AERO_INPUTS + 1], g[FUNCTIONS] = {0};
-    int i, b, c, k, r;
+    double z[AERO_INPUTS], p[AERO_INPUTS + 1], g[FUNCTIONS] = {0}, value[MEMBERS], variance[MEMBERS];
+    int i, k, m;
     scaled(x, z);
     p[0] = 1;
     for (k = 0; k < AERO_INPUTS; k++)
         p[k + 1] = z[k] - trend_center[k];
     for (i = 0; i < AERO_OUTPUTS; i++) {
-        const int n = n_functions[i], rank = n_columns[i];
-        const double *T = trend_root[i], *U = root[i].full;
-        const int32_t *R = root[i].rounded;
-        double value = 0, prior = prior_variance[i], explained = 0;
-        for (c = 0; c < n; c++)
-            g[c] = 0;
-        for (b = first_block[i]; b < first_block[i + 1]; b++) {
-            relative(&blocks[b], z, u);
-            for (c = 0; c < blocks[b].size; c++)
-                g[blocks[b].column + c] += exponential(&blocks[b], c, u, NULL);
+        double total = 0, spread = 0;
+        for (m = 0; m < MEMBERS; m++) {
+            value[m] = part(m * AERO_OUTPUTS + i, z, p, g, std == NULL ? NULL : &variance[m]);
+            total += mixture[m][i] * value[m];
         }
-        for (k = 0; k <= AERO_INPUTS; k++)
-            value += p[k] * trend_weights[i][k];
-        for (c = 0; c < n; c++)
-            value += g[c] * weights[i][c];
-        mean[i] = (aero_real)(center[i] + output_scale[i] * value);
+        mean[i] = (aero_real)(center[i] + output_scale[i] * total);
         if (std == NULL)
             continue;
-        for (k = 0; k <= AERO_INPUTS; k++) {
-            const double t = p[k] * trend_scale[i][k];
-            prior += t * t;
-        }
-        for (c = 0; R != NULL && c < n; c++)
-            g[c] *= root[i].row_scale[c];
-        for (r = 0; r < rank; r++) {
-            const int length = r + 1 - (rank - n); /* functions in this column of the triangle */
-            double half = 0, sum = 0;
-            for (k = 0; k <= AERO_INPUTS; k++)
-                half += p[k] * *T++;
-            if (R == NULL)
-                for (c = 0; c < length; c++)
-                    sum += g[c] * *U++;
-            else
-                for (c = 0; c < length; c++)
-                    sum += g[c] * *R++;
-            if (R != NULL && length > 0)
-                sum *= root[i].column_scale[length - 1];
-            explained += (half + sum) * (half + sum);
-        }
-        explained = prior - explained > ROUNDING * prior ? prior - explained : ROUNDING * prior;
-        std[i] = (aero_real)(deviation_scale[i] * sqrt(explained));
+        for (m = 0; m < MEMBERS; m++)
+            spread += mixture[m][i] * (variance[m] + (value[m] - total) * (value[m] - total));
+        std[i] = (aero_real)(deviation_scale[i] * sqrt(spread));
     }
 }
 
 void aero_gradient(const aero_real x[AERO_INPUTS], aero_real slope[AERO_OUTPUTS][AERO_INPUTS])
 {
     double z[AERO_INPUTS], u[AERO_INPUTS], away[AERO_INPUTS], sum[AERO_INPUTS];
-    int i, b, c, k;
+    int i, j, b, c, k;
     scaled(x, z);
     for (i = 0; i < AERO_OUTPUTS; i++) {
         for (k = 0; k < AERO_INPUTS; k++)
-            sum[k] = trend_weights[i][k + 1];
-        for (b = first_block[i]; b < first_block[i + 1]; b++) {
-            const block *of = &blocks[b];
-            relative(of, z, u);
-            for (c = 0; c < of->size; c++) {
-                const double e = weights[i][of->column + c] * exponential(of, c, u, away);
-                for (k = 0; k < of->n_used; k++)
-                    sum[of->used[k]] -= e * away[k];
+            sum[k] = 0;
+        for (j = i; j < MEMBERS * AERO_OUTPUTS; j += AERO_OUTPUTS) {
+            const double share = mixture[j / AERO_OUTPUTS][i];
+            for (k = 0; k < AERO_INPUTS; k++)
+                sum[k] += share * trend_weights[j][k + 1];
+            for (b = first_block[j]; b < first_block[j + 1]; b++) {
+                const block *of = &blocks[b];
+                relative(of, z, u);
+                for (c = 0; c < of->size; c++) {
+                    const double e = share * weights[j][of->column + c] * exponential(of, c, u, away);
+                    for (k = 0; k < of->n_used; k++)
+                        sum[of->used[k]] -= e * away[k];
+                }
             }
         }
         for (k = 0; k < AERO_INPUTS; k++)

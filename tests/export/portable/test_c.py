@@ -56,7 +56,7 @@ class Library:
 @pytest.mark.parametrize(
     ("kind", "precision", "tolerance"),
     [
-        *((kind, "double", 1e-9) for kind in ("exact", "full", "sparse-additive", "precise")),
+        *((kind, "double", 1e-9) for kind in ("exact", "full", "sparse", "sparse-additive", "constant", "precise")),
         ("sparse", "float", 1e-4),
     ],
 )

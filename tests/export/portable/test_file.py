@@ -17,7 +17,7 @@ import pytest
 from skdgp.export import PortableFileError, load_portable, save_portable
 
 ROOT = Path(__file__).resolve().parents[3]
-STORED = Path(__file__).with_name("portable_1.npz")
+STORED = [Path(__file__).with_name(f"portable_{version}.npz") for version in (1, 2)]
 NO_PICKLE = """
 import pickle, pickletools, sys
 import numpy as np
@@ -110,9 +110,11 @@ def test_the_reader_imports_numpy_alone():
     assert set(re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)) == {"argparse", "json", "numpy"}
 
 
-def test_a_model_of_the_first_version_loads_for_ever():
-    model = load_portable(STORED)
-    with np.load(STORED.with_name("portable_1_says.npz")) as said:
+@pytest.mark.parametrize(("stored", "members"), list(zip(STORED, (1, 3), strict=True)))
+def test_a_model_of_each_version_loads_for_ever(stored, members):
+    model = load_portable(stored)
+    assert len(model.mixture) == members
+    with np.load(stored.with_name(f"{stored.stem}_says.npz")) as said:
         mean, std = model.predict(said["X"], return_std=True, include_input_noise=False)
         np.testing.assert_allclose(mean, said["mean"], rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(std, said["std"], rtol=1e-8)
@@ -134,12 +136,12 @@ def agrees(value, schema):
 
 def test_the_schema_of_the_page(path):
     schema = json.loads((ROOT / "docs" / "portable.schema.json").read_text())
-    for file in (path, STORED):
+    for file in (path, *STORED):
         with zipfile.ZipFile(file) as archive:
             head = json.loads(archive.read("model.json"))
         assert agrees(head, schema)
         assert set(head) == set(schema["required"]) == set(schema["properties"])
-    assert not agrees(head | {"version": 2}, schema)
+    assert not agrees(head | {"version": 3}, schema)
     assert not agrees(head | {"outputs": [1]}, schema)
 
 
@@ -189,7 +191,7 @@ HOSTILE = {
     "a list": {"head": b"[]"},
     "a deep list": {"head": b"[" * 100_000},
     "another format": {"head": {"format": "another"}},
-    "a later version": {"head": {"version": 2}},
+    "a later version": {"head": {"version": 3}},
     "no version": {"head": b'{"format": "skdgp portable model"}'},
     "no regressors": {"head": {"regressors": []}},
     "a regressor of no formula": {"head": {"regressors": [{"name": "alpha", "unit": "", "sources": []}] * 5}},
@@ -208,7 +210,10 @@ HOSTILE = {
     "not a number": {"arrays": {"shift": np.full(5, np.nan)}},
     "another type": {"arrays": {"shift": np.zeros(5, dtype=np.float32)}},
     "blocks outside": {"arrays": {"block_place": np.full((40, 4), 10**15)}},
-    "a negative place": {"arrays": {"readout_of": np.full(6, -1)}},
+    "a negative place": {"arrays": {"readout_of": np.full(18, -1)}},
+    "no members": {"arrays": {"mixture": np.empty((0, 6))}},
+    "too few members": {"arrays": {"mixture": np.full((2, 6), 0.5)}},
+    "members of other outputs": {"arrays": {"mixture": np.ones((18, 1))}},
     "a root of no triangle": {"arrays": {"root_0": np.zeros(7)}},
 }  # fmt: skip
 

@@ -1,0 +1,284 @@
+"""Pairs of flights of seven aircraft: the average of posteriors beside its members and least squares.
+
+    python tests/benchmarks/pairs.py REPOSITORY ../shared/data --out OUT [--pairs P] [--seeds S] [--latents M] [--redo]
+
+REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see real.py; the HFB-320 is the book's
+``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights and predicts those of others: NRMSE,
+mean over the coefficients, over that of least squares from the same regressors. Members are those of the same fit, each
+alone. "product": members weighted by precision at each point, what a committee of experts would say. NLPD and coverage
+are of measured coefficients at one row in ten.
+
+The last table is of the one number that was chosen on these pairs, the rows of prior opinion of the weights: what is
+best without an aircraft, scored on it.
+
+Each run is kept as OUT/pairs/PAIR-LATENTS-SEED.json, and not run again unless ``--redo`` says so.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import real
+from _common import finish, parser_of
+from comparison import BANDS_EVERY, FLIGHTS, SAMPLES, Kept, Task, ampyx_ap2, task_of, toy
+from scipy.io import loadmat
+from sklearn.linear_model import LinearRegression
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification import flight_regressors
+from skdgp.inference import _average
+from skdgp.io import read_flight
+from skdgp.metrics import interval_coverage, negative_log_predictive_density, normalized_rmse
+
+OPINIONS = (1.0, 3.0, 10.0, 30.0, 100.0)
+HFB_320 = Aircraft(
+    name="HFB-320",
+    mass=7472.0,
+    inertia=[[13336.0, 0.0, -1144.2], [0.0, 91420.0, 0.0], [-1144.2, 0.0, 1e5]],
+    wing_area=30.097216,
+    span=14.49,
+    chord=2.43,
+)
+"""The book's Izz of 35959 kg m^2 is that of no body; it hardly enters the longitudinal coefficients."""
+TILT, HFB_ENGINE = 0.0524, (-1.343, 2.990, -0.652)
+"""Of the engines of the HFB-320 [rad], and their place from its centre of gravity [m]."""
+RECORDS = {
+    "a": ("ail_1 ail_2 ail_3 el_1 el_2 el_3 rud_1", "ail_4 el_4"),
+    "b": ("ail_3 ail_4 el_3 el_4 rud_1", "ail_1 ail_2 el_1 el_2"),
+}
+
+
+def hfb_320(folder):
+    """Return aircraft, the first three quarters and the last one of a flight in turbulence, longitudinal."""
+    log = np.loadtxt(Path(folder) / real.BOOK / "hfb320_1_10.asc").T
+    thrust_x, thrust_z = log[3] * np.cos(TILT), -log[3] * np.sin(TILT)
+    table = pd.DataFrame(
+        {
+            "time": log[0],
+            "airspeed": log[4],
+            "alpha": log[5],
+            "beta": log[16],
+            "ax": log[9],
+            "ay": log[11],
+            "az": log[10],
+            **dict(zip("pqr", log[[12, 7, 13]], strict=True)),
+            "phi": log[17],
+            "theta": log[6],
+            "density": 2 * log[2] / log[4] ** 2,
+            "elevator": log[1],
+            "aileron": log[18],
+            "rudder": log[19],
+            "thrust_x": thrust_x,
+            "thrust_z": thrust_z,
+            "thrust_m": HFB_ENGINE[2] * thrust_x - HFB_ENGINE[0] * thrust_z,
+        }
+    )
+    n = 3 * len(table) // 4
+    return HFB_320, table[:n].reset_index(drop=True), table[n:].reset_index(drop=True), {}
+
+
+def small_uav(folder, split):
+    """Return aircraft, training and test records of the UAV."""
+    path = Path(folder) / real.UAV / "ProcessedData_2022_05_07_11_13_57.mat"
+    records = loadmat(path, squeeze_me=True, struct_as_record=False)
+    parts = [[real._uav(records[name], name) for name in names.split()] for names in RECORDS[split]]
+    return (real.SMALL_UAV, *(pd.concat(part, ignore_index=True) for part in parts), {"thrust": None})
+
+
+def swapped(load, folder):
+    aircraft, train, test, loads = load(folder)
+    return aircraft, test, train, loads
+
+
+def quarter(data, number):
+    """Return the AP2, three quarters of its flight, and the other one."""
+    aircraft, *_, loads = ampyx_ap2(data)
+    table = read_flight(data / "ampyx_ap2" / "ampyx_ap2.parquet")
+    part = np.arange(len(table)) * 4 // len(table) + 1
+    table["flight"] = [f"quarter {k}" for k in part]
+    return aircraft, *(table[rows].reset_index(drop=True) for rows in (part != number, part == number)), loads
+
+
+REAL = {
+    "attas": real.attas,
+    "attas_back": partial(swapped, real.attas),
+    "stall": real.attas_stall,
+    "stall_back": partial(swapped, real.attas_stall),
+    "uav_a": partial(small_uav, split="a"),
+    "uav_b": partial(small_uav, split="b"),
+    "hfb": hfb_320,
+}
+QUARTERS = {f"ap2_{k}": k for k in (1, 3, 4)}
+SHARED = {"viggen": "viggen_latlon", "c172p": "c172p", "ap2_blocks": "ampyx_ap2"}
+PAIRS = [*REAL, *QUARTERS, *SHARED]
+LISTED = PAIRS[:-1]
+"""Of the geometric means."""
+LONGITUDINAL = ["CX", "CZ", "Cm"]
+
+
+def task_of_pair(name, repository, data):
+    """Return the task of a pair; measured coefficients are scored."""
+    if name in SHARED:
+        assert SHARED[name] in FLIGHTS
+        return task_of(SHARED[name], data)
+    aircraft, train, test, loads = REAL[name](repository) if name in REAL else quarter(data, QUARTERS[name])
+    targets, measured = (aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test))
+    if name == "hfb":
+        targets, measured = targets[LONGITUDINAL], measured[LONGITUDINAL]
+    return Task(aircraft, train, test, targets, measured.to_numpy(), None, SAMPLES)
+
+
+def result(task, seed, latents, **parameters):
+    """Return what the average, each member and other ways to mix them are worth."""
+    seen, stacked = [], _average.stacked
+    _average.stacked = lambda *evidence: seen.append(evidence) or stacked(*evidence)
+    pipeline = make_identification_pipeline(
+        task.aircraft, regressor=DependentGPRegressor(n_latent=latents, random_state=seed, **parameters)
+    )
+    start = time.process_time()
+    try:
+        pipeline.fit(task.train, task.targets)
+    finally:
+        _average.stacked = stacked
+    seconds = time.process_time() - start
+    last = pipeline[-1]
+    X, ratio = flight_regressors(pipeline, task.test)
+    mean, std = last.predict(X, return_std=True, include_noise=True, include_input_noise=ratio)
+    members = getattr(last.posterior_, "members", [last.posterior_])
+    alone = [each.predict(X, return_variance=True) for each in members]
+    means = np.array([m for m, _ in alone]) * last._scale + last._center
+    function = np.array([v for _, v in alone]) * last._scale**2
+    noise = std**2 - last.predict(X, return_std=True, include_input_noise=False)[1] ** 2
+    found = {"seconds": seconds, "outputs": list(task.targets), "date": time.strftime("%Y-%m-%d")}
+    known = pipeline[:-1].transform(task.train)
+    trusted = task.targets.notna().all(axis=1).to_numpy()
+    least_squares = LinearRegression().fit(np.asarray(known)[trusted], task.targets[trusted])
+    found["least squares"] = float(normalized_rmse(task.measured, least_squares.predict(X)))
+    found["average"] = scored(task, mean, std**2)
+    for name, m, v in zip(last.weights_, means, function, strict=True):
+        found[name] = scored(task, m, v + noise)
+    precision = 1.0 / (function + 0.3 * last.noise_variance_)
+    found["product"] = scored(task, *mixed(precision / precision.sum(axis=0), means, function + noise))
+    found["equal"] = scored(task, *mixed(np.full(means.shape, 1 / len(means)), means, function + noise))
+    found["weights"] = {name: weights.tolist() for name, weights in last.weights_.items()}
+    if seen:
+        found["opinions"] = {}
+        for rows in OPINIONS:
+            weights = np.column_stack([stacked(*evidence, rows) for evidence in seen])[:, None]
+            mix = mixed(weights * np.ones(means.shape), means, function + noise)
+            found["opinions"][str(rows)] = scored(task, *mix)["error"]
+    return found
+
+
+def mixed(weights, means, variances):
+    """Return the moments of a mixture with weights (K, n, P)."""
+    mean = (weights * means).sum(axis=0)
+    return mean, (weights * (variances + (means - mean) ** 2)).sum(axis=0)
+
+
+def scored(task, mean, variance):
+    some, std = slice(None, None, BANDS_EVERY), np.sqrt(variance)
+    spread = task.measured.std(axis=0)
+    found = {
+        "error": float(normalized_rmse(task.measured, mean)),
+        "coverage": float(interval_coverage(task.measured[some], mean[some], std[some])),
+        "NLPD": float(
+            negative_log_predictive_density(task.measured[some] / spread, mean[some] / spread, std[some] / spread)
+        ),
+    }
+    return found if task.truth is None else found | {"truth": float(normalized_rmse(task.truth, mean))}
+
+
+def of_pairs(runs):
+    """Return a row for each pair: medians over seeds, ratios to least squares."""
+    rows = []
+    for pair in dict.fromkeys(run["pair"] for run in runs):
+        some = [run for run in runs if run["pair"] == pair]
+        row = {"pair": pair, "least squares": some[0]["least squares"]}
+        for name in ("average", "joint", "additive", "trend", "equal", "product"):
+            row[name] = _median(run[name]["error"] / run["least squares"] for run in some if name in run)
+        truths = [run["average"]["truth"] for run in some if "truth" in run["average"]]
+        alone = [min(run[name]["NLPD"] for name in run["weights"]) for run in some]
+        row |= {
+            "of truth": f"{min(truths):.3f} to {max(truths):.3f}" if truths else None,
+            "in the band %": 100 * _median(run["average"]["coverage"] for run in some),
+            "NLPD": _median(run["average"]["NLPD"] for run in some),
+            "best member's": _median(alone),
+            "CPU s": _median(run["seconds"] for run in some),
+            "seeds": len(some),
+        }
+        rows.append(row)
+    return rows
+
+
+def _median(values):
+    values = list(values)
+    return float(np.median(values)) if values else None
+
+
+def geometric_means(rows):
+    """Return the geometric means of the ratios, of all pairs of the list, and without the AP2."""
+    found = []
+    for words, names in {"all": LISTED, "without AP2": [p for p in LISTED if p not in QUARTERS]}.items():
+        some = [row for row in rows if row["pair"] in names]
+        if some:
+            kinds = ("average", "joint", "trend", "equal", "product")
+            means = {kind: float(np.exp(np.mean([np.log(row[kind]) for row in some]))) for kind in kinds}
+            found.append({"pairs": f"{words}, {len(some)}", **means, "worst": max(row["average"] for row in some)})
+    return found
+
+
+def left_out(runs):
+    """Return, for each aircraft, which opinion is best without it, and the ratio of that on it."""
+    ratios: dict = {}
+    for run in runs:
+        if "opinions" in run and run["pair"] in LISTED:
+            for rows, error in run["opinions"].items():
+                of_craft = ratios.setdefault(run["pair"].split("_")[0], {}).setdefault(rows, [])
+                of_craft.append(np.log(error / run["least squares"]))
+    found = []
+    for craft, own in ratios.items():
+        others = {rows: np.mean([np.mean(r[rows]) for name, r in ratios.items() if name != craft]) for rows in own}
+        best = min(own, key=others.__getitem__) if len(ratios) > 1 else next(iter(own))
+        found.append(
+            {"aircraft": craft, "best of the others": best, "its ratio": float(np.exp(np.mean(own[best])))}
+            | {f"{rows} rows": float(np.exp(np.mean(own[rows]))) for rows in own}
+        )
+    return found
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("repository", type=Path, nargs="?", help="the unpacked copy of the repository")
+    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data")
+    parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=PAIRS)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--latents", type=int, default=2, help="shared latents")
+    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
+    options = parser.parse_args(words)
+    if options.data is None and not options.smoke:
+        parser.error("the copy of the repository and the folder of the shared data are needed")
+    kept = Kept(options.out, "pairs")
+    parameters = {"max_iter": 2} if options.smoke else {}
+    for pair in ["toy"] if options.smoke else options.pairs:
+        task = toy() if options.smoke else task_of_pair(pair, options.repository, options.data)
+        for seed in options.seeds:
+            name = f"{pair}-{options.latents}-{seed}"
+            if options.redo or name not in kept:
+                found = result(task, seed, options.latents, **parameters)
+                kept.keep(name, {"pair": pair, "latents": options.latents, "seed": seed, **found})
+                ratio = found["average"]["error"] / found["least squares"]
+                print(f"{name}: {ratio:.3f} of least squares, {found['seconds']:.0f} s", file=sys.stderr, flush=True)
+    runs = [run for run in kept.memory.values() if run["latents"] == options.latents]
+    rows = of_pairs(runs)
+    finish(options, "pairs", of_pairs=rows, geometric_means=geometric_means(rows), left_out=left_out(runs))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,456 @@
+"""The average of posteriors: moments and samples of a mixture, and weights by what its members predict."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.special import logsumexp, softmax
+
+from skdgp import DependentGPRegressor, effects, listening
+from skdgp.inference import AveragePosterior, Data, average, fit_exact, fit_sparse
+from skdgp.inference._average import LEAST_ROWS, PRIOR_ROWS, held_out, of_terms, parts_of, stacked
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+N, D, P = 60, 2, 2
+WEIGHTS = np.array([[0.5, 0.1], [0.2, 0.3], [0.3, 0.6]])
+AT = np.random.default_rng(5).uniform(-2.5, 2.5, (7, D))
+
+
+def kernel_of(order=slice(None), outputs=slice(None)):
+    """Return a trend, main effects and processes that outputs share, with given values."""
+    rng = np.random.default_rng(3)
+    kernel = LinearTrend(np.full(P, 0.5), np.full((P, D), 0.4), np.zeros(D))
+    for k in range(D):
+        single = {"amplitude": np.diag([0.5, 0.4]), "length_scale": np.full((P, P, D), 1.0 + k)}
+        kernel = kernel + ConvolvedGaussian(0, regressors=[k], **single)
+    amplitude = np.array([[0.6, -0.4], [0.3, 0.0], [0.0, 0.3]])[:, outputs][[0, *1 + np.arange(P)[outputs]]]
+    lengths = rng.uniform(0.8, 1.5, (1 + P, P, D))[:, outputs][[0, *1 + np.arange(P)[outputs]]]
+    return kernel + ConvolvedGaussian(1, amplitude=amplitude, length_scale=lengths)
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (N, D))
+    Y = np.column_stack([np.sin(X[:, 0] + X[:, 1]) + 0.3 * X[:, 1], X[:, 0] - np.cos(X[:, 1])])
+    Y += rng.normal(0, 0.2, Y.shape)
+    Y[rng.random(N) < 0.3, 1] = np.nan
+    return X, Y
+
+
+def fit_of(inference, X, Y, kernel=None):
+    options = {"optimizer": None, "max_iter": 5, "random_state": 0}
+    if inference == "sparse":
+        return fit_sparse(kernel or kernel_of(), X, Y, n_inducing=15, **options)
+    return fit_exact(kernel or kernel_of(), X, Y, **options)
+
+
+@pytest.fixture(scope="module", params=["exact", "sparse"])
+def mixture(request, data):
+    """An average with weights that differ between outputs."""
+    found = average(fit_of(request.param, *data), *data).posterior
+    return AveragePosterior(found.members, found.parts, WEIGHTS)
+
+
+def sums_of(means, variances):
+    """Return mean and variance of a mixture, element by element."""
+    mean, variance = np.zeros((2, *means[0].shape))
+    for i in range(P):
+        for k in range(len(means)):
+            mean[:, i] += WEIGHTS[k, i] * means[k][:, i]
+        for k in range(len(means)):
+            variance[:, i] += WEIGHTS[k, i] * (variances[k][:, i] + (means[k][:, i] - mean[:, i]) ** 2)
+    return mean, variance
+
+
+class TestMixture:
+    def test_members_have_fewer_and_fewer_terms_of_one_kernel(self, mixture):
+        assert mixture.parts == [(0, 1, 2, 3), (0, 1, 2), (0,)]
+        theta = [member.kernel.theta for member in mixture.members]
+        for shorter in theta[1:]:  # the same hyperparameters
+            np.testing.assert_array_equal(shorter, theta[0][: len(shorter)])
+        sizes = [len(member.kernel.summands()) for member in mixture.members]
+        assert sizes == [4, 3, 1]
+
+    @pytest.mark.parametrize("name", ["predict", "gradient"])
+    def test_moments(self, mixture, name):
+        parts = [getattr(member, name)(AT, True) for member in mixture.members]
+        expected = sums_of(*zip(*parts, strict=True))
+        found = getattr(mixture, name)(AT, return_variance=True)
+        for got, value in zip(found, expected, strict=True):
+            np.testing.assert_allclose(got, value, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(getattr(mixture, name)(AT), expected[0], rtol=1e-10, atol=1e-12)
+
+    def test_covariance_holds_the_variances_and_is_positive_semidefinite(self, mixture):
+        covariance, variance = mixture.covariance(AT), mixture.predict(AT, True)[1]
+        np.testing.assert_allclose(np.diag(covariance), variance.T.ravel(), rtol=1e-9)
+        np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
+        assert np.linalg.eigvalsh(covariance).min() > -1e-10 * covariance.max()
+
+    def test_of_equal_weights_for_all_outputs_is_one_mixture(self, mixture):
+        """Then all outputs have the same member: the covariance is the weighted sum of whole ones, and of scatter."""
+        w = np.array([0.2, 0.5, 0.3])
+        same = AveragePosterior(mixture.members, mixture.parts, np.repeat(w[:, None], P, axis=1))
+        means = np.array([member.predict(AT).T.ravel() for member in mixture.members])
+        off = means - w @ means
+        expected = sum(w[k] * (m.covariance(AT) + np.outer(off[k], off[k])) for k, m in enumerate(mixture.members))
+        np.testing.assert_allclose(same.covariance(AT), expected, rtol=1e-9, atol=1e-12)
+
+    def test_all_weight_on_one_member_is_this_member(self, mixture):
+        for k, member in enumerate(mixture.members):
+            alone = AveragePosterior(mixture.members, mixture.parts, np.repeat(np.eye(3)[:, [k]], P, axis=1))
+            np.testing.assert_allclose(alone.predict(AT, True), member.predict(AT, True), rtol=1e-10, atol=1e-12)
+            np.testing.assert_allclose(alone.covariance(AT), member.covariance(AT), rtol=1e-9, atol=1e-12)
+
+    def test_paths_have_its_mean_and_covariance(self, mixture):
+        n, at = 6000, AT[:4]
+        values = mixture.paths(n, 1)(at).swapaxes(1, 2).reshape(n, -1)  # output-major
+        covariance = mixture.covariance(at)
+        size = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose(values.mean(axis=0) / size, mixture.predict(at).T.ravel() / size, atol=0.06)
+        scale = np.multiply.outer(size, size)
+        np.testing.assert_allclose(np.cov(values.T) / scale, covariance / scale, atol=0.1)
+
+    def test_paths_are_those_of_members_in_proportion_to_the_weights(self, mixture):
+        """Far from the samples a trend grows, as no process does."""
+        far = np.array([[1e4, 0.0], [2e4, 0.0], [3e4, 0.0]])
+        paths = mixture.paths(50, 0)
+        assert len(paths[3:9]) == 6
+        np.testing.assert_allclose(paths[3:9](far), paths(far)[3:9], rtol=1e-9)
+        np.testing.assert_allclose(paths[7](AT), paths(AT)[7], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(pickle.loads(pickle.dumps(paths))(AT), paths(AT), rtol=1e-12)
+        kinds = mixture.paths(50, 0).bundle.member
+        counts = np.array([(kinds == k).sum(axis=0) for k in range(3)])
+        assert (np.abs(counts - 50 * WEIGHTS) <= 1).all()
+
+    def test_slopes_of_paths_are_those_of_their_values(self, mixture):
+        paths = mixture.paths(20, 0)
+        quotients = [(paths(AT + h) - paths(AT - h)) / 2e-5 for h in 1e-5 * np.eye(D)]
+        np.testing.assert_allclose(paths.gradient(AT), np.stack(quotients, axis=-1), atol=1e-6)
+        each = np.random.default_rng(0).uniform(-1, 1, (20, 4, D))
+        np.testing.assert_allclose(paths.each(each)[5], paths[5](each[5]), rtol=1e-9, atol=1e-12)
+
+    def test_gradient_is_that_of_the_mean(self, mixture):
+        quotients = [(mixture.predict(AT + h) - mixture.predict(AT - h)) / 2e-5 for h in 1e-5 * np.eye(D)]
+        np.testing.assert_allclose(mixture.gradient(AT), np.stack(quotients, axis=-1), rtol=1e-6, atol=1e-8)
+
+    def test_variance_of_slopes_is_that_of_difference_quotients(self, mixture):
+        variance, h = mixture.gradient(AT[:1], return_variance=True)[1][0], 1e-2
+        for k, step in enumerate(h * np.eye(D)):
+            ends = mixture.covariance(np.concatenate([AT[:1] + step, AT[:1] - step])).reshape(P, 2, P, 2)
+            for i in range(P):
+                a = ends[i, :, i]
+                assert variance[i, k] == pytest.approx((a[0, 0] + a[1, 1] - 2 * a[0, 1]) / (4 * h**2), rel=0.01)
+
+    def test_a_saved_one_is_the_same(self, mixture):
+        again = pickle.loads(pickle.dumps(mixture))
+        np.testing.assert_allclose(again.predict(AT, True), mixture.predict(AT, True), rtol=1e-12)
+        np.testing.assert_array_equal(again.weights, mixture.weights)
+
+    def test_further_samples_are_learned_by_each_member(self, mixture):
+        rng = np.random.default_rng(8)
+        more = Data.from_table(rng.uniform(-2, 2, (5, D)), rng.normal(size=(5, P)))
+        updated = mixture.updated(more)
+        joined = mixture.samples().joined(more)
+        members = [member.of(joined, member.noise) for member in mixture.members]
+        refit = AveragePosterior(members, mixture.parts, mixture.weights)
+        np.testing.assert_allclose(updated.predict(AT, True), refit.predict(AT, True), rtol=1e-6, atol=1e-9)
+        assert [len(x) for x in updated.samples().X] == [len(x) for x in joined.X]
+
+    def test_without_samples_predicts_the_same(self, mixture):
+        if hasattr(mixture.whole, "features"):
+            bare = mixture.without_samples()
+            assert bare.samples() is None
+            np.testing.assert_allclose(bare.predict(AT, True), mixture.predict(AT, True), rtol=1e-9, atol=1e-12)
+
+    def test_more_noise_is_less_knowledge(self, mixture):
+        noisy = mixture.scaled_noise(np.array([4.0, 4.0]))
+        for member, former in zip(noisy.members, mixture.members, strict=True):
+            assert (member.predict(AT, True)[1] >= former.predict(AT, True)[1] * (1 - 1e-9)).all()
+            np.testing.assert_allclose(member.noise, 4 * former.noise)
+
+
+class TestParts:
+    def test_a_kernel_without_a_trend_has_one_member(self, data):
+        kernel = ConvolvedGaussian(1).initialize(*data, 0)
+        assert parts_of(kernel) == [(0,)]
+        fit = fit_of("exact", *data, kernel)
+        assert average(fit, *data) is fit
+
+    def test_without_main_effects_nothing_stands_between_all_terms_and_the_trend(self):
+        assert parts_of(LinearTrend() + ConvolvedGaussian(1).initialize(np.eye(3), np.eye(3), 0)) == [(0, 1), (0,)]
+
+    def test_a_part_of_a_kernel_is_the_sum_of_its_terms(self, data):
+        kernel, X = kernel_of(), data[0][:5]
+        found = {numbers: of_terms(kernel, numbers)(X) for numbers in [(0,), (0, 2), (0, 1, 3), (0, 1, 2, 3)]}
+        np.testing.assert_allclose(found[0, 1, 3] + found[0, 2] - found[0,], found[0, 1, 2, 3], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found[0, 1, 2, 3], kernel(X))
+
+
+class TestStacking:
+    """The weights maximise n times the mean log density of the mixture plus c times the opinion's share of log w."""
+
+    @staticmethod
+    def scores(n=200, seed=0):
+        return np.random.default_rng(seed).normal(size=(3, n)) + np.array([[0.3], [0.0], [-0.2]])
+
+    @pytest.mark.parametrize("opinion", [[1 / 3, 1 / 3, 1 / 3], [0.1, 0.1, 0.8]])
+    def test_maximise(self, opinion):
+        scores, n = self.scores(), 50.0
+
+        def loss(z):
+            log_w = z - logsumexp(z)
+            value = n * logsumexp(scores + log_w[:, None], axis=0).mean() + PRIOR_ROWS * np.dot(opinion, log_w)
+            return -value
+
+        best = softmax(minimize(loss, np.zeros(3), tol=1e-12).x)
+        found = stacked(scores, n, np.array(opinion))
+        assert found.sum() == pytest.approx(1.0)
+        np.testing.assert_allclose(found, best, atol=1e-4)
+
+    def test_many_rows_follow_the_better_member(self):
+        scores = np.zeros((2, 1000))
+        scores[0] = 1.0
+        w = stacked(scores, 1000.0, np.array([0.5, 0.5]))
+        assert w[0] > 0.98
+
+    def test_few_rows_stay_near_the_opinion(self):
+        scores = np.zeros((2, 3))
+        scores[0] = 0.3
+        w = stacked(scores, 1.0, np.array([0.2, 0.8]))
+        np.testing.assert_allclose(w, [0.2, 0.8], atol=0.05)
+
+    def test_no_row_leaves_the_opinion(self):
+        opinion = np.array([0.1, 0.2, 0.7])
+        np.testing.assert_allclose(stacked(np.empty((3, 0)), 0.0, opinion), opinion)
+
+    def test_equal_members_keep_the_opinion(self):
+        opinion = np.array([0.1, 0.2, 0.7])
+        np.testing.assert_allclose(stacked(self.scores()[[0, 0, 0]], 200.0, opinion), opinion)
+
+    def test_the_order_of_members_decides_nothing(self):
+        scores, opinion = self.scores(), np.array([0.2, 0.3, 0.5])
+        turned = stacked(scores[::-1], 50.0, opinion[::-1])
+        np.testing.assert_allclose(turned[::-1], stacked(scores, 50.0, opinion), rtol=1e-9)
+
+
+class TestHeldOut:
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_a_value_does_not_predict_itself(self, data, inference):
+        X, Y = data
+        fit, rows = fit_of(inference, X, Y), np.arange(N)
+        mean, variance = held_out(fit, X, Y, rows)
+        known = np.isfinite(Y)
+        np.testing.assert_array_equal(np.isfinite(mean), known)
+        for a, i in [(4, 0), (37, 1), (59, 0)]:
+            a = a if known[a, i] else np.flatnonzero(known[:, i])[a // 2]
+            other = Y.copy()
+            other[a, i] += 100.0
+            again, same = held_out(fit, X, other, rows)
+            assert again[a, i] == pytest.approx(mean[a, i], rel=1e-9, abs=1e-9)
+            assert np.nanmax(np.abs(again - mean)) > 0.01  # others feel it
+            np.testing.assert_allclose(same, variance, rtol=1e-9)
+
+    def test_rows_that_are_whole_are_left_out_whole(self, data):
+        X, Y = data[0], np.where(np.isfinite(data[1]), data[1], 0.0)
+        fit = fit_of("exact", X, Y)
+        mean = held_out(fit, X, Y, np.arange(N))[0]
+        other = Y.copy()
+        other[10, 0] += 100.0
+        assert held_out(fit, X, other, np.arange(N))[0][10, 1] == pytest.approx(mean[10, 1])
+
+    def test_of_an_output_with_gaps_the_other_one_says_something(self, data):
+        X, Y = data
+        fit = fit_of("exact", X, Y)
+        a = np.flatnonzero(np.isfinite(Y[:, 1]))[5]
+        other = Y.copy()
+        other[a, 0] += 100.0
+        mean, again = (held_out(fit, X, values, np.arange(N))[0] for values in (Y, other))
+        assert abs(again[a, 1] - mean[a, 1]) > 0.1
+
+    def test_variances_are_those_of_measurements(self, data):
+        """At least the noise, and no less than with all the values."""
+        X, Y = data
+        fit = fit_of("exact", X, Y)
+        known, found = np.isfinite(Y), held_out(fit, X, Y, np.arange(N))[1]
+        assert (found[known] >= (fit.posterior.predict(X, True)[1] + fit.learned.noise)[known] * (1 - 1e-9)).all()
+
+
+class TestWeights:
+    def test_are_shares_of_each_output(self, data):
+        model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=10).fit(*data, time=np.arange(float(N)))
+        assert list(model.weights_) == ["joint", "additive", "trend"]
+        table = np.array(list(model.weights_.values()))
+        assert (table >= 0).all()
+        np.testing.assert_allclose(table.sum(axis=0), 1.0)
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_outputs_in_another_order_and_size_have_the_same(self, data, inference):
+        X, Y = data
+        scale = np.array([2.0**8, 2.0**-5])
+        options = {"n_latent": 0, "inference": inference, "n_inducing": 20, "random_state": 0, "max_iter": 10}
+        here = DependentGPRegressor(**options).fit(X, Y).weights_
+        sized = DependentGPRegressor(**options).fit(X, Y * scale).weights_
+        turned = DependentGPRegressor(**options).fit(X, Y[:, ::-1]).weights_
+        for name, weights in here.items():
+            np.testing.assert_allclose(sized[name], weights, rtol=1e-6)
+            np.testing.assert_allclose(turned[name][::-1], weights, atol=1e-3)
+
+    def test_a_function_of_two_regressors_together_needs_all_terms(self):
+        rng = np.random.default_rng(0)
+        X = rng.uniform(-2, 2, (200, 2))
+        y = np.sin(2 * X[:, 0]) * np.sin(2 * X[:, 1]) + 0.1 * rng.normal(size=200)
+        weights = DependentGPRegressor(n_latent=0, random_state=0, max_iter=30).fit(X, y).weights_
+        assert weights["joint"][0] > 0.85
+
+    def test_a_sum_of_functions_of_one_regressor_needs_no_more(self):
+        """The opinion shares what main effects explain as well."""
+        rng = np.random.default_rng(0)
+        X = rng.uniform(-2, 2, (200, 3))
+        y = np.sin(3 * X).sum(axis=1) + 0.1 * rng.normal(size=200)
+        model = DependentGPRegressor(n_latent=0, input_noise=None, random_state=0, max_iter=30)
+        weights = model.fit(X, y, time=np.arange(200.0)).weights_
+        assert weights["joint"][0] + weights["additive"][0] > 0.9
+
+    def test_few_rows_of_many_regressors_lean_on_the_trend(self):
+        rng = np.random.default_rng(0)
+        X = rng.normal(size=(24, 8))
+        y = X @ rng.normal(size=8) + 0.3 * rng.normal(size=24)
+        assert len(X) < LEAST_ROWS * X.shape[1]
+        weights = DependentGPRegressor(n_latent=0, random_state=0, max_iter=20).fit(X, y).weights_
+        assert weights["trend"][0] > 0.5
+
+    def test_few_rows_of_a_linear_function_have_honest_bands(self):
+        """30 rows of 8 regressors: bands of 95 % hold new values of the function, with errors like those of a line."""
+        held, ratios = [], []
+        for seed in range(6):
+            rng = np.random.default_rng(seed)
+            slopes, X, new = rng.normal(size=(8, 2)), rng.normal(size=(30, 8)), rng.normal(size=(300, 8))
+            Y = X @ slopes + rng.normal(0, 0.5, (30, 2))
+            model = DependentGPRegressor(random_state=seed, max_iter=20).fit(X, Y)
+            mean, std = model.predict(new, return_std=True, include_noise=True)
+            held.append(np.mean(np.abs(mean - new @ slopes - rng.normal(0, 0.5, mean.shape)) < 1.96 * std))
+            A, B = np.column_stack([np.ones(30), X]), np.column_stack([np.ones(300), new])
+            line = B @ np.linalg.lstsq(A, Y, rcond=None)[0]
+            ratios.append(np.sqrt(np.mean((mean - new @ slopes) ** 2) / np.mean((line - new @ slopes) ** 2)))
+        assert 0.88 <= np.mean(held) <= 0.99
+        assert np.mean(ratios) < 1.5
+
+    def test_what_another_output_says_of_gaps_counts_for_all_terms(self):
+        """A quick function of time that one output has as well: no trend or main effect of the regressor follows it."""
+        rng = np.random.default_rng(0)
+        x = np.sort(rng.uniform(0, 40, (240, 1)), axis=0)
+        common = np.sin(4 * x[:, 0]) + np.sin(2.7 * x[:, 0])
+        Y = np.column_stack([common, -2 * common]) + 0.1 * rng.normal(size=(240, 2))
+        Y[np.arange(240) % 12 >= 3, 1] = np.nan
+        model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=40).fit(x, Y)
+        assert model.weights_["joint"][1] > 0.8
+        gaps = np.isnan(Y[:, 1])
+        error = np.sqrt(np.mean((model.predict(x)[gaps, 1] + 2 * common[gaps]) ** 2))
+        assert error < 0.3 * np.std(2 * common)
+
+    def test_drift_of_a_linear_function_earns_nothing_for_the_process(self):
+        """Errors that last as long as the regressor's excursions look like a function, but blocks tell."""
+        rng = np.random.default_rng(1)
+        x, drift = (np.convolve(rng.normal(size=260), np.ones(20) / 20**0.5, "valid")[:240] for _ in range(2))
+        trend, y = [], x + 0.5 * drift
+        for sign in (1, -1):
+            model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=20).fit(x[:, None], sign * y)
+            trend.append(model.weights_["trend"][0])
+        assert min(trend) > 0.4
+
+
+class TestRegressor:
+    @pytest.mark.parametrize(
+        "options",
+        [
+            {"structure": "joint"},
+            {"structure": "trend"},
+            {"structure": "additive"},
+            {"trend": "constant"},
+            {"trend": None},
+            {"optimizer": None},
+        ],
+        ids=lambda options: " ".join(map(str, *options.items())),
+    )
+    def test_one_member_has_all_the_weight(self, data, options):
+        model = DependentGPRegressor(**{"n_latent": 0, "max_iter": 3, "random_state": 0} | options).fit(*data)
+        ((_, weight),) = model.weights_.items()
+        np.testing.assert_array_equal(weight, np.ones(P))
+        assert not isinstance(model.posterior_, AveragePosterior)
+
+    def test_goes_with_a_kernel_and_another_trend(self, data):
+        kernel = ConvolvedGaussian(1, private_latents=False)
+        model = DependentGPRegressor(kernel, max_iter=5, random_state=0).fit(*data)
+        assert list(model.weights_) == ["joint", "trend"]
+        kernel = LinearTrend() + ConvolvedGaussian(1)
+        own = DependentGPRegressor(kernel, trend="constant", max_iter=5, random_state=0).fit(*data)
+        assert list(own.weights_) == ["joint", "trend"]
+
+    def test_noise_is_that_of_the_mixture(self, data):
+        model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=10).fit(*data)
+        members = np.array([member.noise for member in model.posterior_.members])
+        weights = np.array(list(model.weights_.values()))
+        np.testing.assert_allclose(model.noise_variance_ / model._scale**2, np.sum(weights * members, axis=0))
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_effects_add_up_to_the_mean(self, data, inference):
+        X, Y = data
+        options = {"inference": inference, "n_inducing": 15, "n_latent": 1, "random_state": 0, "max_iter": 5}
+        model = DependentGPRegressor(**options).fit(X, Y)
+        assert isinstance(model.posterior_, AveragePosterior)
+        found = effects(model)
+        mean, std = found.evaluate(AT, return_std=True)
+        assert len(mean) == 3  # of each regressor alone, and of both together
+        np.testing.assert_allclose(sum(mean.values()) + found.intercept, model.predict(AT), rtol=1e-8, atol=1e-8)
+        assert all((values >= 0).all() for values in std.values())
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_further_rows_are_those_of_members(self, data, inference):
+        X, Y = data
+        options = {"inference": inference, "n_inducing": 15, "n_latent": 1, "random_state": 0, "max_iter": 5}
+        model = DependentGPRegressor(**options).fit(X[:40], Y[:40])
+        expected = model.posterior_.updated(Data.from_table(X[40:], (Y[40:] - model._center) / model._scale))
+        before, weights = model.predict(X, return_std=True)[1], model.weights_
+        after = [member.predict(X, True)[1] for member in expected.members]
+        former = [member.predict(X, True)[1] for member in model.posterior_.members]
+        assert all((new <= old * (1 + 1e-6)).all() for new, old in zip(after, former, strict=True))
+        model.partial_fit(X[40:], Y[40:])
+        mean, variance = expected.predict(X, True)
+        got, std = model.predict(X, return_std=True)
+        np.testing.assert_allclose(got, mean * model._scale + model._center, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(std, np.sqrt(variance) * model._scale, rtol=1e-6)
+        assert model.weights_ is weights
+        assert not np.allclose(std, before)
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_a_compact_model_predicts_nearly_the_same(self, data, inference):
+        X, Y = data
+        options = {"inference": inference, "n_inducing": 30, "n_latent": 1, "random_state": 0, "max_iter": 10}
+        model = DependentGPRegressor(**options).fit(X, Y)
+        small = model.compact(tolerance=0.05)
+        mean, std = model.predict(X, return_std=True)
+        other, other_std = small.predict(X, return_std=True)
+        assert small.compaction_.change <= 0.05
+        assert (np.sqrt(np.mean((other - mean) ** 2 / std**2, axis=0)) < 0.1).all()
+        assert (np.sqrt(np.mean((other_std / std - 1) ** 2, axis=0)) < 0.1).all()
+        for name, weights in model.weights_.items():
+            np.testing.assert_array_equal(small.weights_[name], weights)
+        assert small.posterior_.samples() is None
+
+    def test_ctrl_c_while_members_are_fitted_keeps_the_whole(self, data):
+        """The search has ended: what it found is kept, alone."""
+        options = {"n_latent": 0, "max_iter": 5, "random_state": 0}
+        joint = DependentGPRegressor(structure="joint", **options).fit(*data)
+        told = []
+
+        def press(*news):
+            told.append(news)
+            if len(told) > joint.n_evaluations_:
+                raise KeyboardInterrupt
+
+        with listening(press), pytest.warns(UserWarning, match=r"interrupted.*kept"):
+            model = DependentGPRegressor(**options).fit(*data)
+        assert list(model.weights_) == ["joint"]
+        np.testing.assert_allclose(model.predict(AT), joint.predict(AT), rtol=1e-6, atol=1e-9)

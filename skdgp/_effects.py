@@ -13,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import DependentGPRegressor
-from skdgp.inference import centred_term, training_inputs
+from skdgp.inference import CentredTerm, training_inputs
 
 MAX_ROWS = 1000  # samples over which effects are centred
 RANGE = (0.01, 0.99)  # quantiles of a regressor between which its effect is computed
@@ -124,9 +124,8 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     rows = rows[:: -(-len(rows) // MAX_ROWS)]
     units = pd.DataFrame(in_units(rows, scalers), columns=names)
     posterior, scale = regressor.posterior_, regressor._scale
-    terms = {
-        _name(columns, names): centred_term(posterior, columns, rows) for columns in posterior.kernel.term_regressors()
-    }
+    columns = posterior.kernel.term_regressors()
+    terms = {_name(some, names): CentredTerm(posterior, some, rows) for some in columns}
     intercept = sum(term.values.mean(axis=0) for term in terms.values())
     terms.pop("", None)  # the constant
     curves = {}

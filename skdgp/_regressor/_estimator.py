@@ -291,8 +291,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             misfit = misfit_variance(posterior, X, Z, clock)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
-        weights = posterior.weights if len(names) > 1 else np.ones((1, len(self._scale)))
-        self.weights_ = dict(zip(names, weights, strict=True))
+        self.weights_ = dict(zip(names, posterior.mixture, strict=True))
         self._divide_noise(learned.noise * self._scale**2, misfit * self._scale**2)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
         self._root = learned.root

@@ -52,7 +52,7 @@ def _input_noise(model, log):
 
 def member_names(posterior: Any) -> list[str]:
     """Return the names of the members of a posterior, which may be an average."""
-    return [_name(member.kernel) for member in getattr(posterior, "members", [posterior])]
+    return [_name(member.kernel) for member in posterior.members]
 
 
 def likeliest_mean(posterior: Any, X: Matrix) -> Matrix:
@@ -60,10 +60,8 @@ def likeliest_mean(posterior: Any, X: Matrix) -> Matrix:
 
     Its errors are noise, where those of an average still hold a part of what the other members miss.
     """
-    members = getattr(posterior, "members", [posterior])
-    means = np.array([member.predict(X) for member in members])
-    best = posterior.weights.argmax(axis=0) if len(members) > 1 else np.zeros(means.shape[2], dtype=int)
-    return np.take_along_axis(means, best[None, None], axis=0)[0]
+    means = np.array([member.predict(X) for member in posterior.members])
+    return np.take_along_axis(means, posterior.mixture.argmax(axis=0)[None, None], axis=0)[0]
 
 
 def _name(kernel):

@@ -21,7 +21,6 @@ from skdgp._effects import in_units, samples_of, split_model
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft, as_aerodynamics
-from skdgp.export._pipeline import members_of
 from skdgp.inference import ExactPosterior
 
 MAX_POINTS, MAX_TESTED = 10000, 10000  # samples of the projection; samples over which its loss is measured
@@ -497,20 +496,21 @@ class Posterior:
 
     def root(self, i: int, X: Matrix) -> Matrix:
         """Return F (n, r) such that F F^T is the posterior covariance of coefficient i at X."""
-        (members, weights), i, X = members_of(self.regressor.posterior_), self.order[i], self._scaled(X)
+        posterior, i, X = self.regressor.posterior_, self.order[i], self._scaled(X)
+        members, weights = posterior.members, posterior.mixture
         chunks = [slice(a, a + CHUNK) for a in range(0, len(X), CHUNK)]
         covariance = np.zeros((len(X), len(X)), order="F")  # the lower triangle
         means = np.empty((len(X), len(members)))
-        for k, posterior in enumerate(members):
-            left, right = posterior.loading(i, X)
+        for k, member in enumerate(members):
+            left, right = member.loading(i, X)
             means[:, k] = left @ right
-            if isinstance(posterior, ExactPosterior):
-                right = posterior.solve(left.T)
+            if isinstance(member, ExactPosterior):
+                right = member.solve(left.T)
             else:
-                left = left @ posterior.roots[i]
+                left = left @ member.roots[i]
                 right = left.T
             for c in chunks:
-                of_member = posterior.kernel.block(i, i, X[c.start :], X[c]) - left[c.start :] @ right[:, c]
+                of_member = member.kernel.block(i, i, X[c.start :], X[c]) - left[c.start :] @ right[:, c]
                 covariance[c.start :, c] += weights[k, i] * of_member
         away = (means - (means @ weights[:, i])[:, None]) * np.sqrt(weights[:, i])
         for c in chunks:

@@ -12,7 +12,6 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
-from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
@@ -146,15 +145,9 @@ def _envelope(posterior, shift, scale, limits) -> Envelope:
 # -- posteriors --------------------------------------------------------------------------------------------------
 
 
-def members_of(posterior: Any) -> tuple[list[Any], Matrix]:
-    """Return the members of an average and their weights (K, P), or a single posterior with the weight one."""
-    members = getattr(posterior, "members", [posterior])
-    return members, posterior.weights if len(members) > 1 else np.ones((1, posterior.kernel.n_outputs))
-
-
 def posterior_form(posterior: Any) -> dict[str, Any]:
     """Return the arrays of a posterior, those of the members of an average one after another."""
-    members, mixture = members_of(posterior)
+    members, mixture = posterior.members, posterior.mixture
     forms = [_exact(member) if isinstance(member, ExactPosterior) else _sparse(member) for member in members]
     centres, readouts = (np.cumsum([0, *(len(form[name]) for form in forms)]) for name in ("centres", "readouts"))
     blocks = [

@@ -26,7 +26,7 @@ from skdgp.inference._search import input_noise_loading
 from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, slope_errors
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
-from skdgp.inference._terms import CentredTerm, centred_term, training_inputs
+from skdgp.inference._terms import CentredTerm, training_inputs
 
 __all__ = [
     "AveragePosterior",
@@ -41,7 +41,6 @@ __all__ = [
     "SparsePosterior",
     "autocorrelation_time",
     "average",
-    "centred_term",
     "compact",
     "fit_exact",
     "fit_sparse",

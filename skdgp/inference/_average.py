@@ -30,13 +30,15 @@ from skdgp._compute.parallel import fit_map
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._fit import Fit, loading_of, with_noise_for
 from skdgp.inference._likelihood import Data
+from skdgp.inference._mixture import moments
 from skdgp.inference._posterior_paths import Paths, mixed_paths
 from skdgp.inference._sparse import SparsePosterior
 
-PRIOR_ROWS = 3.0  # c, chosen on real flights with each aircraft left out in turn: tests/benchmarks/pairs.py
-TEMPER = (
-    10.0  # nats of evidence against a member, over the log of its opinion; 30 and none are as good on these flights
-)
+PRIOR_ROWS = 3.0
+"""c. An output of ten values, which has another for a guide, needs few.
+
+Real flights, each aircraft left out in turn, prefer 10 rows by half a percent (tests/benchmarks/pairs.py)."""
+TEMPER = 10.0  # nats of evidence over the log of the opinion; 30 and no evidence are as good on these flights
 LEAST_ROWS = 10  # rows for each regressor below which evidence is discounted, and the trend is believed first
 BLOCKS, FOLDS = 40, 4  # blocks of the log, which are held out in turn, a fourth of them at a time
 MOST_ROWS = 4000  # largest number of rows that weights are learned from
@@ -67,11 +69,7 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
 
 
 class AveragePosterior:
-    r"""The mixture of posteriors, the members, with weights for each output.
-
-    Moments are those of the mixture. With the mean m and the mean :math:`m_k` of member k,
-
-    .. math:: m = \sum_k w_k m_k, \quad v = \sum_k w_k \left(v_k + (m_k - m)^2\right).
+    """The mixture of posteriors, the members, with weights for each output (``moments``).
 
     Outputs have the same member as far as their weights agree: a number from 0 to 1, the same for all, picks it by the
     cumulated weights.
@@ -82,14 +80,14 @@ class AveragePosterior:
         Of the same samples. The kernel of the first has all terms; hyperparameters and likelihood are its own.
     parts : list of tuple of int
         The terms of the first member's kernel that each member has.
-    weights : ndarray (K, P)
-        Of each member, for each output; columns add up to one.
+    mixture : ndarray (K, P)
+        Weights of each member, for each output; columns add up to one.
     """
 
     measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
 
-    def __init__(self, members: list, parts: list, weights: Matrix) -> None:
-        self.members, self.parts, self.weights = members, parts, np.asarray(weights, dtype=float)
+    def __init__(self, members: list, parts: list, mixture: Matrix) -> None:
+        self.members, self.parts, self.mixture = members, parts, np.asarray(mixture, dtype=float)
 
     @property
     def whole(self) -> Any:
@@ -121,7 +119,7 @@ class AveragePosterior:
 
     def map(self, function: Any) -> AveragePosterior:
         """Return the average of other posteriors, ``function`` of each member."""
-        new = AveragePosterior([function(member) for member in self.members], self.parts, self.weights)
+        new = AveragePosterior([function(member) for member in self.members], self.parts, self.mixture)
         new.measured = self.measured
         return new
 
@@ -140,34 +138,20 @@ class AveragePosterior:
     def sparse(self, features: Any) -> AveragePosterior:
         """Return the sparse average of the same samples, with these features of the whole kernel."""
         members = [m.sparse(of_terms(features, part)) for m, part in zip(self.members, self.parts, strict=True)]
-        return AveragePosterior(members, self.parts, self.weights)
-
-    def mixed(self, values: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the means of members (n, P, ...), weighted, and their scatter, a variance."""
-        values = np.asarray(values)
-        weights = self.weights.reshape(len(values), 1, -1, *(1,) * (values.ndim - 3))
-        mean = np.sum(weights * values, axis=0)
-        return mean, np.sum(weights * (values - mean) ** 2, axis=0)
+        return AveragePosterior(members, self.parts, self.mixture)
 
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        return self._moments([member.predict(Xs, return_variance) for member in self.members], return_variance)
+        return moments(self.mixture, [m.predict(Xs, return_variance) for m in self.members], return_variance)
 
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
-        return self._moments([member.gradient(Xs, return_variance) for member in self.members], return_variance)
-
-    def _moments(self, parts, return_variance):
-        if not return_variance:
-            return self.mixed(parts)[0]
-        means, variances = zip(*parts, strict=True)
-        mean, scatter = self.mixed(means)
-        return mean, self.mixed(variances)[0] + scatter
+        return moments(self.mixture, [m.gradient(Xs, return_variance) for m in self.members], return_variance)
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint covariance of the mixture at Xs, (P n, P n), output-major."""
         means = np.array([member.predict(Xs) for member in self.members])
-        off = means - self.mixed(means)[0]
+        off = means - moments(self.mixture, means)
         shared = self._shared()
         n, P = off.shape[1:]
         joint = np.einsum("klij,kai,lbj->iajb", shared, off, off).reshape(P * n, P * n)
@@ -177,15 +161,15 @@ class AveragePosterior:
 
     def _shared(self):
         """Return the probability that output i has member k and output j member l, (K, K, P, P)."""
-        ends = np.cumsum(self.weights, axis=0)
-        starts = ends - self.weights
+        ends = np.cumsum(self.mixture, axis=0)
+        starts = ends - self.mixture
         first = np.maximum(starts[:, None, :, None], starts[None, :, None, :])
         last = np.minimum(ends[:, None, :, None], ends[None, :, None, :])
         return np.maximum(last - first, 0.0)
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the mixture that are functions of the regressors: each output of a path has one member."""
-        return mixed_paths(self.members, self.weights, n_paths, random_state)
+        return mixed_paths(self.members, self.mixture, n_paths, random_state)
 
 
 def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:

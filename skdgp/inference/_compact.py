@@ -98,10 +98,9 @@ def compact(
     X = np.unique(np.concatenate(data.X), axis=0)
     check = _Check(posterior, X, random_state)
     best = posterior.kernel.feature_ranking(X, check.scale(), random_state)
-    whole = getattr(posterior, "whole", posterior)
 
     def compact_to(n):
-        if isinstance(whole, SparsePosterior) and n >= whole.features.size:
+        if isinstance(posterior.whole, SparsePosterior) and n >= posterior.whole.features.size:
             return posterior, check.compare(posterior)
         features = best(n)
         allow(features.size)
@@ -109,9 +108,8 @@ def compact(
         return new, check.compare(new)
 
     new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
-    start = getattr(new, "whole", new)
-    if max_iter > 0 and new is not posterior and len(start.features.theta):
-        features, _ = maximize_features(start, column_scale(X), max_iter=max_iter, stage="compact")
+    if max_iter > 0 and new is not posterior and len(new.whole.features.theta):
+        features, _ = maximize_features(new.whole, column_scale(X), max_iter=max_iter, stage="compact")
         improved = posterior.sparse(features)
         improved_change = check.compare(improved)
         if tolerance is None or improved_change.change <= max(tolerance, change.change):
@@ -167,7 +165,7 @@ class _Check:
         if isinstance(self.posterior, ExactPosterior):
             divergence = max(float(self.posterior.log_marginal_likelihood - new.log_marginal_likelihood), 0.0)
         return Compaction(
-            n_inducing=getattr(new, "whole", new).features.size,
+            n_inducing=new.whole.features.size,
             n_checked=len(self.points),
             mean_rms=np.sqrt((shift**2).mean(axis=0)),
             mean_max=shift.max(axis=0),

@@ -12,6 +12,7 @@ from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular
 from skdgp._compute.threads import few_threads, n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
+from skdgp.inference._mixture import Single
 from skdgp.inference._posterior_paths import Paths, exact_paths
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._sums import shares_of
@@ -22,7 +23,7 @@ ROWS = 256  # samples in one tile of a mean
 TAIL = 8  # appended rows are merged into the factor when they exceed 1 / TAIL of it
 
 
-class ExactPosterior:
+class ExactPosterior(Single):
     """The posterior at fixed hyperparameters (equations 17 and 18).
 
     Parameters
@@ -36,8 +37,6 @@ class ExactPosterior:
     ----------
     log_marginal_likelihood : float
     """
-
-    measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
 
     def __init__(self, kernel: Any, noise: Vector, data: Data) -> None:
         self.kernel, self.noise, self.data = kernel, np.asarray(noise, dtype=float), data

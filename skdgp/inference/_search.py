@@ -22,7 +22,7 @@ from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._objective import Objective, theta_bounds
 from skdgp.inference._optimize import GRID, Optimum, maximize
-from skdgp.inference._rows import HELD_OUT_ROWS, SEARCH_VALUES, stratified
+from skdgp.inference._rows import HELD_OUT_ROWS, SEARCH_VALUES, some_rows, stratified
 from skdgp.inference._singles import fit_singles
 
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
@@ -67,23 +67,19 @@ def input_noise_loading(posterior: Any, X: Matrix, root: Matrix) -> np.ndarray:
 
 
 class _Stages:
-    """The rows of a search, and what its stages have in common.
+    """What the stages of a search of P outputs have in common.
 
     A noise vector is [sigma^2 (P)], with learned noise of the regressors [sigma^2, s (d)]. ``common``: whether the
     likelihood knows what errors of regressors have in common.
     """
 
-    def __init__(self, X, Y, held_out, optimizer, common, stop):
-        self.X, self.Y, self.held_out = X, Y, held_out
+    def __init__(self, P, held_out, optimizer, common, stop):
+        self.P, self.held_out = P, held_out
         self.optimizer, self.common, self.stop = optimizer, common, stop
         self.n_evaluations = 0
 
     def hyperparameters(self, kernel, noise, root) -> Hyperparameters:
-        return Hyperparameters(kernel, noise[: self.Y.shape[1]], root)
-
-    def data(self, kernel, noise, root, rows=slice(None)) -> Data:
-        """Return the values of some rows, with the noise that the slopes of an exact fit propagate to them."""
-        return self.hyperparameters(kernel, noise, root).data(self.X[rows], self.Y[rows], 1)
+        return Hyperparameters(kernel, noise[: self.P], root)
 
     def run(self, data, kernel, noise, bounds, max_iter) -> tuple[Any, Vector, Optimum]:
         """Return kernel and noise at the end of a stage, and its Optimum."""
@@ -126,7 +122,7 @@ def search(
     and without ``exact`` the search neglects what errors of regressors have in common between outputs, so noise is
     learned again at the end. The other arguments are those of ``fit_exact``.
     """
-    P, held_out = Y.shape[1], None
+    P, held_out, whole = Y.shape[1], None, (X, Y)
     if held is not None:
         some = stratified(held, HELD_OUT_ROWS, random_state)
         held_out, Y = Data.from_table(X[some], Y[some]), np.array(Y)
@@ -139,7 +135,7 @@ def search(
             open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop
         )
     scale, X, Y = column_scale(X), X[rows], Y[rows]
-    stages = _Stages(X, Y, held_out, optimizer, exact, stop)
+    stages = _Stages(P, held_out, optimizer, exact, stop)
     learned_root = isinstance(input_noise, str)
     root = np.diag(scale) if learned_root else input_noise
     if optimizer is None:
@@ -155,15 +151,17 @@ def search(
         n_iter = best.n_iter
         kernel = open_kernel.initialize(X, Y, random_state, singles, coarse)
     if root is not None:
-        data = stages.data(coarse, noise, root)
+        data = stages.hyperparameters(coarse, noise, root).data(X, Y, 1)
     if learned_root:
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter)
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
-        if not exact:  # the white noise will be that of all samples
-            data = stages.data(kernel, noise, root, slice(None, None, 2))
+        # That of all blocks; in sparse inference the white noise is learned again from all samples.
+        some = some_rows(whole[1], random_state)
+        noise_X, noise_Y = (whole[0][some], whole[1][some]) if exact else (X[::2], Y[::2])
+        data = stages.hyperparameters(kernel, noise, root).data(noise_X, noise_Y, 1)
         noise = stages.run_noise(data, kernel, noise, bounds)
     if learned_root:
         root = root * np.sqrt(noise[len(noise_bounds) :])
@@ -183,7 +181,7 @@ def noise_alone(kernel: Any, X: Matrix, Y: Matrix, data: Data) -> tuple[Vector, 
     """
     step, stop = -(-data.n_values // SEARCH_VALUES), Event()
     noise, bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
-    stages = _Stages(X, Y, None, "fmin_l_bfgs_b", True, stop)
+    stages = _Stages(Y.shape[1], None, "fmin_l_bfgs_b", True, stop)
     found = stages.run_noise(data.every(step), kernel, noise, bounds, "members")
     if stop.is_set():
         raise KeyboardInterrupt

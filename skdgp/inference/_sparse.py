@@ -30,6 +30,7 @@ from skdgp._compute.linalg import (
 from skdgp._compute.threads import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
+from skdgp.inference._mixture import Single
 from skdgp.inference._optimize import maximize
 from skdgp.inference._posterior_paths import Paths, sparse_paths
 from skdgp.inference._sums import (
@@ -45,7 +46,7 @@ from skdgp.inference._sums import (
 )
 
 
-class SparsePosterior:
+class SparsePosterior(Single):
     """The sparse posterior at fixed hyperparameters and features.
 
     Parameters
@@ -68,7 +69,6 @@ class SparsePosterior:
     shares: Any
     sums: Sums
     statistics: Any  # list of Statistics, None if the noise is correlated
-    measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
 
     def __init__(self, kernel: Any, features: Any, noise: Vector, shares: list) -> None:
         self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)

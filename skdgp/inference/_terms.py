@@ -8,6 +8,7 @@ import numpy as np
 
 from skdgp._compute.linalg import unexplained_variance
 from skdgp._compute.typing import Matrix
+from skdgp.inference._mixture import moments
 
 
 class CentredTerm:
@@ -19,9 +20,11 @@ class CentredTerm:
 
     .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
 
+    That of an average is the mixture of those of its members, zero where a member lacks the term.
+
     Parameters
     ----------
-    posterior : ExactPosterior or SparsePosterior
+    posterior : AveragePosterior, ExactPosterior or SparsePosterior
     regressors : tuple of int
         Regressors of the term, one of ``posterior.kernel.term_regressors()``.
     X : ndarray (N, d)
@@ -32,6 +35,26 @@ class CentredTerm:
     values : ndarray (N, P)
         Mean of f at the samples; its own mean over them is not subtracted.
     """
+
+    def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
+        self.mixture = posterior.mixture
+        self.terms = [
+            _MemberTerm(member, regressors, X) if regressors in member.kernel.term_regressors() else None
+            for member in posterior.members
+        ]
+        zero = np.zeros((len(X), self.mixture.shape[1]))
+        self.values = moments(self.mixture, [zero if term is None else term.values for term in self.terms])
+
+    def predict(self, X: Matrix, return_variance: bool = False) -> Any:
+        """Return the mean and, with ``return_variance``, the variance at X (n, d): (n, P) each."""
+        zero = np.zeros((len(X), self.mixture.shape[1]))
+        none = (zero, zero) if return_variance else zero
+        found = [none if term is None else term.predict(X, return_variance) for term in self.terms]
+        return moments(self.mixture, found, return_variance)
+
+
+class _MemberTerm:
+    """The centred term of a single posterior."""
 
     def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
         self.posterior = posterior.term(posterior.kernel.term(regressors))
@@ -55,32 +78,6 @@ class CentredTerm:
                 prior = np.maximum(kernel.block_diag(i, X) - 2 * shared + self._variances[i], 0.0)
                 variance[:, i] = unexplained_variance(prior, self.posterior.explained(i, A))
         return (mean, variance) if return_variance else mean
-
-
-class AverageTerm:
-    """The centred term of an average: the mixture of those of its members, zero where a member lacks the term."""
-
-    def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
-        self.posterior = posterior
-        self.terms = [
-            CentredTerm(member, regressors, X) if regressors in member.kernel.term_regressors() else None
-            for member in posterior.members
-        ]
-        zero = np.zeros((len(X), posterior.kernel.n_outputs))
-        self.values = posterior.mixed([zero if term is None else term.values for term in self.terms])[0]
-
-    def predict(self, X: Matrix, return_variance: bool = False) -> Any:
-        """Return the mean and, with ``return_variance``, the variance at X (n, d): (n, P) each."""
-        zero = np.zeros((len(X), self.posterior.kernel.n_outputs))
-        found = [(zero, zero) if term is None else term.predict(X, return_variance=True) for term in self.terms]
-        means, variances = zip(*found, strict=True)
-        mean, scatter = self.posterior.mixed(means)
-        return (mean, self.posterior.mixed(variances)[0] + scatter) if return_variance else mean
-
-
-def centred_term(posterior: Any, regressors: tuple[int, ...], X: Matrix) -> CentredTerm | AverageTerm:
-    """Return the centred term of a posterior."""
-    return (AverageTerm if hasattr(posterior, "members") else CentredTerm)(posterior, regressors, X)
 
 
 def training_inputs(posterior: Any) -> np.ndarray:

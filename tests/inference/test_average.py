@@ -146,7 +146,7 @@ class TestMixture:
     def test_a_saved_one_is_the_same(self, mixture):
         again = pickle.loads(pickle.dumps(mixture))
         np.testing.assert_allclose(again.predict(AT, True), mixture.predict(AT, True), rtol=1e-12)
-        np.testing.assert_array_equal(again.weights, mixture.weights)
+        np.testing.assert_array_equal(again.mixture, mixture.mixture)
 
     def test_further_samples_are_learned_by_each_member(self, mixture):
         rng = np.random.default_rng(8)
@@ -154,7 +154,7 @@ class TestMixture:
         updated = mixture.updated(more)
         joined = mixture.samples().joined(more)
         members = [member.of(joined, member.noise) for member in mixture.members]
-        refit = AveragePosterior(members, mixture.parts, mixture.weights)
+        refit = AveragePosterior(members, mixture.parts, mixture.mixture)
         np.testing.assert_allclose(updated.predict(AT, True), refit.predict(AT, True), rtol=1e-6, atol=1e-9)
         assert [len(x) for x in updated.samples().X] == [len(x) for x in joined.X]
 

@@ -23,7 +23,7 @@ from skdgp.plotting._style import PALETTE, tidy
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = (
     *("benchmarks.md", "comparison.md", "control.md", "design.md", "results.md", "dynamics.md", "simulation.md"),
-    *("study.md", "versions.md"),
+    *("published.md", "study.md", "versions.md"),
 )
 COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}
 DASHES = {"exact": "--", "one thread": "--", "150": ":"}
@@ -70,7 +70,7 @@ def cell(value, head=""):
         return str(value)
     if "NRMSE" in head or head == "best":
         return f"{value:.3f}"
-    if "MAE" in head:
+    if "MAE" in head or "SMSE" in head:
         return f"{value:.4f}"
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 

@@ -688,10 +688,10 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
     assert _evaluation.sensor_noise(table[:2]) == {"phi": 0.0, "p": 0.0}
 
 
-@pytest.mark.usefixtures("short_flights")
+@pytest.mark.usefixtures("short_flights", "short_fits")
 @pytest.mark.parametrize("short_flights", [2000], indirect=True)
 def test_demo_is_honest(tmp_path, capsys):
-    assert main(["demo", "--samples", "100", "-o", str(tmp_path)]) == 0
+    assert main(["demo", "--samples", "100", "--max-iter", "15", "-o", str(tmp_path)]) == 0
     assert_only_stopped(capsys.readouterr().err.splitlines())
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
     (flight,) = json.loads((tmp_path / "metrics.json").read_text())["test"].values()
@@ -718,7 +718,11 @@ def test_demo_is_honest(tmp_path, capsys):
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
 def test_examples_draw(name, arguments, tmp_path, capsys):
     picture = tmp_path / "picture.png"
-    runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]([*arguments, "--output", str(picture)])
+    example = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
+    if "GRID" in example.__globals__:  # two candidates of eight
+        (varied, values), *others = example.__globals__["GRID"].items()
+        example.__globals__["GRID"] = {varied: values} | {key: some[:1] for key, some in others}
+    example([*arguments, "--output", str(picture)])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert str(picture) in capsys.readouterr().out
 

@@ -43,7 +43,8 @@ AXES = {
     "limits": {"elevator": 0.06},
     "noise": NOISE,
     "airspeeds": 20.0,
-    "n_paths": 30,
+    "n_paths": 20,
+    "rate": 25.0,
     "gusts": None,
 }
 BANDS = pd.DataFrame(
@@ -140,7 +141,8 @@ def test_the_pause_is_a_quarter_of_the_phugoid(uav, airspeed):
 
 def test_of_a_longer_pause_three_seconds_are_response_and_end_the_flight(model, uav, monkeypatch):
     monkeypatch.setattr(_library, "MULTISINES", ())  # for time
-    found = plan(model, uav, seconds=22.0, bands=BANDS, pause=8.0, goal=["Cm_q"], **AXES)
+    options = AXES | {"rate": 50.0, "n_paths": 30}
+    found = plan(model, uav, seconds=22.0, bands=BANDS, pause=8.0, goal=["Cm_q"], **options)
     first, last = found.manoeuvres.iloc[0], found.manoeuvres.iloc[-1]
     assert (first["start"], first["pause"], last["pause"]) == (8.0, 8.0, 3.0)
     assert found.flight["time"].max() == pytest.approx(found.manoeuvres["duration"].max() + 3.0, abs=0.04)
@@ -317,7 +319,7 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"n_paths": 30.5}, "Got n_paths=30.5"),
         ({"n_paths": 10**9}, "Got n_paths=1000000000, but expected a number of aircraft to draw, 0 to 10000"),
         ({"seconds": 1e9}, "Got seconds=1e[+]09, but expected at most 1800"),
-        ({"airspeeds": 39.0}, "by flown airspeed .* fly at 4[.0-9]* to 34[.0-9]* m/s, widen this limit"),
+        ({"airspeeds": 39.0, "n_paths": 30}, "by flown airspeed .* fly at 4[.0-9]* to 34[.0-9]* m/s, widen this limit"),
         ({"airspeeds": 4.0}, "no trim .* Flown were 5 to 35 m/s"),
         ({"rate": 1e9}, "at 1e[+]09 Hz, .* rows, but expected at most 1000000"),
         ({"noise": {"Cq": 0.1}}, "coefficients lack 'Cq'"),
@@ -435,7 +437,7 @@ def test_a_model_that_does_not_know_what_was_flown_says_so(model, uav):
 
 
 def test_limits_are_what_was_flown(model, uav):
-    options = AXES | {"limits": None, "n_paths": 30, "seconds": 7.0, "bands": BANDS, "goal": ["Cm_elevator"]}
+    options = AXES | {"limits": None, "seconds": 7.0, "bands": BANDS, "goal": ["Cm_elevator"]}
     found = plan(model, uav, **options)
     elevator = found.trims[0].controls["elevator"]
     assert found.trains[0].limits["elevator"].amplitude == pytest.approx(0.3 - abs(elevator))

@@ -2,7 +2,6 @@
 
 import re
 import xml.etree.ElementTree as ET
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from sklearn.pipeline import make_pipeline
 
 from skdgp.calibration import CalibratedRegressor
-from skdgp.datasets import _example_flights
 from skdgp.dynamics import Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
 from skdgp.export._gaussians import gaussian_sums
@@ -184,12 +182,12 @@ def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_p
     assert fdm["forces/fbx-external-lbs"] * POUND_FORCE == pytest.approx(expected.thrust, rel=1e-3)
 
 
-def test_code_of_the_page_flies_steadily(tmp_path, monkeypatch):
+@pytest.mark.parametrize("short_flights", [3000], indirect=True)
+def test_code_of_the_page_flies_steadily(short_flights, tmp_path, monkeypatch):
     """The commands of export_jsbsim.md, whose trim by JSBSim is that of this package, flown for 10 s."""
     pytest.importorskip("jsbsim", reason="flies the page: pip install jsbsim")
     text = (Path(__file__).resolve().parents[2] / "docs" / "export_jsbsim.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_example_flights, "_flights", partial(_example_flights._flights, duration=75.0))
     names = {}
     exec("\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)), names)
     fdm, steady = names["fdm"], names["steady"]

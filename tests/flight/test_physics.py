@@ -19,9 +19,9 @@ DEGREES = 180 / np.pi
 
 @pytest.fixture(scope="module")
 def flight():
-    """Return 90 s with all controls moving."""
+    """Return 45 s with all controls moving."""
     train = load_example_flights().train
-    return train[(train["flight"] == "latlon") & (train["time"] < 90)].reset_index(drop=True)
+    return train[(train["flight"] == "latlon") & (train["time"] < 45)].reset_index(drop=True)
 
 
 def scaled(factor, *names):
@@ -116,7 +116,7 @@ def test_good_flights_have_none():
 
 
 def test_parts_of_good_flights_have_none(flight):
-    for first in range(0, 80, 10):
+    for first in range(0, 40, 10):
         part = flight[flight["time"].between(first, first + 10)].reset_index(drop=True)
         assert find_contradictions(part) == []
         assert find_contradictions(part[["time", "airspeed", "p", "q", "r", "ax", "ay", "az"]]) == []
@@ -166,9 +166,10 @@ def test_inspect_and_identify_say_so(flight, tmp_path):
         usable_flights({"latlon": read_flight(path)}, ["alpha", "q_hat"], ["alpha", "q"])
 
 
-def test_a_minute_of_flight_takes_little_time(flight):
+def test_a_minute_of_flight_takes_little_time():
+    minute = load_example_flights().train[:2400]
     began = time.perf_counter()
-    find_contradictions(flight)
+    find_contradictions(minute)
     assert time.perf_counter() - began < 1.0
 
 

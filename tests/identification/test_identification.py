@@ -34,7 +34,8 @@ from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
 
 AIRCRAFT = Aircraft(name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-QUICK = DependentGPRegressor(n_latent=1, max_iter=3, random_state=0)
+QUICK = DependentGPRegressor(structure="joint", n_latent=1, max_iter=3, random_state=0)
+AVERAGE = clone(QUICK).set_params(structure="average")
 
 
 def flights(n=300, names=("a", "b"), seed=0):
@@ -131,7 +132,7 @@ class TestPipeline:
             cv=LeaveOneGroupOut(),
         )
         groups = {"groups": table["flight"]}
-        search.fit(table, Y, **groups, **({name + "groups": table["flight"]} if calibrated else {}))
+        search.fit(table, thin_targets(Y, 60), **groups, **({name + "groups": table["flight"]} if calibrated else {}))
         variance = search.best_estimator_[-1].drift_variance_
         assert variance.shape == (2,)
         assert (variance > 0).all()
@@ -180,7 +181,7 @@ class TestPipeline:
 
     def test_is_judged_on_flights_it_has_not_seen(self):
         table, Y = flights(names=("a", "b", "c"))
-        model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=QUICK)
+        model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=AVERAGE)
         found = cross_validate(
             *(model, table, thin_targets(Y, 90)), groups=table["flight"], cv=LeaveOneGroupOut(), scoring=SCORERS
         )
@@ -219,7 +220,14 @@ def example():
 def result(example):
     aircraft, train, test = example
     with pytest.warns((FewRowsWarning, ConvergenceWarning)):
-        return identify(train, aircraft, test=test, samples=40, regressor=QUICK, horizons=[1.0])
+        return identify(train, aircraft, test=test, samples=40, regressor=AVERAGE, horizons=[1.0])
+
+
+@pytest.fixture(scope="module")
+def stopped(result, tmp_path_factory):
+    """Return the same result as if the fit had not converged, and the folder where it is saved."""
+    stopped = replace(result, fit=result.fit | {"converged": False})
+    return stopped, stopped.save(tmp_path_factory.mktemp("saved") / "new" / "folder")
 
 
 def test_few_rows_are_among_the_messages(result):
@@ -243,6 +251,7 @@ def numbers(tree):
             yield value
 
 
+@pytest.mark.usefixtures("short_fits")
 class TestIdentify:
     def test_gives_a_model_its_scores_and_its_facts(self, result):
         (evaluation,) = result.evaluations
@@ -263,17 +272,17 @@ class TestIdentify:
             r"\d+% all terms, \d+% trend and main effects, ", result._report_content().model.extra["Average"]
         )
 
-    def test_says_if_the_fit_has_not_converged(self, result, tmp_path):
+    def test_says_if_the_fit_has_not_converged(self, result, stopped):
         assert result.metrics["fit"]["converged"] is result.pipeline[-1].converged_
         assert result.metrics["fit"]["converged"] == ("not converged" not in result.summary())
-        stopped = replace(result, fit=result.fit | {"converged": False})
+        found, folder = stopped
         words = f"not converged after {result.fit['iterations']} iterations: raise max_iter"
-        assert words in stopped.summary()
-        assert "not converged: raise max_iter" in stopped.report(tmp_path / "a.html").read_text(encoding="utf-8")
+        assert words in found.summary()
+        assert "not converged: raise max_iter" in (folder / "report.html").read_text(encoding="utf-8")
 
     def test_calibrates_by_flight(self, example):
         aircraft, train, test = example
-        quick = DependentGPRegressor(n_latent=0, max_iter=2, random_state=0)
+        quick = clone(QUICK).set_params(n_latent=0, max_iter=2)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             warnings.filterwarnings("ignore", ".*2 flights guarantee no more than 0.667")
@@ -308,13 +317,12 @@ class TestIdentify:
         with pytest.raises(ValueError, match="Got 2 flights, but expected one"):
             result.evaluate(example[1])
 
-    def test_saves_what_load_model_reads(self, result, example, tmp_path):
-        assert result.save(tmp_path / "new" / "folder") == tmp_path / "new" / "folder"
-        assert {path.name for path in (tmp_path / "new" / "folder").iterdir()} == {
-            *("model.joblib", "metrics.json", "report.html"),
-        }
+    def test_saves_what_load_model_reads(self, stopped, example, tmp_path):
+        result, folder = stopped
+        assert folder.parts[-2:] == ("new", "folder")
+        assert {path.name for path in folder.iterdir()} == {"model.joblib", "metrics.json", "report.html"}
         result.save(tmp_path / "alone.joblib")
-        for path in (tmp_path / "new" / "folder" / "model.joblib", tmp_path / "alone.joblib"):
+        for path in (folder / "model.joblib", tmp_path / "alone.joblib"):
             model = load_model(path)
             expected = result.pipeline.predict(example[2])
             np.testing.assert_allclose(model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13)
@@ -324,15 +332,15 @@ class TestIdentify:
         found, expected = (list(numbers(one.metrics["test"])) for one in (judged, result))
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
         assert judged.metrics["fit"] == result.metrics["fit"]
-        assert json.loads((tmp_path / "new" / "folder" / "metrics.json").read_text()) == result.metrics
-        assert "two_altitudes" in (tmp_path / "new" / "folder" / "report.html").read_text(encoding="utf-8")
+        assert json.loads((folder / "metrics.json").read_text()) == result.metrics
+        assert "two_altitudes" in (folder / "report.html").read_text(encoding="utf-8")
 
     def test_takes_tables_by_name_and_holds_out_the_last(self, example):
         aircraft, train, _ = example
         tables = {name: table.drop(columns="flight") for name, table in train.groupby("flight", observed=True)}
         stages = []
         with listening(lambda stage, *_: stages.append(stage)), pytest.warns() as shown:
-            found = identify(tables, aircraft, samples=40, regressor=QUICK, horizons=[1.0])
+            found = identify(tables, aircraft, samples=40, regressor=AVERAGE, horizons=[1.0])
         assert found.held_out == "the last flight, latlon"
         assert list(found.fit["flights"]) == ["lateral"]
         assert list(found.metrics["test"]) == ["latlon"]

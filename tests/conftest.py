@@ -15,7 +15,9 @@ from threadpoolctl import threadpool_limits
 from skdgp import datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
+from skdgp.identification import _identification
 from skdgp.inference import _optimize, _singles
+from skdgp.report import FlightMechanics
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start, as _threads below for this one
 
@@ -90,14 +92,23 @@ def short_fits(monkeypatch):
 
 
 @pytest.fixture
-def hasty_fits(monkeypatch, short_fits):
-    """Stop every search of this process after two iterations: for pages and commands that only use what was learned."""
-    minimize = _optimize.minimize
+def hasty_fits(monkeypatch, short_fits, request):
+    """Stop every search of this process after two iterations, or another number.
+
+    For pages and commands that only use what was learned.
+    """
+    minimize, most = _optimize.minimize, getattr(request, "param", 2)
 
     def hasty(*args, options, **more):
-        return minimize(*args, options=options | {"maxiter": min(2, options["maxiter"])}, **more)
+        return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
 
     monkeypatch.setattr(_optimize, "minimize", hasty)
+
+
+@pytest.fixture
+def no_mechanics(monkeypatch):
+    """Leave trim, derivatives and simulations of identified models out: for tests of other numbers and of files."""
+    monkeypatch.setattr(_identification, "flight_mechanics", lambda *_: FlightMechanics(note="Left out."))
 
 
 @pytest.fixture(scope="session")

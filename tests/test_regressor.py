@@ -52,10 +52,10 @@ class TestScikitLearnContract:
     @pytest.mark.parametrize(
         "estimator",
         [
-            DependentGPRegressor(max_iter=5),
-            DependentGPRegressor(max_iter=5, inference="sparse", n_inducing=8, n_latent=1),
-            DependentGPRegressor(max_iter=5, trend="constant", covariance_type="full", n_latent=1),
-            DependentGPRegressor(max_iter=5, structure="joint"),
+            DependentGPRegressor(max_iter=2),
+            DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
+            DependentGPRegressor(max_iter=2, trend="constant", covariance_type="full", n_latent=1),
+            DependentGPRegressor(max_iter=2, structure="joint"),
         ],
         ids=["exact", "sparse", "full", "joint"],
     )

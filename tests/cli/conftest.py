@@ -12,7 +12,6 @@ import pytest
 from skdgp._cli import main
 from skdgp.datasets import load_example_flights
 from skdgp.identification import Identification, _identification
-from skdgp.report import FlightMechanics
 
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 
@@ -56,10 +55,9 @@ def in_folder(folder, monkeypatch):
 
 
 @pytest.fixture
-def no_report(monkeypatch):
+def no_report(monkeypatch, no_mechanics):
     """Leave the report out, and the flight mechanics it shows: ``identified`` and processes of their own have them."""
     leave_report_out(monkeypatch)
-    monkeypatch.setattr(_identification, "flight_mechanics", lambda *_: FlightMechanics(note="Left out."))
 
 
 def leave_report_out(patch):

@@ -15,7 +15,6 @@ from skdgp._cli import main
 from skdgp._cli._main import COMMANDS
 from skdgp._cli._options import FileName
 from skdgp._cli._output import table_writer
-from skdgp.identification import _identification
 
 
 def parse(command, *words):
@@ -33,8 +32,8 @@ def config(tmp_path):
 
 
 class TestRepeat:
+    @pytest.mark.usefixtures("no_report")
     def test_of_identify(self, identified, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "")
         monkeypatch.chdir(tmp_path)  # files are found from anywhere
         output, _, metrics = identified
         assert main(["identify", "--config", str(output / "config.toml"), "-o", "again"]) == 0

@@ -52,6 +52,12 @@ BANDS = pd.DataFrame(
 )
 
 
+def few(monkeypatch):
+    """Let plans choose from few candidates, for time."""
+    monkeypatch.setattr(_library, "WIDTHS", (1.0,))
+    monkeypatch.setattr(_library, "MULTISINES", ())
+
+
 def features(X):
     return np.concatenate([np.ones((*X.shape[:-1], 1)), X], axis=-1)
 
@@ -115,7 +121,7 @@ def test_the_time_is_kept_and_nothing_alone_teaches_more(planned):
 
 
 def test_surfaces_follow_with_the_lag_of_their_servo_and_teach_less(model, uav, monkeypatch):
-    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    few(monkeypatch)
     lag, options = 0.1, AXES | {"seconds": 8.0, "bands": BANDS, "goal": ["Cm_elevator"], "random_state": 0}
     quick = plan(model, uav, **options)
     slow = plan(model, uav, **options | {"limits": {"elevator": Limits(0.06, lag=lag)}})
@@ -140,7 +146,7 @@ def test_the_pause_is_a_quarter_of_the_phugoid(uav, airspeed):
 
 
 def test_of_a_longer_pause_three_seconds_are_response_and_end_the_flight(model, uav, monkeypatch):
-    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    few(monkeypatch)
     options = AXES | {"rate": 50.0, "n_paths": 30}
     found = plan(model, uav, seconds=22.0, bands=BANDS, pause=8.0, goal=["Cm_q"], **options)
     first, last = found.manoeuvres.iloc[0], found.manoeuvres.iloc[-1]
@@ -221,7 +227,7 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
 
 
 def test_a_pilot_flies_steps_that_he_can_count(model, uav, monkeypatch):
-    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    few(monkeypatch)
     options = AXES | {"seconds": 20.0, "bands": BANDS, "goal": ["Cm_q"], "envelope": Envelope(alpha=(-0.03, 0.055))}
     found = plan(model, uav, **options, pause=3.2, detents={"elevator": 0.008})
     assert found.manoeuvres["start"][0] == 3.5
@@ -238,7 +244,7 @@ def test_a_pilot_flies_steps_that_he_can_count(model, uav, monkeypatch):
 
 
 def test_ctrl_c_keeps_what_was_checked(model, uav, monkeypatch):
-    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    few(monkeypatch)
 
     def stop(stage, *_):
         if ", 1 kinds checked" in stage:
@@ -252,8 +258,7 @@ def test_ctrl_c_keeps_what_was_checked(model, uav, monkeypatch):
 
 def test_the_goal_decides_what_is_learned_best(model, uav, monkeypatch):
     """A plan for the function lowers its expected error more than a plan for a derivative, and the reverse."""
-    monkeypatch.setattr(_library, "WIDTHS", (1.0,))  # few candidates, for time
-    monkeypatch.setattr(_library, "MULTISINES", ())
+    few(monkeypatch)
     axes = {"elevator": 0.06, "aileron": 0.06}
     options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
     options |= {"seconds": 14.0, "noise": NOISE.set_axis(["Cl", "Cm"])}
@@ -333,7 +338,7 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
     ],
 )
 def test_what_cannot_be_planned_is_said(model, uav, monkeypatch, changed, words):
-    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    few(monkeypatch)
     options = {"seconds": 20.0, "bands": BANDS} | AXES | changed
     with pytest.raises(ValueError, match=words):
         plan(model, uav, **options)
@@ -372,7 +377,7 @@ def test_the_throttle_stays_between_0_and_1():
 
 
 def test_an_axis_that_is_no_deflection_has_limits_in_its_own_unit(model, uav, monkeypatch):
-    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    few(monkeypatch)
     options = AXES | {"axes": ["thrust"], "limits": {"thrust": 5.0}, "bands": BANDS.set_axis(["thrust"])}  # [N]
     found = plan(model, uav, **options | {"noise": NOISE.set_axis(["CX", "Cm"])}, seconds=8.0)
     assert 1.0 < found.trains[0].table(50.0)["thrust"].max() <= 5.0
@@ -380,7 +385,7 @@ def test_an_axis_that_is_no_deflection_has_limits_in_its_own_unit(model, uav, mo
 
 def test_little_that_each_of_many_manoeuvres_teaches_is_planned(planned, model, uav, monkeypatch):
     """Where much is known."""
-    monkeypatch.setattr(_library, "MULTISINES", ())  # for time
+    few(monkeypatch)
     known = planned[0].after
     for _ in range(10):
         known = known + known
@@ -436,7 +441,8 @@ def test_a_model_that_does_not_know_what_was_flown_says_so(model, uav):
     assert not Envelope(growth=np.inf).unlimited(old)
 
 
-def test_limits_are_what_was_flown(model, uav):
+def test_limits_are_what_was_flown(model, uav, monkeypatch):
+    few(monkeypatch)
     options = AXES | {"limits": None, "seconds": 7.0, "bands": BANDS, "goal": ["Cm_elevator"]}
     found = plan(model, uav, **options)
     elevator = found.trims[0].controls["elevator"]

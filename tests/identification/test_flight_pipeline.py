@@ -141,6 +141,7 @@ class TestPredict:
         np.testing.assert_allclose(search.best_score_, folds["test_score"].mean(), rtol=1e-6)
 
 
+@pytest.mark.usefixtures("no_mechanics")
 class TestLeastSquares:
     def test_is_that_of_the_same_rows(self, flights):
         """Refitted here by scikit-learn on what the regressor got."""

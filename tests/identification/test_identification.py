@@ -220,7 +220,9 @@ def example():
 def result(example):
     aircraft, train, test = example
     with pytest.warns((FewRowsWarning, ConvergenceWarning)):
-        return identify(train, aircraft, test=test, samples=40, regressor=AVERAGE, horizons=[1.0])
+        found = identify(train, aircraft, test=test, samples=40, regressor=AVERAGE, horizons=[1.0])
+    assert found.metrics["flight_mechanics"]["derivatives"]
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +253,7 @@ def numbers(tree):
             yield value
 
 
-@pytest.mark.usefixtures("short_fits")
+@pytest.mark.usefixtures("short_fits", "no_mechanics")
 class TestIdentify:
     def test_gives_a_model_its_scores_and_its_facts(self, result):
         (evaluation,) = result.evaluations

@@ -47,6 +47,7 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
     """In one namespace, in an empty folder; what a page writes, it writes there."""
     if page.name in UNJUDGED:
         request.getfixturevalue("hasty_fits")
+        request.getfixturevalue("no_mechanics")
     if page.name in SHORT:
         request.getfixturevalue("short_flights")
     if page.name in CALM:

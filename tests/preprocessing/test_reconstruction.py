@@ -259,10 +259,10 @@ class TestHonesty:
         pd.testing.assert_frame_equal(parts.transform(table), whole.transform(table), rtol=1e-6)
 
     def test_flights_are_not_mixed(self):
-        one, two = flown(30.0), flown(20.0, seed=1, gusts=0.3).assign(flight="two")
-        reconstruction = FlightPathReconstruction().fit(one)
+        one, reconstruction, alone = reconstructed(seconds=30.0)
+        two = flown(20.0, seed=1, gusts=0.3).assign(flight="two")
         both = reconstruction.transform(pd.concat([one, two], ignore_index=True))
-        apart = pd.concat([reconstruction.transform(one), reconstruction.transform(two)], ignore_index=True)
+        apart = pd.concat([alone, reconstruction.transform(two)], ignore_index=True)
         pd.testing.assert_frame_equal(both, apart)
 
     def test_what_a_straight_flight_does_not_show_is_said(self):
@@ -277,7 +277,7 @@ class TestHonesty:
         assert abs(hidden.correlation) > 0.9
 
     def test_calibration_of_another_flight(self):
-        reconstruction = FlightPathReconstruction().fit(flown(30.0))
+        reconstruction = reconstructed(seconds=30.0)[1]
         other = flown(30.0, seed=2)
         other["q"] += 0.01
         found = reconstruction.calibration(other).set_index("constant")
@@ -454,8 +454,7 @@ class TestBadInput:
             FlightPathReconstruction(calibrate=["alpha_slope"]).fit(flown(2.0))
 
     def test_wrong_sign_shows_in_the_noise(self):
-        table = flown(30.0)
-        right = FlightPathReconstruction().fit(table)
+        table, right, _ = reconstructed(seconds=30.0)
         wrong = FlightPathReconstruction().fit(table.assign(q=-table.q))
         assert wrong.noise_std_["gyro"] > 10 * right.noise_std_["gyro"]
 

@@ -18,7 +18,7 @@ from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
-from skdgp._regressor._structure import fit_structure, likeliest_mean, member_names
+from skdgp._regressor._structure import fit_structure, likeliest_mean, weights_of
 from skdgp.inference import (
     Data,
     FunctionErrors,
@@ -34,8 +34,8 @@ from skdgp.inference import (
 from skdgp.kernels import MultiOutputKernel
 from skdgp.kernels._convolved import COVARIANCE_TYPES
 
-EXACT_LIMIT = 6000
-"""Largest number of observed values for which inference="auto" is exact: about 2 s per evaluation on two cores."""
+EXACT_LIMIT = 1000
+"""Largest number of observed values for which inference="auto" is exact: a search learns from no more."""
 
 LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
@@ -90,7 +90,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     inference : {"auto", "exact", "sparse"}
         "exact" uses every observed value. "sparse" learns hyperparameters from a subset and then uses all values
         through inducing variables, in linear time and constant memory. It estimates the correlation of neighbouring
-        errors from the order of the rows, so rows must be in the order of the log. "auto" is "exact" up to 6000
+        errors from the order of the rows, so rows must be in the order of the log. "auto" is "exact" up to 1000
         observed values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
@@ -281,17 +281,16 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None)
         found = task.run(fit_structure, self, X, Z, clock is not None)
         posterior, learned = found.posterior, found.learned
-        names = member_names(posterior)
+        self.weights_ = weights_of(posterior)
         _checks.warn_of_search(learned, self.max_iter, X, self._regressor_names())
         if not learned.interrupted:
-            _checks.warn_of_few_rows(Z - likeliest_mean(posterior, X), X.shape[1], names)
+            _checks.warn_of_few_rows(Z - likeliest_mean(posterior, X), X.shape[1], list(self.weights_))
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X, Z, clock)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
-        self.weights_ = dict(zip(names, posterior.mixture, strict=True))
         self._divide_noise(learned.noise * self._scale**2, misfit * self._scale**2)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
         self._root = learned.root

@@ -14,7 +14,7 @@ misfit    the error of the function that residuals show where flights come back 
 """
 
 from skdgp._compute.correlation import autocorrelation_time
-from skdgp.inference._average import AveragePosterior, average
+from skdgp.inference._average import AveragePosterior, average, joined
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
@@ -46,6 +46,7 @@ __all__ = [
     "fit_sparse",
     "function_errors",
     "input_noise_loading",
+    "joined",
     "log_likelihood",
     "maximize",
     "misfit_variance",

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from skdgp._compute.correlation import autocorrelation_time
+from skdgp._compute.linalg import covariance_root
 from skdgp._compute.parallel import fit_map
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._fit import Fit, loading_of, with_noise_for
@@ -71,13 +72,16 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
 class AveragePosterior:
     """The mixture of posteriors, the members, with weights for each output (``moments``).
 
+    Behind a posterior of all terms stand those of its parts, which have the same hyperparameters. Another posterior of
+    all terms is that of another search.
+
     Outputs have the same member as far as their weights agree: a number from 0 to 1, the same for all, picks it by the
     cumulated weights.
 
     Parameters
     ----------
     members : list of ExactPosterior or SparsePosterior
-        Of the same samples. The kernel of the first has all terms; hyperparameters and likelihood are its own.
+        Of the same samples. The first has all terms; hyperparameters and likelihood of the average are its own.
     parts : list of tuple of int
         The terms of the first member's kernel that each member has.
     mixture : ndarray (K, P)
@@ -90,32 +94,32 @@ class AveragePosterior:
         self.members, self.parts, self.mixture = members, parts, np.asarray(mixture, dtype=float)
 
     @property
-    def whole(self) -> Any:
-        """The member with all terms."""
-        return self.members[0]
+    def wholes(self) -> list[Any]:
+        """The members with all terms, one of each search."""
+        return [member for member, part in zip(self.members, self.parts, strict=True) if part == self.parts[0]]
 
     @property
     def kernel(self) -> Any:
-        """The kernel of all terms."""
-        return self.whole.kernel
+        """The kernel of the first member."""
+        return self.members[0].kernel
 
     @property
     def noise(self) -> Vector:
-        """The noise variances of the member with all terms, (P,)."""
-        return self.whole.noise
+        """The noise variances of the first member, (P,)."""
+        return self.members[0].noise
 
     @property
     def log_marginal_likelihood(self) -> float:
-        """The log likelihood of the member with all terms."""
-        return self.whole.log_marginal_likelihood
+        """The log likelihood of the first member."""
+        return self.members[0].log_marginal_likelihood
 
     def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
-        """Return the log likelihood of the whole kernel at other hyperparameters."""
-        return self.whole.likelihood_at(kernel, noise, eval_gradient)
+        """Return the log likelihood of the first member at other hyperparameters."""
+        return self.members[0].likelihood_at(kernel, noise, eval_gradient)
 
     def samples(self) -> Data | None:
         """Return the values that the members have learned from; None in a compact model."""
-        return self.whole.samples()
+        return self.members[0].samples()
 
     def map(self, function: Any) -> AveragePosterior:
         """Return the average of other posteriors, ``function`` of each member."""
@@ -135,9 +139,13 @@ class AveragePosterior:
         """Return the average with the noise of each output times a factor (P,)."""
         return self.map(lambda member: member.scaled_noise(factor))
 
-    def sparse(self, features: Any) -> AveragePosterior:
-        """Return the sparse average of the same samples, with these features of the whole kernel."""
-        members = [m.sparse(of_terms(features, part)) for m, part in zip(self.members, self.parts, strict=True)]
+    def sparse(self, *features: Any) -> AveragePosterior:
+        """Return the sparse average of the same samples, with these features of the kernels of ``wholes``."""
+        search = np.cumsum([part == self.parts[0] for part in self.parts]) - 1
+        members = [
+            member.sparse(of_terms(features[s], part))
+            for member, part, s in zip(self.members, self.parts, search, strict=True)
+        ]
         return AveragePosterior(members, self.parts, self.mixture)
 
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
@@ -206,6 +214,31 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
     noise = np.sum(weights * [each.learned.noise for each in fits], axis=0)
     n_evaluations = sum(each.learned.n_evaluations for each in fits)
     return fit._replace(posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations))
+
+
+def joined(fits: list[Fit]) -> Fit:
+    """Return the fit of the mean of averages, each of one search; the likelihood is that of the first.
+
+    Searches hold out other blocks and start at other values. What they find explains the log equally well, but predicts
+    other flights differently, so their mean predicts better than each (Breiman 1996).
+    """
+    if len(fits) == 1:
+        return fits[0]
+    posteriors, learned = [fit.posterior for fit in fits], [fit.learned for fit in fits]
+    posterior = AveragePosterior(
+        [member for each in posteriors for member in each.members],
+        [part for each in posteriors for part in each.parts],
+        np.concatenate([each.mixture for each in posteriors]) / len(fits),
+    )
+    roots = [each.root for each in learned if each.root is not None]
+    found = learned[0]._replace(
+        noise=np.mean([each.noise for each in learned], axis=0),
+        root=covariance_root(np.mean([root @ root.T for root in roots], axis=0)) if roots else None,
+        n_evaluations=sum(each.n_evaluations for each in learned),
+        interrupted=any(each.interrupted for each in learned),
+        converged=all(each.converged for each in learned),
+    )
+    return Fit(posterior, found, fits[0].value)
 
 
 def _of_part(fit, X, Y, part) -> Fit:

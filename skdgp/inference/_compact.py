@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ class Compaction(NamedTuple):
     Attributes
     ----------
     n_inducing : int
-        Number of inducing variables, the weights of a trend included.
+        Number of inducing variables of each search, the weights of a trend included.
     n_checked : int
         Number of points at which the change was measured.
     mean_rms, mean_max : ndarray (P,)
@@ -97,20 +98,22 @@ def compact(
     random_state = check_random_state(random_state)
     X = np.unique(np.concatenate(data.X), axis=0)
     check = _Check(posterior, X, random_state)
-    best = posterior.kernel.feature_ranking(X, check.scale(), random_state)
+    scale = check.scale()
+    best = [whole.kernel.feature_ranking(X, scale, random_state) for whole in posterior.wholes]
+    sizes = [whole.features.size for whole in posterior.wholes if isinstance(whole, SparsePosterior)]
 
     def compact_to(n):
-        if isinstance(posterior.whole, SparsePosterior) and n >= posterior.whole.features.size:
+        if sizes and n >= max(sizes):
             return posterior, check.compare(posterior)
-        features = best(n)
-        allow(features.size)
-        new = posterior.sparse(features)
+        features = [ranking(n) for ranking in best]
+        allow(features[0].size)
+        new = posterior.sparse(*features)
         return new, check.compare(new)
 
     new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
-    if max_iter > 0 and new is not posterior and len(new.whole.features.theta):
-        features, _ = maximize_features(new.whole, column_scale(X), max_iter=max_iter, stage="compact")
-        improved = posterior.sparse(features)
+    if max_iter > 0 and new is not posterior and len(new.wholes[0].features.theta):
+        moved = partial(maximize_features, max_iter=max_iter, stage="compact")
+        improved = posterior.sparse(*(moved(whole, column_scale(X))[0] for whole in new.wholes))
         improved_change = check.compare(improved)
         if tolerance is None or improved_change.change <= max(tolerance, change.change):
             new, change = improved, improved_change
@@ -165,7 +168,7 @@ class _Check:
         if isinstance(self.posterior, ExactPosterior):
             divergence = max(float(self.posterior.log_marginal_likelihood - new.log_marginal_likelihood), 0.0)
         return Compaction(
-            n_inducing=new.whole.features.size,
+            n_inducing=new.wholes[0].features.size,
             n_checked=len(self.points),
             mean_rms=np.sqrt((shift**2).mean(axis=0)),
             mean_max=shift.max(axis=0),

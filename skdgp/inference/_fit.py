@@ -79,7 +79,7 @@ def fit_exact(
         The posterior, its hyperparameters and the history of the search.
     """
     random_state = check_random_state(random_state)
-    rows, held = held_out_rows(Y, random_state) if stop_early else (slice(None), None)
+    rows, held = held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
     options |= {"random_state": random_state, "held": held}
     learned = search(kernel.prepared(X), X, Y, rows, **options, exact=True)
@@ -166,7 +166,10 @@ def with_noise_for(kernel: Any, features: Any, fit: Fit, X: Matrix, Y: Matrix) -
         data = fit.posterior.data
         noise, n_evaluations = noise_alone(kernel, X, Y, data)
         learned = learned._replace(noise=noise, n_evaluations=n_evaluations)
-        return Fit(ExactPosterior(kernel, learned.noise, data), learned, fit.value)
+        posterior: Any = ExactPosterior(kernel, learned.noise, data)
+        if kernel.n_processes == 0:  # its few weights are all that there is to know, so this is exact, and small
+            posterior = posterior.sparse(kernel.features(X[:1]))
+        return Fit(posterior, learned, fit.value)
     shares = shares_of(Data.from_table(X, Y))
     learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
     return _final_fit(learned, posterior, X, Y, inflation, value, loading_of(fit, X))

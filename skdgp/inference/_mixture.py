@@ -21,9 +21,14 @@ class Single:
         return [self]
 
     @property
-    def whole(self) -> Any:
+    def wholes(self) -> list[Any]:
         """The posterior itself, which has all terms."""
-        return self
+        return [self]
+
+    @property
+    def parts(self) -> list[tuple[int, ...]]:
+        """The numbers of all terms of the kernel."""
+        return [tuple(range(len(self.kernel.summands())))]
 
     @property
     def mixture(self) -> Matrix:

@@ -8,7 +8,7 @@ import numpy as np
 
 from skdgp._compute.typing import Indices, Matrix, Seed
 
-SEARCH_VALUES = 1800  # values from which a search learns where it is sparse or stops early, and noise alone
+SEARCH_VALUES, OUTPUT_VALUES = (1000, 1800), 300  # least and most values that a search learns from; of each output
 BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
 GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
 HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
@@ -24,10 +24,10 @@ def stratified(rows: Any, n, random_state: Any):
 
 
 def some_rows(Y: Matrix, random_state: Seed):
-    """Return rows with about SEARCH_VALUES observed values, an equal number for each output where it has them."""
-    observed = np.isfinite(Y)
-    quota = SEARCH_VALUES // Y.shape[1]
-    rows = stratified(np.arange(len(Y)), max(2, SEARCH_VALUES * len(Y) // observed.sum()), random_state)
+    """Return rows that a search learns from, with an equal number of values for each output where it has them."""
+    observed, P = np.isfinite(Y), Y.shape[1]
+    quota = -(-int(np.clip(P * OUTPUT_VALUES, *SEARCH_VALUES)) // P)
+    rows = stratified(np.arange(len(Y)), max(2, P * quota * len(Y) // observed.sum()), random_state)
     for output in observed.T:
         n_missing = min(quota, output.sum()) - output[rows].sum()
         rest = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)

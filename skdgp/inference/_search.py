@@ -2,10 +2,11 @@
 
 1. Each output alone (``_singles``).
 2. All outputs, with widths that they share.
-3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better.
+3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better; in exact inference of many
+   values, the last iterations are of all of them.
 4. The noise alone, where the third stage left it to be learned.
 
-All learn from rows that ``_rows`` chooses.
+Stages learn from rows that ``_rows`` chooses.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from skdgp.inference._optimize import GRID, Optimum, maximize
 from skdgp.inference._rows import HELD_OUT_ROWS, SEARCH_VALUES, some_rows, stratified
 from skdgp.inference._singles import fit_singles
 
+REFINED = 4  # part of the iterations that exact inference has for all values, where some were enough to begin with
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
@@ -155,7 +157,12 @@ def search(
     if learned_root:
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
-    kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter)
+    most, refined = max_iter - n_iter, exact and held_out is None and len(X) < len(whole[0])
+    kernel, noise, best = stages.run(data, kernel, noise, bounds, most - refined * (most // REFINED))
+    if refined and not stop.is_set():
+        n_iter += best.n_iter
+        data = stages.hyperparameters(kernel, noise, root).data(*whole, 1)
+        kernel, noise, best = stages.run(data, kernel, noise, bounds, most // REFINED)
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
         # That of all blocks; in sparse inference the white noise is learned again from all samples.
@@ -177,9 +184,9 @@ def search(
 def noise_alone(kernel: Any, X: Matrix, Y: Matrix, data: Data) -> tuple[Vector, int]:
     """Return the noise (P,) that is best for a kernel, and the number of evaluations of the likelihood it took.
 
-    It is learned from at most ``SEARCH_VALUES`` of the values of X and Y. Raises KeyboardInterrupt after Ctrl-C.
+    It is learned from at most 1800 of the values of X and Y. Raises KeyboardInterrupt after Ctrl-C.
     """
-    step, stop = -(-data.n_values // SEARCH_VALUES), Event()
+    step, stop = -(-data.n_values // SEARCH_VALUES[1]), Event()
     noise, bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     stages = _Stages(Y.shape[1], None, "fmin_l_bfgs_b", True, stop)
     found = stages.run_noise(data.every(step), kernel, noise, bounds, "members")

@@ -30,6 +30,7 @@ from scipy.io import loadmat
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._regressor._structure import weights_of
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import flight_regressors
 from skdgp.inference import _average
@@ -150,7 +151,7 @@ def result(task, seed, latents, **parameters):
     last = pipeline[-1]
     X, ratio = flight_regressors(pipeline, task.test)
     mean, std = last.predict(X, return_std=True, include_noise=True, include_input_noise=ratio)
-    members = getattr(last.posterior_, "members", [last.posterior_])
+    members = last.posterior_.members
     alone = [each.predict(X, return_variance=True) for each in members]
     means = np.array([m for m, _ in alone]) * last._scale + last._center
     function = np.array([v for _, v in alone]) * last._scale**2
@@ -161,8 +162,8 @@ def result(task, seed, latents, **parameters):
     least_squares = LinearRegression().fit(np.asarray(known)[trusted], task.targets[trusted])
     found["least squares"] = float(normalized_rmse(task.measured, least_squares.predict(X)))
     found["average"] = scored(task, mean, std**2)
-    for name, m, v in zip(last.weights_, means, function, strict=True):
-        found[name] = scored(task, m, v + noise)
+    for name, k in searches_of(members).items():
+        found[name] = scored(task, *mixed(np.full(means[k].shape, 1 / len(k)), means[k], function[k] + noise))
     precision = 1.0 / (function + 0.3 * last.noise_variance_)
     found["product"] = scored(task, *mixed(precision / precision.sum(axis=0), means, function + noise))
     found["equal"] = scored(task, *mixed(np.full(means.shape, 1 / len(means)), means, function + noise))
@@ -170,10 +171,18 @@ def result(task, seed, latents, **parameters):
     if seen:
         found["opinions"] = {}
         for rows in OPINIONS:
-            weights = np.column_stack([stacked(*evidence, rows) for evidence in seen])[:, None]
+            weights = np.array([stacked(*evidence, rows) for evidence in seen])  # of outputs, search by search
+            weights = weights.reshape(-1, means.shape[2], weights.shape[1]).swapaxes(1, 2)
+            weights = weights.reshape(len(means), 1, -1) / len(weights)
             mix = mixed(weights * np.ones(means.shape), means, function + noise)
             found["opinions"][str(rows)] = scored(task, *mix)["error"]
     return found
+
+
+def searches_of(members):
+    """Return for each kind of member its places among the members, one of each search."""
+    names = [next(iter(weights_of(member))) for member in members]
+    return {name: [k for k, other in enumerate(names) if other == name] for name in names}
 
 
 def mixed(weights, means, variances):

@@ -159,7 +159,7 @@ class TestMixture:
         assert [len(x) for x in updated.samples().X] == [len(x) for x in joined.X]
 
     def test_without_samples_predicts_the_same(self, mixture):
-        if hasattr(mixture.whole, "features"):
+        if hasattr(mixture.wholes[0], "features"):
             bare = mixture.without_samples()
             assert bare.samples() is None
             np.testing.assert_allclose(bare.predict(AT, True), mixture.predict(AT, True), rtol=1e-9, atol=1e-12)

@@ -132,7 +132,7 @@ class TestBlocks:
         assert len(held) == pytest.approx(0.2 * n, abs=5)
         gap = 0.1 * len(held) / 5
         assert np.abs(np.subtract.outer(held, learned)).min() >= max(1, np.floor(gap))
-        assert len(learned) <= _rows.SEARCH_VALUES
+        assert len(learned) <= _rows.SEARCH_VALUES[0]
         for k, block in enumerate(blocks):  # one in each fifth of the log
             assert k * n / 5 <= block[0] <= block[-1] < (k + 1) * n / 5
 

@@ -163,7 +163,7 @@ def test_default_fits_are_good_fits():
 
 
 def test_a_rare_output_survives_the_subset_of_the_sparse_start(monkeypatch):
-    monkeypatch.setattr(_rows, "SEARCH_VALUES", 60)
+    monkeypatch.setattr(_rows, "SEARCH_VALUES", (60, 60))
     rng = np.random.default_rng(0)
     X = rng.normal(size=(900, 1))
     Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))

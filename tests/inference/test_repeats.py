@@ -33,7 +33,7 @@ def test_is_never_less_than_one(values):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(_rows, "SEARCH_VALUES", 600)
+    monkeypatch.setattr(_rows, "SEARCH_VALUES", (600, 600))
     monkeypatch.setattr(_singles, "SINGLE_VALUES", 300)
 
 

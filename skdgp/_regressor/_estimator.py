@@ -80,8 +80,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         (main effects). "trend": the trend alone, with its weights integrated out. "average": the mixture of posteriors
         of all terms ("additive" for up to 5000 samples of a log, else "joint"), of the trend and main effects, and of
         the trend, at the same hyperparameters. Weights for each output come from blocks of rows that are held out in
-        turn, so rows must be in the order of the log (docs/theory.md). They are in ``weights_``. A model without a
-        linear trend, or whose hyperparameters are not learned, has one member.
+        turn, so rows must be in the order of the log (docs/theory.md). They are in ``weights_``. Of a log, which
+        ``fit`` gets with ``time``, it is the mean of two such mixtures, of two searches. A model without a linear
+        trend, or whose hyperparameters are not learned, has one member.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -104,7 +105,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         which ``fit`` gets with ``time``, the search stops when the error of held-out blocks of rows no longer falls, so
         that hyperparameters do not fit what is particular to the log. The posterior uses all values.
     max_iter : int
-        Iterations of the joint search. The preceding fits of single outputs use at most twice as many each.
+        Iterations of a joint search. The preceding fits of single outputs use at most twice as many each.
     n_jobs : int or None
         Members of the average that are fitted side by side, as in joblib. None: the setting of
         ``joblib.parallel_config``, or one process.
@@ -135,8 +136,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     posterior_ : AveragePosterior, ExactPosterior or SparsePosterior
         Posterior of the normalised outputs.
     weights_ : dict of str to ndarray (P,)
-        Weight of each member of the average for each output: "joint", with all terms, "additive", with main effects,
-        and "trend".
+        Weight of each kind of member of the average for each output: "joint", with all terms, "additive", with main
+        effects, and "trend".
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
     converged_ : bool
@@ -223,14 +224,15 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time : array (n,) or None
-            Time of each sample [s], of rows in the order of the log. Use it if errors of neighbouring samples
-            are correlated: without it bands are too narrow. It says that the rows are a log: noise of the regressors
-            is learned, and held-out blocks stop the search (``kernel``, ``input_noise``, ``optimizer``). The posterior
-            is that of white noise. Its residuals then show the misfit, and the drift of each output, a part of the
-            noise with the covariance
-            ``tau^2 exp(-|t - t'| / T)`` within a flight. In a pipeline, pass it as
-            ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;
-            ``skdgp.identification.FlightPipeline`` does it itself. None: neither drift nor misfit.
+            Time of each sample [s], of rows in the order of the log. None: rows in any order, with independent errors.
+            Use it if errors of neighbouring samples are correlated, as in a flight: without it bands are too narrow.
+
+            With it, noise of the regressors is learned (``input_noise``), held-out blocks end the search
+            (``optimizer``), and there are two of them (``structure``). The residuals show the misfit, and the drift of
+            each output, a part of its noise with the covariance ``tau^2 exp(-|t - t'| / T)`` within a flight.
+
+            In a pipeline, pass it as ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;
+            ``skdgp.identification.FlightPipeline`` does it itself.
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None: one flight.
 

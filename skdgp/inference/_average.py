@@ -204,8 +204,10 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
     if len(parts) == 1:
         return fit
     try:
-        fits = [fit, *fit_map(partial(_of_part, fit, X=X, Y=Y), [{"part": part} for part in parts[1:]], n_jobs)]
-        weights = None if any(each.interrupted for each in fits) else _weights(fits, X, Y)
+        loading = loading_of(fit, X)
+        of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading)
+        fits = [fit, *fit_map(of_part, [{"part": part} for part in parts[1:]], n_jobs)]
+        weights = None if any(each.interrupted for each in fits) else _weights(fits, X, Y, loading)
     except KeyboardInterrupt:
         weights = None
     if weights is None:
@@ -241,18 +243,18 @@ def joined(fits: list[Fit]) -> Fit:
     return Fit(posterior, found, fits[0].value)
 
 
-def _of_part(fit, X, Y, part) -> Fit:
+def _of_part(fit, X, Y, loading, part) -> Fit:
     """Return the fit of some terms of its kernel, with the noise that is best for them."""
     kernel, features = of_terms(fit.posterior.kernel, part), None
     if isinstance(fit.posterior, SparsePosterior):
         features = of_terms(fit.posterior.features, part)
-    return with_noise_for(kernel, features, fit, X, Y)
+    return with_noise_for(kernel, features, fit, X, Y, loading)
 
 
-def _weights(fits, X, Y) -> Matrix:
+def _weights(fits, X, Y, loading) -> Matrix:
     """Return the weights (K, P) of fits from what they predict of held-out blocks."""
     rows = np.arange(0, len(X), -(-len(X) // MOST_ROWS))
-    found = [held_out(fit, X, Y, rows) for fit in fits]
+    found = [held_out(fit, X, Y, rows, loading) for fit in fits]
     K, P = len(fits), Y.shape[1]
     weights = np.empty((K, P))
     for i in range(P):
@@ -290,15 +292,15 @@ def stacked(scores: Matrix, n: float, opinion: Vector, prior_rows: float = PRIOR
     return np.exp(log_weights - logsumexp(log_weights))
 
 
-def held_out(fit: Fit, X: Matrix, Y: Matrix, rows: Any) -> tuple[Matrix, Matrix]:
+def held_out(fit: Fit, X: Matrix, Y: Matrix, rows: Any, loading: Any = None) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
-    Hyperparameters are those of the fit. Where outputs are observed together, whole rows are left out. A value that is
-    missing while others are there is learned from these, so where an output has gaps, blocks are left out of one output
-    at a time.
+    Hyperparameters are those of the fit; ``loading`` is what noise of the regressors adds at X, if they have any. Where
+    outputs are observed together, whole rows are left out. A value that is missing while others are there is learned
+    from these, so where an output has gaps, blocks are left out of one output at a time.
     """
     posterior, noise = fit.posterior, fit.learned.noise
-    loading = loading_of(fit, X[rows])
+    loading = None if loading is None else loading[rows]
     X, Y, step = X[rows], Y[rows], len(X) // len(rows)
     inflation = np.maximum(posterior.noise / noise / step, 1.0)
     mean, variance = np.full((2, *Y.shape), np.nan)

@@ -155,11 +155,11 @@ def _with_converged_noise(learned, features, X, Y, shares):
     return learned._replace(noise=posterior.noise / inflation), posterior, inflation, value
 
 
-def with_noise_for(kernel: Any, features: Any, fit: Fit, X: Matrix, Y: Matrix) -> Fit:
+def with_noise_for(kernel: Any, features: Any, fit: Fit, X: Matrix, Y: Matrix, loading: Any) -> Fit:
     """Return the fit of another kernel, a part of that of a fit, at its hyperparameters but for the white noise.
 
     ``features`` of the kernel are those of a sparse fit; None for an exact one. Noise of the regressors propagates by
-    the slopes of the given fit. Evaluations are those for the noise.
+    ``loading``, that of the given fit at X. Evaluations are those for the noise.
     """
     learned = fit.learned._replace(kernel=kernel, n_evaluations=0)
     if features is None:
@@ -172,7 +172,7 @@ def with_noise_for(kernel: Any, features: Any, fit: Fit, X: Matrix, Y: Matrix) -
         return Fit(posterior, learned, fit.value)
     shares = shares_of(Data.from_table(X, Y))
     learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
-    return _final_fit(learned, posterior, X, Y, inflation, value, loading_of(fit, X))
+    return _final_fit(learned, posterior, X, Y, inflation, value, loading)
 
 
 def loading_of(fit: Fit, X: Matrix) -> np.ndarray | None:

@@ -107,7 +107,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     max_iter : int
         Iterations of a joint search. The preceding fits of single outputs use at most twice as many each.
     n_jobs : int or None
-        Members of the average that are fitted side by side, as in joblib. None: the setting of
+        Searches of a log, or members of the average, that are fitted side by side, as in joblib. None: the setting of
         ``joblib.parallel_config``, or one process.
     random_state : int, RandomState or None
         Seed of the starting values.

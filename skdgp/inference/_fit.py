@@ -25,7 +25,7 @@ MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white me
 class Fit(NamedTuple):
     """An ExactPosterior, SparsePosterior or AveragePosterior, its hyperparameters, and how well it explains its data.
 
-    ``value`` is the log likelihood, or its bound, plus the log prior of the kernel: it compares fits of the same data.
+    ``value`` is the log likelihood, or its bound: it compares fits of the same data.
     A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples are correlated.
     """
 
@@ -84,7 +84,7 @@ def fit_exact(
     options |= {"random_state": random_state, "held": held}
     learned = search(kernel.prepared(X), X, Y, rows, **options, exact=True)
     posterior = ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y))
-    return Fit(posterior, learned, posterior.log_marginal_likelihood + learned.kernel.log_prior())
+    return Fit(posterior, learned, posterior.log_marginal_likelihood)
 
 
 def fit_sparse(
@@ -195,7 +195,7 @@ def _final_fit(learned, posterior, X, Y, inflation, value, loading=None) -> Fit:
         with sharing(shares):
             posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
         learned = learned._replace(noise=noise)
-    return Fit(posterior, learned, value + posterior.kernel.log_prior())
+    return Fit(posterior, learned, value)
 
 
 def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:

@@ -11,7 +11,7 @@ from skdgp.inference._likelihood import Data, couplings, log_likelihood
 
 
 class Objective:
-    """The function [theta, log noise] -> log likelihood plus the kernel's log prior, and its gradient.
+    """The function [theta, log noise] -> log likelihood, and its gradient.
 
     ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
     nothing couples outputs, this is the sum of their likelihoods: P^2 times faster. With ``common`` false it neglects
@@ -35,9 +35,7 @@ class Objective:
             by_part = log_likelihood(candidate, noise, part, True, workspace, weights)
             value, gradient = value + by_part[0], gradient + by_part[1]
         self.theta = np.array(theta)
-        prior, slope = candidate.log_prior(eval_gradient=True)
-        gradient[: len(slope)] += slope
-        return value + prior, gradient
+        return value, gradient
 
     def held_out_error(self, theta: Vector) -> float:
         """Return the mean squared error of the held-out values, averaged over the outputs."""

@@ -179,10 +179,6 @@ class MultiOutputKernel(Kernel):
             f"{type(self).__name__} does not define single_output, the kernel of a separate fit of one output."
         )
 
-    def log_prior(self, eval_gradient: bool = False) -> Any:
-        """Return the log density of the prior on theta, by default zero; with ``eval_gradient`` also its gradient."""
-        return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
-
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         """Return the part of Y (n, P) from which the other terms of a sum are initialized, by default all of it."""
         return Y
@@ -474,10 +470,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def prepared(self, X: Matrix) -> MultiOutputKernel:
         return Sum(self.k1.prepared(X), self.k2.prepared(X))
-
-    def log_prior(self, eval_gradient: bool = False) -> Any:
-        first, second = (k.log_prior(eval_gradient) for k in (self.k1, self.k2))
-        return (first[0] + second[0], np.concatenate([first[1], second[1]])) if eval_gradient else first + second
 
     def coarse(self) -> MultiOutputKernel:
         return Sum(self.k1.coarse(), self.k2.coarse())

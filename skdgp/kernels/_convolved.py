@@ -15,7 +15,7 @@ from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_d
 from skdgp.kernels._features import LatentFeatures, rank_parts
 from skdgp.kernels._pair import diagonal_pair, diagonal_slopes, full_pair, full_slopes, moments, precision
 from skdgp.kernels._prior_paths import PathBundle, ValuePaths, convolved_paths
-from skdgp.kernels._start import log_normal, resolve_prior, spacing, starting_values
+from skdgp.kernels._start import spacing, starting_values
 from skdgp.kernels._strips import Exponent, exponential_times, signed_sum, weighted_sums
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
@@ -73,10 +73,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         Bounds on the values. None: from the data, widths of .05 to 1000 standard deviations of the regressor.
         ``length_scale_bounds="spacing"``: widths of at least n^(-1/d) standard deviations, for n samples, at most 400,
         in d regressors. In many regressors, a process of smaller width is noise to the samples.
-    length_scale_prior : pair, array (d, 2), "auto" or None
-        Log-normal prior, added to the log likelihood during ``fit``: median of the length scales, in the units of the
-        regressors, and standard deviation of their logarithms. "auto": e^sqrt(2) sqrt(12 d) standard deviations of the
-        regressor, and sqrt(3) (Hvarfner, Hellsten & Nardi 2024). None: no prior.
 
     Attributes
     ----------
@@ -112,7 +108,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         length_scale_bounds: Any = None,
         shear_bounds: Any = None,
         shift_bounds: Any = "fixed",
-        length_scale_prior: Any = None,
     ) -> None:
         self.n_latent = n_latent
         self.private_latents = private_latents
@@ -127,7 +122,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.length_scale_bounds = length_scale_bounds
         self.shear_bounds = shear_bounds
         self.shift_bounds = shift_bounds
-        self.length_scale_prior = length_scale_prior
 
     # -- shapes ----------------------------------------------------------------------------------------
 
@@ -217,7 +211,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
         others = self._without_effect(X.shape[1])
-        params = self.prepared(X).get_params()
+        params = self.get_params()
         feeds = self._feed_matrix(Y.shape[1])
         for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
             if params[name] is not None:
@@ -266,18 +260,6 @@ class ConvolvedGaussian(MultiOutputKernel):
             "length_scale": np.where(private, widths, np.exp(weight @ np.log(widths))[:, None, :]),
         }
 
-    def prepared(self, X: Matrix) -> MultiOutputKernel:
-        return clone(self).set_params(length_scale_prior=resolve_prior(self.length_scale_prior, X))
-
-    def log_prior(self, eval_gradient: bool = False) -> Any:
-        (widths,) = (f for f in self.free_parameters() if f.name == "length_scale")
-        if self.length_scale_prior is None or widths.fixed:
-            return (0.0, np.zeros(self.n_dims)) if eval_gradient else 0.0
-        lengths = self._value("length_scale")
-        value, slope = log_normal(widths.index, lengths, resolve_prior(self.length_scale_prior, lengths[0]))
-        by_entry = {name: np.zeros_like(self._value(name)) for name in PARAMETERS} | {"length_scale": slope}
-        return (value, self.theta_gradient(by_entry)) if eval_gradient else value
-
     def coarse(self) -> MultiOutputKernel:
         if self.covariance_type in ("diag", "full") and self.length_scale is None and self._widths_from_data():
             return ConvolvedGaussian(
@@ -289,7 +271,6 @@ class ConvolvedGaussian(MultiOutputKernel):
                 amplitude=self.amplitude,
                 amplitude_bounds=self.amplitude_bounds,
                 length_scale_bounds=self.length_scale_bounds,
-                length_scale_prior=self.length_scale_prior,
             )
         return self
 
@@ -300,7 +281,6 @@ class ConvolvedGaussian(MultiOutputKernel):
             covariance_type=kind,
             regressors=self.regressors,
             length_scale_bounds=self.length_scale_bounds if self._widths_from_data() else None,
-            length_scale_prior=self.length_scale_prior,
         )
 
     def paths(self, X: Matrix, coefficients: Any) -> Any:

@@ -18,9 +18,10 @@ from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
-from skdgp._regressor._structure import fit_structure, likeliest_mean, weights_of
+from skdgp._regressor._structure import fit_structure, likeliest_mean, most_factors, weights_of
 from skdgp.inference import (
     Data,
+    ExactPosterior,
     FunctionErrors,
     SlopeErrors,
     compact,
@@ -277,7 +278,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             self.inference if self.inference != "auto" else "exact" if n_values <= EXACT_LIMIT else "sparse"
         )
         if self.inference_ == "exact":
-            check_memory(n_values, "Exact inference on", FIT_REMEDY)
+            check_memory(n_values, "Exact inference on", FIT_REMEDY, 1 + most_factors(self, clock is not None))
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None)
@@ -356,7 +357,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
         data = Data.from_table(X, (Y - self._center) / self._scale, loading)
         if self.inference_ == "exact":
-            check_memory(self.posterior_.samples().n_values + data.n_values, "Exact inference on", UPDATE_REMEDY)
+            n_values = self.posterior_.samples().n_values + data.n_values
+            n_factors = sum(isinstance(member, ExactPosterior) for member in self.posterior_.members)
+            check_memory(n_values, "Exact inference on", UPDATE_REMEDY, 1 + n_factors)
         if data.n_values:
             self.posterior_ = self.posterior_.updated(data)
             self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood

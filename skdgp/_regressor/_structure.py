@@ -49,6 +49,11 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
     return joined(fit_map(partial(_averaged, search, X, Z, n_jobs), [{"seed": int(s)} for s in seeds], model.n_jobs))
 
 
+def most_factors(model: Any, log: bool) -> int:
+    """Return the largest number of Cholesky factors of all values that a posterior of exact inference holds."""
+    return 2 * SEARCHES if model.structure == "average" and log else 1  # all terms, trend and main effects
+
+
 def _averaged(search, X, Z, n_jobs, seed):
     fit = search(random_state=seed)
     return fit if fit.interrupted else average(fit, X, Z, n_jobs)

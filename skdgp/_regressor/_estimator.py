@@ -228,8 +228,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             Time of each sample [s], of rows in the order of the log. None: rows in any order, with independent errors.
             Use it if errors of neighbouring samples are correlated, as in a flight: without it bands are too narrow.
 
-            With it, noise of the regressors is learned (``input_noise``), held-out blocks end the search
-            (``optimizer``), and there are two of them (``structure``). The residuals show the misfit, and the drift of
+            With it, noise of the regressors is learned (``input_noise``), held-out blocks end a search
+            (``optimizer``), and there are two searches (``structure``). The residuals show the misfit, and the drift of
             each output, a part of its noise with the covariance ``tau^2 exp(-|t - t'| / T)`` within a flight.
 
             In a pipeline, pass it as ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;

@@ -18,7 +18,8 @@ from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, Trend
 SEARCHES = 2
 """Of a log, which hold out other blocks.
 
-On twelve pairs of flights the mean of two has 0.98 of the error of one, of three 0.97 (tests/benchmarks/pairs.py)."""
+On twelve pairs of flights, three seeds each, the mean of two has 0.98 of the error of one, of three 0.97
+(docs/choosing.md#the-average; tests/benchmarks/pairs.py prints what one search has alone)."""
 ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has main effects, see docs/choosing.md
 
 

@@ -26,7 +26,7 @@ from skdgp.inference._optimize import GRID, Optimum, maximize
 from skdgp.inference._rows import HELD_OUT_ROWS, SEARCH_VALUES, some_rows, stratified
 from skdgp.inference._singles import fit_singles
 
-REFINED = 4  # part of the iterations that exact inference has for all values, where some were enough to begin with
+REFINED = 4  # exact inference of many values learns from some of them first, and in the last fourth from all
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
@@ -163,6 +163,7 @@ def search(
         n_iter += best.n_iter
         data = stages.hyperparameters(kernel, noise, root).data(*whole, 1)
         kernel, noise, best = stages.run(data, kernel, noise, bounds, most // REFINED)
+    n_values = data.n_values
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
         # That of all blocks; in sparse inference the white noise is learned again from all samples.
@@ -177,7 +178,7 @@ def search(
         n_evaluations=n_singles + stages.n_evaluations,
         interrupted=stop.is_set(),
         remaining=best.remaining,
-        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * np.isfinite(Y).sum()),
+        converged=bool(best.converged or best.remaining <= IRRELEVANT_RISE * n_values),
     )
 
 

@@ -5,8 +5,8 @@
 REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see real.py; the HFB-320 is the book's
 ``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights and predicts those of others: NRMSE,
 mean over the coefficients, over that of least squares from the same regressors. Members are those of the same fit, each
-alone. "product": members weighted by precision at each point, what a committee of experts would say. NLPD and coverage
-are of measured coefficients at one row in ten.
+alone; "one search": the mean error of the average of each search alone. "product": members weighted by precision at
+each point, what a committee of experts would say. NLPD and coverage are of measured coefficients at one row in ten.
 
 The last table is of the one number that was chosen on these pairs, the rows of prior opinion of the weights: what is
 best without an aircraft, scored on it.
@@ -164,6 +164,8 @@ def result(task, seed, latents, **parameters):
     found["average"] = scored(task, mean, std**2)
     for name, k in searches_of(members).items():
         found[name] = scored(task, *mixed(np.full(means[k].shape, 1 / len(k)), means[k], function[k] + noise))
+    of_searches = errors_of_searches(task, last.posterior_, means, function + noise)
+    found["one search"] = {"error": float(np.mean(list(of_searches)))}
     precision = 1.0 / (function + 0.3 * last.noise_variance_)
     found["product"] = scored(task, *mixed(precision / precision.sum(axis=0), means, function + noise))
     found["equal"] = scored(task, *mixed(np.full(means.shape, 1 / len(means)), means, function + noise))
@@ -183,6 +185,15 @@ def searches_of(members):
     """Return for each kind of member its places among the members, one of each search."""
     names = [next(iter(weights_of(member))) for member in members]
     return {name: [k for k, other in enumerate(names) if other == name] for name in names}
+
+
+def errors_of_searches(task, posterior, means, variances):
+    """Return the error of the average of each search alone."""
+    of_search = np.cumsum([part == posterior.parts[0] for part in posterior.parts]) - 1
+    for s in range(of_search.max() + 1):
+        k = np.flatnonzero(of_search == s)
+        weights = posterior.mixture[k] / posterior.mixture[k].sum(axis=0)
+        yield scored(task, *mixed(weights[:, None] * np.ones(means[k].shape), means[k], variances[k]))["error"]
 
 
 def mixed(weights, means, variances):
@@ -210,7 +221,7 @@ def of_pairs(runs):
     for pair in dict.fromkeys(run["pair"] for run in runs):
         some = [run for run in runs if run["pair"] == pair]
         row = {"pair": pair, "least squares": some[0]["least squares"]}
-        for name in ("average", "joint", "additive", "trend", "equal", "product"):
+        for name in ("average", "one search", "joint", "additive", "trend", "equal", "product"):
             row[name] = _median(run[name]["error"] / run["least squares"] for run in some if name in run)
         truths = [run["average"]["truth"] for run in some if "truth" in run["average"]]
         alone = [min(run[name]["NLPD"] for name in run["weights"]) for run in some]
@@ -237,7 +248,7 @@ def geometric_means(rows):
     for words, names in {"all": LISTED, "without AP2": [p for p in LISTED if p not in QUARTERS]}.items():
         some = [row for row in rows if row["pair"] in names]
         if some:
-            kinds = ("average", "joint", "trend", "equal", "product")
+            kinds = ("average", "one search", "joint", "trend", "equal", "product")
             means = {kind: float(np.exp(np.mean([np.log(row[kind]) for row in some]))) for kind in kinds}
             found.append({"pairs": f"{words}, {len(some)}", **means, "worst": max(row["average"] for row in some)})
     return found

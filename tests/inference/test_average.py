@@ -8,7 +8,18 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
 
 from skdgp import DependentGPRegressor, effects, listening
-from skdgp.inference import AveragePosterior, Data, average, fit_exact, fit_sparse
+from skdgp.inference import (
+    AveragePosterior,
+    Data,
+    ExactPosterior,
+    _rows,
+    average,
+    compact,
+    fit_exact,
+    fit_sparse,
+    joined,
+    log_likelihood,
+)
 from skdgp.inference._average import LEAST_ROWS, PRIOR_ROWS, held_out, of_terms, parts_of, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -169,6 +180,74 @@ class TestMixture:
         for member, former in zip(noisy.members, mixture.members, strict=True):
             assert (member.predict(AT, True)[1] >= former.predict(AT, True)[1] * (1 - 1e-9)).all()
             np.testing.assert_allclose(member.noise, 4 * former.noise)
+
+
+@pytest.fixture(scope="module", params=["exact", "sparse"])
+def fits(request, data):
+    """Averages at two sets of hyperparameters."""
+    kernel = kernel_of()
+    others = [kernel, kernel.clone_with_theta(kernel.theta + 0.2 * np.cos(np.arange(kernel.n_dims)))]
+    return [average(fit_of(request.param, *data, each), *data) for each in others]
+
+
+class TestSearches:
+    """The mean of averages that different searches ended at."""
+
+    def test_moments_are_those_of_an_equal_mixture_of_both(self, fits):
+        both = joined(fits)
+        (m1, v1), (m2, v2) = (fit.posterior.predict(AT, True) for fit in fits)
+        assert np.abs(m1 - m2).max() > 0.01
+        mean, variance = both.posterior.predict(AT, True)
+        np.testing.assert_allclose(mean, (m1 + m2) / 2, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(variance, (v1 + v2) / 2 + (m1 - m2) ** 2 / 4, rtol=1e-9)
+        np.testing.assert_allclose(both.posterior.mixture.sum(axis=0), 1.0)
+        np.testing.assert_allclose(both.learned.noise, (fits[0].learned.noise + fits[1].learned.noise) / 2)
+
+    def test_of_one_search_is_its_average(self, fits):
+        assert joined(fits[:1]) is fits[0]
+
+    def test_noise_of_regressors_is_the_mean_of_their_covariances(self, fits):
+        roots = [np.diag([0.1, 0.0]), np.array([[0.2, 0.0], [0.1, 0.1]])]
+        noisy = [fit._replace(learned=fit.learned._replace(root=root)) for fit, root in zip(fits, roots, strict=True)]
+        found = joined(noisy).learned.root
+        np.testing.assert_allclose(found @ found.T, sum(root @ root.T for root in roots) / 2, atol=1e-12)
+
+    def test_compaction_keeps_both_searches(self, fits):
+        """As many variables as there are samples change next to nothing."""
+        both = joined(fits).posterior
+        small, change = compact(both, 20 * N, None, 0, 0, lambda size: None)
+        assert len(small.wholes) == len(both.wholes) == 2
+        assert small.samples() is None
+        assert change.change < 0.05
+        np.testing.assert_allclose(small.predict(AT), both.predict(AT), atol=0.02)
+
+    def test_a_log_has_two_and_other_rows_one(self, data):
+        X, Y = data
+        model = DependentGPRegressor(n_latent=0, max_iter=2, input_noise=None, random_state=0)
+        assert len(model.fit(X, Y, time=np.arange(N)).posterior_.wholes) == 2
+        np.testing.assert_allclose(sum(model.weights_.values()), 1.0)
+        assert len(model.fit(X, Y).posterior_.wholes) == 1
+
+
+def test_a_trend_of_weights_is_the_exact_posterior(data):
+    """The trend of an exact average needs no factor of all values."""
+    fit = average(fit_of("exact", *data), *data)
+    trend = fit.posterior.members[-1]
+    assert not isinstance(trend, ExactPosterior)
+    dense = ExactPosterior(trend.kernel, trend.noise, trend.samples())
+    for got, expected in zip(trend.predict(AT, True), dense.predict(AT, True), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
+def test_exact_inference_of_many_values_ends_its_search_with_all(monkeypatch):
+    """The likelihood of all values has no slope left, though the search began with a part of them."""
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-2, 2, (150, 1))
+    y = np.sin(2 * x) + rng.normal(0, 0.1, x.shape)
+    monkeypatch.setattr(_rows, "SEARCH_VALUES", (50, 50))
+    fit = fit_exact(ConvolvedGaussian(0), x, y, optimizer="fmin_l_bfgs_b", max_iter=100, random_state=0)
+    slope = log_likelihood(fit.posterior.kernel, fit.learned.noise, Data.from_table(x, y), eval_gradient=True)[1]
+    assert np.abs(slope).max() < 1e-3 * len(y)
 
 
 class TestParts:

@@ -72,8 +72,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Covariance of the processes. None: ``ConvolvedGaussian(n_latent, covariance_type=covariance_type)``, for
         a log, which ``fit`` gets with ``time``, with ``length_scale_bounds="spacing"``. Missing values are estimated
         from the data.
-    n_latent : int
-        Number of latent processes that all outputs share; each output also has a private one.
+    n_latent : int or None
+        Number of latent processes that all outputs share; each output also has a private one. None: half as many as
+        outputs, two to four, where targets are missing, else two, as in a log.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     structure : {"average", "joint", "additive", "trend"}
@@ -165,7 +166,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     _parameter_constraints = {
         "kernel": [MultiOutputKernel, None],
-        "n_latent": [Interval(Integral, 0, None, closed="left")],
+        "n_latent": [Interval(Integral, 0, None, closed="left"), None],
         "covariance_type": [StrOptions(set(COVARIANCE_TYPES))],
         "structure": [StrOptions({"average", "joint", "additive", "trend"})],
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
@@ -182,7 +183,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self,
         kernel: Any = None,
         *,
-        n_latent: int = 2,
+        n_latent: int | None = None,
         covariance_type: str = "diag",
         structure: str = "average",
         trend: Any = "linear",

@@ -20,6 +20,11 @@ SEARCHES = 2
 
 On twelve pairs of flights, three seeds each, the mean of two has 0.98 of the error of one, of three 0.97
 (docs/choosing.md#the-average; tests/benchmarks/pairs.py prints what one search has alone)."""
+N_LATENT = 2, 4
+"""Fewest and most shared latents where their number is not given; more take more time.
+
+Of the known values of seven electrodes (docs/published.md) the likelihood is 124, 202 and 213 with two, three and four.
+"""
 ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has main effects, see docs/choosing.md
 
 
@@ -41,7 +46,7 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
         "stop_early": log,
     }
     search = fit_exact if model.inference_ == "exact" else partial(fit_sparse, n_inducing=model.n_inducing)
-    search = partial(search, _make_kernel(model, len(X), X.shape[1], log), X, Z, **options)
+    search = partial(search, _make_kernel(model, X, Z, log), X, Z, **options)
     averaged = model.structure == "average" and model.optimizer is not None
     seeds = check_random_state(model.random_state).randint(2**31 - 1, size=SEARCHES if averaged and log else 1)
     if not averaged:
@@ -104,8 +109,15 @@ def _check_structure(model):
         )
 
 
-def _make_kernel(model, n, d, log):
+def _n_latent(Z, log):
+    """Return the number of shared latents: more where they can fill what is missing, see docs/choosing.md."""
+    fewest, most = N_LATENT
+    return fewest if log or np.isfinite(Z).all() else int(np.clip(Z.shape[1] // 2, fewest, most))
+
+
+def _make_kernel(model, X, Z, log):
     """Return the kernel of all terms."""
+    n, d = X.shape
     trend: Any = None
     if model.trend not in ("constant", None):
         trend = LinearTrend() if model.trend == "linear" else BasisTrend(model.trend)
@@ -114,7 +126,8 @@ def _make_kernel(model, n, d, log):
     bounds = "spacing" if log else None
     kernel: Any = model.kernel and clone(model.kernel)
     if kernel is None:
-        kernel = ConvolvedGaussian(model.n_latent, covariance_type=model.covariance_type, length_scale_bounds=bounds)
+        n_latent = _n_latent(Z, log) if model.n_latent is None else model.n_latent
+        kernel = ConvolvedGaussian(n_latent, covariance_type=model.covariance_type, length_scale_bounds=bounds)
     averaged = model.structure == "average" and model.kernel is None and trend is not None
     if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):
         for k in range(d):

@@ -19,7 +19,7 @@ from pathlib import Path
 import joblib
 import numpy as np
 import pandas as pd
-from _common import finish, parsed, parser_of
+from _common import finish, parser_of
 from _study_flights import KNOTS, jsbsim_log
 from freeflight import HORIZONS, coverage_of, truth_of, windows
 
@@ -36,7 +36,7 @@ from skdgp.dynamics import (
 )
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
-DURATION = 200.0
+DURATION, STEP = 200.0, 0.05
 TRAINING = (1, "light", 1)
 """Plan of the flight, air and seed."""
 FLOWN = {"calm": (2, "calm", 0), "light": (2, "light", 11), "moderate": (2, "moderate", 12)}
@@ -52,7 +52,8 @@ def flight_of(name, number, air, seed):
     through_air = body_to_ned(attitude, air_velocity(*true[[f"{name}_true" for name in AIR_DATA]].to_numpy().T))
     wind = true[[f"{name}_true" for name in EARTH_VELOCITY]].to_numpy() - through_air
     true = true.assign(gravity_true=STANDARD_GRAVITY, **dict(zip([f"{w}_true" for w in WIND], wind.T, strict=True)))
-    return pd.concat([measure(log.table, 1.0, np.random.default_rng([number, seed])), true], axis=1), aircraft
+    noise = np.random.default_rng([number, seed, len(name)])  # mostly another for each aircraft
+    return pd.concat([measure(log.table, 1.0, noise), true], axis=1), aircraft
 
 
 def learned(name, folder):
@@ -75,14 +76,14 @@ def rows_of(name, model, aircraft, n_paths):
     """Return coverage in each air, by what is said of the wind."""
     rows = []
     for air, flight in FLOWN.items():
-        stretches = windows(truth_of(flight_of(name, *flight)[0]))
+        stretches = windows(truth_of(flight_of(name, *flight)[0].iloc[::2]), STEP)
         starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=UNKNOWN, errors="ignore")
         told = {"wind": {"wind": stretches}} | ({"nothing": {}} if air == TRAINING[1] else {})
         for said, options in told.items():
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", SimulationWarning)
-                paths = simulate(model, aircraft, starts, stretches, 0.025, n_paths=n_paths, **options)
-            found = {f"{row['horizon']:g} s": row["coverage %"] for row in coverage_of([paths], stretches)}
+                paths = simulate(model, aircraft, starts, stretches, STEP, n_paths=n_paths, **options)
+            found = {f"{row['horizon']:g} s": row["coverage %"] for row in coverage_of([paths], stretches, STEP)}
             rows.append({"aircraft": name, "air": air, "said": said} | found)
     return rows
 
@@ -92,7 +93,7 @@ def main(words=None):
     parser.add_argument("--aircraft", nargs="+", default=["J3Cub", "DHC6", "A4", "global5000"], choices=[*KNOTS])
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
     parser.add_argument("--paths", type=int, default=40, help="of the ensembles")
-    options = parsed(parser, words)
+    options = parser.parse_args(words)
     rows = []
     for name in options.aircraft[: 0 if options.smoke else None]:
         rows += rows_of(name, *learned(name, options.models), options.paths)

@@ -308,7 +308,7 @@ class TestSimulate:
         calm, unknown = flown(known, gusts=None), flown(model)
         np.testing.assert_allclose(calm["p"], unknown["p"], atol=1e-12)
         assert "without gusts" in calm.attrs["air"]
-        assert "does not know" in unknown.attrs["air"]
+        assert "is not known" in unknown.attrs["air"]
 
     def test_seeds(self, model):
         first, again, other = (flown(model, gusts=TRUE, random_state=seed)["q"].to_numpy() for seed in (0, 0, 1))

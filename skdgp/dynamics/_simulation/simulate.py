@@ -241,7 +241,7 @@ def _turbulence(
             "Turbulence.from_flight(flight, span) or Turbulence.low_altitude(height, wind_at_6m)."
         )
     if flown is None:
-        return None, "No gusts are drawn: the model does not know the turbulence of its flights; errors are as theirs."
+        return None, "No gusts are drawn, but errors as in the training flights: their turbulence is not known."
     if scaled:
         found = flown.scaled(float(gusts) / flown.intensity[2])
         return found, f"Gusts {_sizes(found)}, as asked."

@@ -86,7 +86,11 @@ class TestFromFlight:
             found = Turbulence.from_wind(some, SPEED, SPAN)
             np.testing.assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
         with pytest.raises(ValueError, match="winds that are too short"):
-            Turbulence.from_wind([winds[0][:20]], SPEED, SPAN)
+            Turbulence.from_wind(winds[0][:20], SPEED, SPAN)
+        with pytest.raises(ValueError, match="2 airspeeds of 10 winds"):
+            Turbulence.from_wind(winds, [SPEED, SPEED], SPAN)
+        with pytest.raises(ValueError, match="wind_down"):
+            Turbulence.from_wind(winds[0].drop(columns="wind_down"), SPEED, SPAN)
 
     def test_exact_data_of_calm_air(self):
         table = flights(TRUE, 1, 40.0, 0.2, seed=2).assign(airspeed=SPEED, alpha=0.0, beta=0.0)

@@ -233,7 +233,7 @@ def _turbulence(
     if not scaled and _varies(wind):
         found = _turbulence_of(wind, air, motion, clock, states)
         if found is not None:
-            return found, f"Gusts as those of the wind that was given, {_sizes(found)}."
+            return found, f"Gusts as those of the wind, {_sizes(found)}."
     if flown is None and scaled:
         raise ValueError(
             f"Got gusts={gusts!r}, but the model does not know the turbulence of its flights: their tables lack "

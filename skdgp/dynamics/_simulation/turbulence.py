@@ -111,7 +111,7 @@ class Turbulence(NamedTuple):
             ) from error
 
     @classmethod
-    def from_wind(cls, wind: Sequence[pd.DataFrame], airspeed: ArrayLike, span: float) -> Turbulence:
+    def from_wind(cls, wind: pd.DataFrame | Sequence[pd.DataFrame], airspeed: ArrayLike, span: float) -> Turbulence:
         r"""Return the turbulence of winds that were met at some airspeeds.
 
         The spectra S are Dryden's. Their parameters maximise Whittle's likelihood of the periodogram I, with a prior on
@@ -126,7 +126,7 @@ class Turbulence(NamedTuple):
 
         Parameters
         ----------
-        wind : list of DataFrame
+        wind : DataFrame or list of DataFrame
             Each with time, wind_north, wind_east, wind_down. Those of a few seconds tell the rates of the gusts, not
             their lengths.
         airspeed : float or array-like (n_winds,)
@@ -141,8 +141,23 @@ class Turbulence(NamedTuple):
         Raises
         ------
         ValueError
-            If a column is missing, the span is not > 0, or the winds are too short or too rarely sampled.
+            If a column is missing, there is not one airspeed or as many as winds, the span is not > 0, or the winds are
+            too short or too rarely sampled.
+
+        Examples
+        --------
+        >>> from skdgp.dynamics import Turbulence, dryden_wind
+        >>> wind = dryden_wind(600.0, airspeed=25.0, height=100.0, wind_at_6m=7.7, random_state=0)
+        >>> Turbulence.from_wind(wind, 25.0, span=2.0).intensity.round(1)
+        array([1. , 1. , 0.8])
         """
+        wind = [wind] if isinstance(wind, pd.DataFrame) else list(wind)
+        for table in wind:
+            check_columns(check_table(table, what="wind"), ["time", *WIND], what="wind")
+        if np.shape(airspeed) not in ((), (len(wind),)):
+            raise ValueError(
+                f"Got {np.size(airspeed)} airspeeds of {len(wind)} winds, but expected one, or one for each."
+            )
         return cls._of(wind, airspeed, span, noisy=False)
 
     @classmethod

@@ -182,7 +182,7 @@ def simulate(
     air = wind_schedule(wind, clock, len(starts))
     commands = control_schedule(controls, clock, is_control(motion), len(starts), hold=hold)
     states = initial_states(starts, lambda at: air(0, at))
-    if n_paths is None and gusts is not None and not isinstance(gusts, str):
+    if n_paths is None and not (gusts is None or (isinstance(gusts, str) and gusts == "auto")):
         raise ValueError("Got gusts without n_paths, but expected both: gusts are drawn, for each path its own.")
     met, said = _turbulence(gusts, wind, air, motion, clock, states) if n_paths or return_std else (None, "")
     drifting = None

@@ -215,7 +215,7 @@ def thrust_fit(aircraft, steady, density):
 def flown(pipeline, aircraft, steady, plan, density, paths, random_state=0):
     """Return alpha and load factor of aircraft drawn from the posterior, (paths, n, 2), and their altitudes."""
     table = simulate(
-        pipeline, aircraft, steady, plan.controls, density=density, n_paths=paths, drift=False,
+        pipeline, aircraft, steady, plan.controls, density=density, n_paths=paths, gusts=None, drift=False,
         random_state=random_state,
     )  # fmt: skip
     columns = table["alpha"], -table["az"] / GRAVITY, table["altitude"], table["time"]

@@ -72,7 +72,7 @@ def plan(run: Run) -> None:
             limits=limits,
             envelope=_envelope(options),
             altitude=options.altitude,
-            gusts=None if options.gusts == "none" else options.gusts.replace("-", " "),
+            gusts=None if options.gusts == "none" else "auto",
             pause="auto" if options.pause is None else options.pause,
             rate=options.rate,
             n_paths=options.paths,
@@ -224,7 +224,9 @@ PLAN = Command(
                 opt.number("a number, 0 or more", lambda value: value >= 0),
                 default=0.15,
             ),
-            opt.choice("--gusts", ["as-flown", "none"], "of the check (default: as-flown)"),
+            opt.choice(
+                "--gusts", ["auto", "none"], "of the check: as in the training flights, or none (default: auto)"
+            ),
             opt.option("--paths N", "aircraft drawn for each check (default: 200)", opt.at_least(2), default=200),
         ],
     },

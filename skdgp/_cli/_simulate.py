@@ -56,8 +56,10 @@ def simulate(run: Run) -> None:
     band of 95 % of them is how certain the trajectory is. From a trim, --doublet AXIS=X moves a control by X about its
     trim, +X from 1 to 2 s and -X from 2 to 3 s. --deviations TABLE holds deviations from the trim, and --controls TABLE
     the controls themselves, which a trim does not change: columns time [s], the first row the start, elevator, aileron,
-    rudder [rad], throttle. What the table lacks is held. The air is still, unless --wind says otherwise, or the wind is
-    estimated from the log.
+    rudder [rad], throttle. What the table lacks is held.
+
+    The mean flies in still air, unless --wind says otherwise, or in the wind that is estimated from the log. The drawn
+    functions also meet gusts: as strong as those of this wind, else those of the training flights. --gusts none: none.
 
     Writes into DIR, all or none:
       trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
@@ -87,7 +89,9 @@ def simulate(run: Run) -> None:
         run.console.stage(f"simulating {options.paths} functions of the posterior")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)  # the summary says which share of them
-            sampled = simulate_flight(*initial, **conditions, n_paths=options.paths, random_state=options.seed)
+            conditions |= {"n_paths": options.paths, "random_state": options.seed}
+            conditions["gusts"] = None if options.gusts == "none" else "auto"
+            sampled = simulate_flight(*initial, **conditions)
         files[f"bands{suffix}"] = table_writer(trajectory_bands(sampled).drop(columns="start"), suffix)
     numbers = _numbers(options, start, trajectory, sampled)
     drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)
@@ -223,6 +227,7 @@ def _spread(paths) -> dict:
     bands = trajectory_bands(paths, columns=START).iloc[-1]
     return {
         "n": by_path.ngroups,
+        "air": paths.attrs["air"],
         "ended_early": int(by_path["ended"].agg(lambda ended: (ended != "").any()).sum()),
         "beyond": int(by_path["beyond"].agg(lambda beyond: (beyond != "").any()).sum()),
         "end": {name: [bands[f"{name}_low"], bands[f"{name}_high"]] for name in START},
@@ -250,6 +255,7 @@ def _text(numbers, files) -> str:
             f"{paths['n']} functions of the posterior: {paths['ended_early']} ended early, {paths['beyond']} left what "
             "was learned from"
         )
+        lines.append(paths["air"])
     lines += ["", f"{'':<10}{'start':>10}{'end':>10}{'' if paths is None else '95 % of the paths':>24}"]
     for name in START:
         factor, unit = display_unit(name)
@@ -274,6 +280,7 @@ SIMULATE = Command(
                 opt.number(),
                 nargs=3,
             ),
+            opt.choice("--gusts", ["auto", "none"], "that the drawn functions meet (default: auto)"),
             opt.option("--duration S", "how long [s] (default: 10, or the rest of the log)", opt.positive("seconds")),
             opt.option("--dt S", "time step [s] (default: 0.02)", opt.positive("seconds"), default=0.02),
             opt.paths(30, "to fly; 0: the mean alone"),

@@ -253,6 +253,12 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         return variance * self.std_scale_**2
 
     @property
+    def misfit_variance_(self) -> Array:
+        """Variance of the estimator's misfit, (P,), scaled; zero if it knows none."""
+        variance = getattr(unwrap(self.estimator_), "misfit_variance_", np.zeros(len(self.std_scale_)))
+        return variance * self.std_scale_**2
+
+    @property
     def drift_memory_(self) -> Array:
         """Memory of the estimator's drift, (P,)."""
         return getattr(unwrap(self.estimator_), "drift_memory_", np.zeros(len(self.std_scale_)))

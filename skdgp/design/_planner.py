@@ -75,7 +75,7 @@ def plan(
     envelope: Envelope | None = None,
     altitude: float | None = None,
     banks: Sequence[float] = (0.0,),
-    gusts: Turbulence | Literal["as flown"] | None = "as flown",
+    gusts: Turbulence | Literal["auto"] | None = "auto",
     known: Information | None = None,
     noise: pd.DataFrame | Mapping[str, float] | None = None,
     bands: pd.DataFrame | None = None,
@@ -128,9 +128,9 @@ def plan(
         [m]; by default the highest that was flown, or 100 m if the model does not know it. More gives more room.
     banks : sequence of float, default=(0.0,)
         Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
-    gusts : Turbulence, "as flown" or None
-        Of the check. "as flown": that of the training flights, or calm air, with a warning, if the model does not know
-        it.
+    gusts : Turbulence, "auto" or None, default="auto"
+        Of the check. "auto": that of the training flights, with a warning if the model does not know it. None: calm
+        air.
     known : Information, optional
         Of earlier flights; by default that of the model's posterior at the trims.
     noise : DataFrame or mapping, optional
@@ -281,14 +281,19 @@ class Planner:
 
     def __init__(
         self, model, aircraft, *, airspeeds, seconds, axes, limits=None, envelope=None, altitude=None, banks=(0.0,),
-        gusts="as flown", known=None, noise=None, bands=None, curvature=False, pause="auto", rate=50.0, n_paths=200,
+        gusts="auto", known=None, noise=None, bands=None, curvature=False, pause="auto", rate=50.0, n_paths=200,
         thrust="auto", detents=None, seed=0, goal=None,
     ) -> None:  # fmt: skip
         _check_options(airspeeds, seconds, axes, limits, envelope, banks, known, bands, pause, n_paths, detents)
         self.model, self.aircraft, self.thrust, self.seed = model, aircraft, thrust, seed
         self.aerodynamics = as_aerodynamics(model)
         self.envelope, self.detents, self.seconds = envelope or Envelope(), detents or {}, float(seconds)
-        gusts = self._checked_gusts(gusts)
+        if gusts == "auto" and self.aerodynamics.is_uncertain and self.aerodynamics.turbulence is None:
+            warnings.warn(
+                "The model does not know the turbulence of its flights, so risks are those without gusts. Give "
+                "gusts=Turbulence.low_altitude(height, wind_at_6m).",
+                stacklevel=3,
+            )
         self._check_ranges()
         self._check_paths(n_paths)
         self.noise = noise_table(coefficient_noise(model) if noise is None else noise)
@@ -333,18 +338,6 @@ class Planner:
         self.goal = np.stack([value.ravel() for value in weights.values()])
         self.weights = {name: value for name, value in weights.items() if name in WHOLE}
         return self._plan_of(self._searched())
-
-    def _checked_gusts(self, gusts: Turbulence | Literal["as flown"] | None) -> Turbulence | Literal["as flown"] | None:
-        if gusts != "as flown" or self.aerodynamics.turbulence is not None:
-            return gusts
-        if self.aerodynamics.is_uncertain:
-            warnings.warn(
-                "The model does not know the turbulence of its flights, so risks are those of calm air. Give "
-                "gusts=Turbulence.low_altitude(height, wind_at_6m).",
-                UserWarning,
-                stacklevel=4,
-            )
-        return None
 
     def _check_ranges(self) -> None:
         if (free := self.envelope.unlimited(self.aerodynamics)) and self.aerodynamics.is_uncertain:

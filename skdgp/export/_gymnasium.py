@@ -55,8 +55,8 @@ def gymnasium_env(
     start : Trim
         From :func:`skdgp.dynamics.trim`; every episode begins there, and the default reward asks to stay.
     posterior : bool, default=True
-        Whether each reset draws another aircraft: a function of the posterior, as ``simulate(n_paths=1, drift=False)``
-        does. False: the mean of the model.
+        Whether each reset draws another aircraft: a function of the posterior, as ``simulate(n_paths=1, gusts=None,
+        drift=False)`` does. False: the mean of the model.
     duration, dt : float
         Of an episode and of a step [s].
     wind_at_6m : float, default=0.0

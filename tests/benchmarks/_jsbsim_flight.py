@@ -73,15 +73,15 @@ def air(model, altitudes):
     return np.array(found)
 
 
-def started(model, rate):
-    """Return JSBSim with the aircraft in the air, its engine running, trimmed, its mass frozen."""
+def started(model, rate, knots=START["vc-kts"]):
+    """Return JSBSim with the aircraft in the air, its engine running, trimmed at an airspeed, its mass frozen."""
     import jsbsim
 
     fdm = jsbsim.FGFDMExec(None)
     fdm.set_debug_level(0)
     fdm.load_model(model)
     fdm.set_dt(1.0 / rate)
-    for name, value in START.items():
+    for name, value in (START | {"vc-kts": knots}).items():
         fdm[f"ic/{name}"] = value
     fdm["fcs/mixture-cmd-norm"], fdm["fcs/throttle-cmd-norm"] = 0.9, 0.7
     fdm.run_ic()

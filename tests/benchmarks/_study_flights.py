@@ -124,7 +124,8 @@ WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
 """[kt], MIL-F-8785C as JSBSim flies it."""
 HEIGHT = 274.0  # above the ground [m]
 KNOTS = {"c172p": 100.0, "c182": 100.0, "t6texan2": 150.0, "T37": 200.0}
-"""Calibrated airspeed of aircraft of JSBSim. On the last two nothing was chosen."""
+"""Calibrated airspeed of aircraft of JSBSim. On the last two of the study, t6texan2 and T37, nothing was chosen."""
+KNOTS |= {"J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0}
 FRAMES = 6  # of JSBSim per row; controls change at each of them: held longer, they would lag behind the logged loads
 SETTLING = 10.0  # s before the log
 SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
@@ -150,7 +151,7 @@ SOURCES = {  # property and factor to SI; forces and moments in newtons
 
 def jsbsim_subject(name: str, seeds: int, duration: float) -> Subject:
     """Return an aircraft of JSBSim; its derivatives are those of third order on exact regressors of all flights."""
-    fly = partial(_jsbsim_log, name, duration)
+    fly = partial(jsbsim_log, name, duration)
     test, aircraft = fly(2, "calm", 0)
     seeded = {air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()}
     flown = {(air, seed): fly(1, air, seed)[0] for air, all_of in seeded.items() for seed in {*all_of}}
@@ -172,9 +173,9 @@ def slopes_of_third_order(X: np.ndarray, Y: np.ndarray, at: np.ndarray) -> np.nd
     return np.linalg.lstsq(outer, inner, rcond=1e-13)[0][1 : X.shape[1] + 1].T / scale
 
 
-def _jsbsim_log(model: str, duration: float, number: int, air: str, seed: int) -> tuple[Log, Aircraft]:
+def jsbsim_log(model: str, duration: float, number: int, air: str, seed: int) -> tuple[Log, Aircraft]:
     """Return a flight with the manoeuvres of a plan of the example flights, held level or in slow turns."""
-    plan, fdm = FLIGHT_PLANS[number], started(model, 40 * FRAMES)
+    plan, fdm = FLIGHT_PLANS[number], started(model, 40 * FRAMES, KNOTS[model])
     fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, KNOTS[model]
     fdm.run_ic()
     fdm["propulsion/set-running"] = -1

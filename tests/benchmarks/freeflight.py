@@ -81,11 +81,11 @@ def truth_of(flight):
     return true.assign(time=flight["time"], altitude=flight["altitude"], density=flight["density"], **flight[known])
 
 
-def windows(truth):
-    """Return the stretches that are flown free, one for each start."""
-    rows = round(HORIZONS[-1] / STEP)
-    first = np.linspace(round(MARGIN / STEP), len(truth) - rows - 2, STARTS).astype(int)
-    clock = STEP * np.arange(rows + 1)
+def windows(truth, step=STEP):
+    """Return the stretches that are flown free, one for each start, of a flight with a row each step."""
+    rows = round(HORIZONS[-1] / step)
+    first = np.linspace(round(MARGIN / step), len(truth) - rows - 2, STARTS).astype(int)
+    clock = step * np.arange(rows + 1)
     return [truth.iloc[k : k + rows + 1].reset_index(drop=True).assign(time=clock) for k in first]
 
 
@@ -113,7 +113,7 @@ def errors_of(flights, stretches):
     return rows
 
 
-def coverage_of(ensembles, stretches):
+def coverage_of(ensembles, stretches, step=STEP):
     """Return which share of the truth lies within the 95 % bands of ensembles, a row for each horizon.
 
     The interval score (Gneiting & Raftery 2007) is over the deviation of each state along all stretches.
@@ -122,7 +122,7 @@ def coverage_of(ensembles, stretches):
     bands = [band for ensemble in ensembles for band in _parts(trajectory_bands(ensemble, LEVEL, SCORED))]
     stretches, rows = stretches * len(ensembles), []
     for horizon in HORIZONS:
-        k = round(horizon / STEP)
+        k = round(horizon / step)
         inside, width, score = [], [], []
         for band, stretch in zip(bands, stretches, strict=True):
             for name in SCORED:
@@ -175,12 +175,12 @@ def bands_table(rows):
 
 
 def airs(aircraft, flight):
-    """Return the options of `simulate` for what is known of the air: turbulence from the sensors of the flight."""
+    """Return the options of `simulate` for what is known of the air."""
     turbulence = Turbulence.from_flight(flight, aircraft.span)
     mean = flight[["wind_north_true", "wind_east_true", "wind_down_true"]].mean().to_numpy()
     return {
-        "true wind, rates of its gusts drawn": {"gusts": turbulence},
-        "mean wind, gusts drawn": {"gusts": turbulence, "wind": mean},
+        "true wind": {},
+        "mean wind, turbulence of the flight": {"gusts": turbulence, "wind": mean},
     }
 
 

@@ -201,7 +201,7 @@ def measure_bands(case, n_draws):
     made = process_time()
     theirs = [case.flown(fdm) for fdm in fdms]
     print(f"{n_draws} aircraft: {made - started:.0f} s to write and load, {process_time() - made:.0f} s to fly")
-    ours, fresh = (case.simulated(n_paths=n_draws, random_state=k, drift=False) for k in (0, 1))
+    ours, fresh = (case.simulated(n_paths=n_draws, random_state=k, gusts=None, drift=False) for k in (0, 1))
     rows = []
     for name in COMPARED:
         one, two, new = np.stack(theirs)[:, :, COMPARED.index(name)], _by_path(ours, name), _by_path(fresh, name)

@@ -211,6 +211,18 @@ class TestSimulate:
         assert low == pytest.approx(bands.iloc[-1]["airspeed_low"])
         assert low < high
 
+    def test_gusts_are_those_of_the_training_flights_unless_none_are_asked_for(self, model, tmp_path, capsys):
+        pipeline, name = copy(model.pipeline), str(tmp_path / "gusty.joblib")
+        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=5.0)
+        save_model(name, pipeline, model.aircraft, options=model.options)
+        words, found = [name, "--trim", "35", "--duration", ".5", "--paths", "10", "--json", "-o"], []
+        for more in ([], ["--gusts", "none"]):
+            assert main(["simulate", *words, str(tmp_path / f"out{len(more)}"), *more]) == 0
+            found.append(json.loads(capsys.readouterr().out)["paths"])
+        assert "as in the training flights" in found[0]["air"]
+        assert "without gusts" in found[1]["air"]
+        assert np.ptp(found[0]["end"]["alpha"]) > 2 * np.ptp(found[1]["end"]["alpha"])
+
     def test_a_folder_may_have_any_name(self, run, tmp_path):
         run("simulate", "--trim", "35", "--duration", ".1", "--paths", "0", output="flown.csv")
         assert "trajectory.csv" in files(tmp_path / "flown.csv")

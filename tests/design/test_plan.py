@@ -447,8 +447,8 @@ def test_limits_are_what_was_flown(model, uav, monkeypatch):
     found = plan(model, uav, **options)
     elevator = found.trims[0].controls["elevator"]
     assert found.trains[0].limits["elevator"].amplitude == pytest.approx(0.3 - abs(elevator))
-    with pytest.warns(UserWarning, match="risks are those of calm air"), pytest.raises(ValueError, match="no trim"):
-        plan(model, uav, **options | {"gusts": "as flown", "airspeeds": 1.0})
+    with pytest.warns(UserWarning, match="risks are those without gusts"), pytest.raises(ValueError, match="no trim"):
+        plan(model, uav, **options | {"gusts": "auto", "airspeeds": 1.0})
     with pytest.raises(ValueError, match="does not say what was flown"):
         plan(Aerodynamics(model.function, NAMES), uav, **options)
     with pytest.raises(ValueError, match="'function', but the model does not say what was flown"):

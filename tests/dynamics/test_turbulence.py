@@ -10,11 +10,12 @@ from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import Pipeline
 
+from skdgp._flight.channels import WIND
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, simulate
-from skdgp.dynamics._equations.aerodynamics import Drift, turbulence_of
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, dryden_wind, simulate
+from skdgp.dynamics._equations.aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
 from skdgp.dynamics._simulation.gusts import dryden_gusts, dryden_system
-from skdgp.dynamics._simulation.simulate import _drift_besides_gusts
+from skdgp.dynamics._simulation.simulate import _drift_in
 from skdgp.dynamics._simulation.turbulence import _spectrum
 from skdgp.identification import make_identification_pipeline
 
@@ -59,13 +60,37 @@ class TestFromFlight:
             np.testing.assert_allclose(values.std(axis=0), np.median(stated, axis=0), rtol=0.45)
 
     @pytest.mark.parametrize("axis", [0, 1, 2])
-    def test_the_spectrum_is_that_of_drawn_gusts(self, axis):
+    def test_the_spectrum_is_that_of_drawn_gusts_without_lag(self, axis):
         A, B, C = dryden_system(SPEED, TRUE.length, TRUE.intensity, SPAN)
         frequency = np.geomspace(0.01, 60.0, 9)
         response = np.array([C[axis] @ np.linalg.solve(1j * w * np.eye(9) - A, B) for w in frequency])
-        found = _spectrum(frequency, TRUE.length[axis] / SPEED, (4, 3, 4)[axis] * SPAN / (np.pi * SPEED), axis)
+        lag = (4, 3, 4)[axis] * SPAN / (np.pi * SPEED)
+        found = _spectrum(frequency, TRUE.length[axis] / SPEED, axis) / (1 + (lag * frequency) ** 2)
         expected = (np.abs(response) ** 2).sum(axis=1)
         np.testing.assert_allclose(TRUE.intensity[axis] ** 2 * found, expected, rtol=1e-12)
+
+    def test_the_span_changes_little(self):
+        """Sensors measure at a point, and a wing averages: what the span does to the wind is left out."""
+        table = flights(TRUE, 2, 300.0, 0.05, seed=5)
+        narrow, wide = (Turbulence.from_flight(table, span) for span in (0.5 * SPAN, 4 * SPAN))
+        np.testing.assert_allclose(wide.intensity, narrow.intensity, rtol=0.1)
+        np.testing.assert_allclose(wide.length, narrow.length, rtol=0.35)
+
+    def test_winds_of_seconds_tell_the_rates(self):
+        """Of ten winds of ten seconds, and of one."""
+        n, (length, intensity) = 201, (np.tile(part, (10, 1)) for part in (TRUE.length, TRUE.intensity))
+        gusts = dryden_gusts(n, STEP, SPEED, length, intensity, SPAN, np.random.default_rng(3)).velocity
+        winds = [pd.DataFrame(gusts[:, k], columns=WIND).assign(time=STEP * np.arange(n)) for k in range(10)]
+        density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
+        for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):
+            found = Turbulence.from_wind(some, SPEED, SPAN)
+            np.testing.assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
+        with pytest.raises(ValueError, match="winds that are too short"):
+            Turbulence.from_wind(winds[0][:20], SPEED, SPAN)
+        with pytest.raises(ValueError, match="2 airspeeds of 10 winds"):
+            Turbulence.from_wind(winds, [SPEED, SPEED], SPAN)
+        with pytest.raises(ValueError, match="wind_down"):
+            Turbulence.from_wind(winds[0].drop(columns="wind_down"), SPEED, SPAN)
 
     def test_exact_data_of_calm_air(self):
         table = flights(TRUE, 1, 40.0, 0.2, seed=2).assign(airspeed=SPEED, alpha=0.0, beta=0.0)
@@ -161,30 +186,54 @@ class TestDrift:
     def test_the_airspeed_is_that_of_the_flights(self, model):
         """The drift is a property of the flights that the model was learned from, wherever it flies later."""
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
-        known = Aerodynamics(coefficients, model.regressors, turbulence=TRUE._replace(airspeed=SPEED))
-        motion = SimpleNamespace(aerodynamics=known, aircraft=AIRCRAFT)
-        fast, slow = (_drift_besides_gusts(drift, motion, TRUE, speed).variance for speed in (50.0, 12.0))
+        known = learned_in(TRUE, model, drift)
+        fast, slow = (_drift_in(TRUE, known, speed, drawn=True).variance for speed in (50.0, 12.0))
         np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-10)
         assert (fast[3:] < drift.variance[3:]).all()
 
-    def test_calmer_air_disturbs_less_and_rougher_air_no_more(self, model):
+    def test_calm_air_leaves_the_misfit_and_rougher_air_adds_nothing(self, model):
         """What gusts explain of a variance is proportional to theirs; errors of the function stay."""
-        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
-        known = Aerodynamics(coefficients, model.regressors, turbulence=TRUE._replace(airspeed=SPEED))
-        motion = SimpleNamespace(aerodynamics=known, aircraft=AIRCRAFT)
+        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4), np.full(6, 1e-7))
         factors = np.array([0.0, 0.5, 1.0, 2.0])
-        left = [_drift_besides_gusts(drift, motion, TRUE.scaled(k), SPEED).variance[0] / 1e-6 for k in factors]
+        known = learned_in(TRUE, model, drift)
+        left = [_drift_in(TRUE.scaled(k), known, SPEED, drawn=True).variance[0] / 1e-6 for k in factors]
         np.testing.assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
-        assert 0 < left[0] < left[2]
-        assert left[2:] == pytest.approx([1.0, 1.0])
-        for calm in (TRUE.scaled(0.0), TRUE):  # learned in calm air, all of it is errors of the function
-            known.turbulence = TRUE.scaled(0.0)._replace(airspeed=SPEED)
-            np.testing.assert_allclose(_drift_besides_gusts(drift, motion, calm, SPEED).variance, drift.variance)
+        assert left == pytest.approx([0.1, 0.33, 1.0, 1.0], abs=0.03)
+        calm = learned_in(TRUE.scaled(0.0), model, drift)
+        for air in (TRUE.scaled(0.0), TRUE, None):  # learned in calm air, all of it is errors of the function
+            np.testing.assert_allclose(_drift_in(air, calm, SPEED, drawn=True).variance, drift.variance)
+
+    def test_what_is_not_drawn_is_in_the_drift(self, model):
+        """Deviations of the mean's flight contain the rates of gusts, in proportion to their variance."""
+        drift = Drift(np.full(6, 1e-2), np.full(6, 0.4))
+        known = learned_in(TRUE, model, drift)
+        np.testing.assert_allclose(_drift_in(TRUE, known, SPEED, drawn=False).variance, drift.variance)
+        more, drawn = (_drift_in(TRUE.scaled(3.0), known, SPEED, drawn=drawn).variance for drawn in (False, True))
+        explained = drift.variance - drawn
+        np.testing.assert_allclose((more - drawn)[3:] / explained[3:], 9.0, rtol=0.1)
+
+    def test_two_processes(self):
+        """The misfit lasts longer than the rest; draws have the stated covariance."""
+        drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.full(6, 0.1), np.full(6, 0.5))
+        time = np.array([0.0, 0.05, 1.0])
+        drawn = drift.draw(time, (20000,), 0)
+        for k, found in enumerate(np.moveaxis(drawn, -1, 0)):
+            expected = drift.covariance(time)[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+            np.testing.assert_allclose(np.cov(found), expected, atol=0.06)
+        assert expected[0, 2] == pytest.approx(0.5 * np.exp(-1 / MISFIT_MEMORY), abs=1e-4)
 
     def test_no_variance_is_negative(self):
         drift = Drift(np.full(6, 1e-12), np.full(6, 0.4))
         left = TRUE.without_rotation(drift, self.slopes, SPEED, SPAN)
         np.testing.assert_array_equal(left.variance[3:], 0.0)
+
+
+def learned_in(turbulence, model, drift):
+    """The motion of an aircraft whose model was learned in some turbulence."""
+    known = Aerodynamics(
+        coefficients, model.regressors, drift=drift, turbulence=turbulence._replace(airspeed=SPEED), sampler=sampler
+    )
+    return SimpleNamespace(aerodynamics=known, aircraft=AIRCRAFT)
 
 
 def coefficients(X):
@@ -208,6 +257,7 @@ def model():
 
 
 START = {"airspeed": 12.0, "alpha": 0.05, "altitude": 100.0}
+WIND_OF_A_SECOND = pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(WIND, 0.0)})
 OPTIONS = {"duration": 1.0, "dt": 0.05, "thrust": None, "n_paths": 40}
 
 
@@ -235,6 +285,35 @@ class TestSimulate:
         np.testing.assert_allclose(paths["wind_down"], expected, atol=1e-12)
         assert paths.query("time == 1.0")["p"].std() > 1e-4
 
+    def test_a_wind_has_gusts_of_its_own(self, model):
+        """By itself a table or a function decides the intensity, whatever the model was learned in; it is said."""
+        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE.scaled(9.0))
+        wind = dryden_wind(20.0, 12.0, 100.0, wind_at_6m=4.0, span=SPAN, random_state=0)
+        by_table = flown(known, wind=wind)
+        asked = flown(known, wind=wind, gusts=Turbulence.from_wind([wind], 12.0, SPAN))
+        np.testing.assert_allclose(by_table["p"], asked["p"], rtol=0.2, atol=0.05)
+        assert "those of the wind" in by_table.attrs["air"]
+
+        def field(t, position):
+            return np.array([np.interp(t, wind["time"], wind[name]) for name in WIND])
+
+        spread = [flown(known, wind=air, duration=5.0).query("time > 2")["p"].std() for air in (wind, field)]
+        assert spread[1] == pytest.approx(spread[0], rel=0.6)
+        held = flown(known, wind=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
+        assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
+
+    def test_what_is_not_said_is_as_in_the_training_flights(self, model):
+        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE)
+        for options in ({}, {"wind": [0.0, 0.0, 0.0]}, {"wind": WIND_OF_A_SECOND}):
+            paths = flown(known, **options)
+            drawn = flown(known, gusts=TRUE, **options)
+            np.testing.assert_allclose(paths["p"], drawn["p"], atol=1e-12)
+            assert "as in the training flights, 0.5, 0.5, 0.35 m/s" in paths.attrs["air"]
+        calm, unknown = flown(known, gusts=None), flown(model)
+        np.testing.assert_allclose(calm["p"], unknown["p"], atol=1e-12)
+        assert "without gusts" in calm.attrs["air"]
+        assert "is not known" in unknown.attrs["air"]
+
     def test_seeds(self, model):
         first, again, other = (flown(model, gusts=TRUE, random_state=seed)["q"].to_numpy() for seed in (0, 0, 1))
         # OpenBLAS's kernels for old processors round by where operands lie in memory
@@ -260,7 +339,7 @@ class TestSimulate:
         """Flown as learned in turbulence whose rates explain the drift, nothing is counted twice."""
         drift = Drift(np.array([0, 0, 0, 1e-14, 1e-14, 1e-14]), np.ones(6))
         known = Aerodynamics(coefficients, model.regressors, sampler=sampler, drift=drift, turbulence=TRUE)
-        with_drift, without = (flown(known, gusts="as flown", drift=drift)["p"] for drift in (True, False))
+        with_drift, without = (flown(known, drift=drift)["p"] for drift in (True, False))
         np.testing.assert_allclose(with_drift, without, atol=1e-12)
 
     def test_a_number_is_the_intensity_of_vertical_gusts(self, model):
@@ -272,11 +351,11 @@ class TestSimulate:
         ("options", "message"),
         [
             ({"gusts": TRUE, "n_paths": None}, "gusts without n_paths"),
-            ({"gusts": "as flown"}, "does not know the turbulence"),
+            ({"gusts": "as flown"}, "expected 'auto'"),
             ({"gusts": 3.0}, "does not know the turbulence"),
-            ({"gusts": -3.0}, "expected a Turbulence"),
-            ({"gusts": True}, "expected a Turbulence"),
-            ({"gusts": np.ones(3)}, "expected a Turbulence"),
+            ({"gusts": -3.0}, "expected 'auto', a Turbulence"),
+            ({"gusts": True}, "expected 'auto', a Turbulence"),
+            ({"gusts": np.ones(3)}, "expected 'auto', a Turbulence"),
             ({"gusts": TRUE.scaled(np.nan)}, "three intensities >= 0"),
             ({"gusts": TRUE.scaled(-1.0)}, "three intensities >= 0"),
             ({"gusts": TRUE._replace(length=np.zeros(3))}, "lengths > 0"),

@@ -12,9 +12,9 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import semidefinite_root
 from skdgp._compute.typing import Array, Seed, Vector
-from skdgp._flight.channels import AIR_DATA, CHANNELS, HAT, RATE_LENGTHS, TRUTH_SUFFIX, rate_factor
+from skdgp._flight.channels import AIR_DATA, CHANNELS, HAT, RATE_LENGTHS, SENSOR_GUST, TRUTH_SUFFIX, WIND, rate_factor
 from skdgp._flight.channels import RATES as BODY_RATES
-from skdgp._flight.frames import ned_to_body
+from skdgp._flight.frames import body_to_ned, ned_to_body
 from skdgp.dynamics._control.linearize import jacobian
 from skdgp.dynamics._equations.aerodynamics import Drift
 from skdgp.dynamics._equations.error_covariance import (
@@ -26,7 +26,7 @@ from skdgp.dynamics._equations.error_covariance import (
     state_readouts,
 )
 from skdgp.dynamics._equations.motion import CONTROLS, Air, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rk4_step
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, STANDARD_GRAVITY, VELOCITY, rk4_step
 from skdgp.dynamics._simulation.gusts import Gusts, GustyAir, dryden_gusts
 from skdgp.dynamics._simulation.inputs import (
     PROPULSION,
@@ -41,7 +41,7 @@ from skdgp.dynamics._simulation.inputs import (
     wind_schedule,
 )
 from skdgp.dynamics._simulation.trajectory import channels, trajectory_table, warn_of
-from skdgp.dynamics._simulation.turbulence import Turbulence
+from skdgp.dynamics._simulation.turbulence import LENGTH, TooShort, Turbulence
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust
 
@@ -50,8 +50,7 @@ SLOWEST = 1.0
 FASTEST, SPINNING = 1000.0, 60.0
 """Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
 FLYING = ""
-CALM_SHARE = 0.25
-"""Of the variance of a drift learned in gusts, in calm air: errors of the function that its paths lack."""
+STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 MOST_KNOTS = 250
 """Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 
@@ -65,7 +64,7 @@ def simulate(
     *,
     duration: float | None = None,
     wind: Any = None,
-    gusts: Turbulence | Literal["as flown"] | float | None = None,
+    gusts: Turbulence | Literal["auto"] | float | None = "auto",
     n_paths: int | None = None,
     random_state: Seed = 0,
     drift: bool = True,
@@ -103,13 +102,11 @@ def simulate(
     wind : array-like (3,), DataFrame or callable, optional
         Velocity of the air, north, east, down [m/s]: constant; a table with ``time``, ``wind_north``, ``wind_east``,
         ``wind_down``; or a function (t, position (..., 3)).
-    gusts : Turbulence, "as flown" or float, optional
+    gusts : "auto", Turbulence, float or None, default="auto"
         Turbulence in which each path meets gusts of its own, with their rates p, q, r, besides the ``wind``. A table or
-        function as ``wind`` contains the velocity of the gusts: then only rates are drawn. "as flown": that of the
-        training flights. A number: the same, with vertical gusts of this standard deviation [m/s]. The drift loses what
-        the rates explain of it, and in calmer air than that of the training flights up to three quarters of the rest of
-        its variance; where the model does not know the turbulence of its flights, it keeps all, and the paths spread
-        too far.
+        function as ``wind`` contains the velocity of the gusts: then only rates are drawn. "auto": that of this table
+        or function (`Turbulence.from_wind`), else that of the training flights, if the model knows it. A number: that
+        of the training flights, with vertical gusts of this standard deviation [m/s]. None: calm air.
     n_paths : int, optional
         Number of functions drawn to fly instead of the mean, each for a whole flight: from the posterior, with errors
         by noise that is correlated between samples, which it does not contain. Their spread is the uncertainty of the
@@ -118,12 +115,13 @@ def simulate(
         Of the paths.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the coefficients that
-        change slowly, as the residuals of the training flights did (gusts, missing regressors). False: the uncertainty
-        of the aircraft alone, such as in calmer air.
+        change slowly, as the residuals of the training flights did, besides what drawn gusts explain. In calmer air it
+        is smaller, in calm air the misfit of the function alone; where the model does not know the turbulence of its
+        flights, it is as large as theirs. False: the uncertainty of the aircraft alone.
     return_std : bool, default=False
         Whether to add columns ``airspeed_std``, ``phi_std``, ... of the mean's trajectory: standard deviations by the
-        joint posterior of the coefficients along it, to first order. Fast, and right for some seconds, while errors are
-        small; ``n_paths`` is right for longer.
+        joint posterior of the coefficients along it, to first order, with the rates of gusts, but no velocity of gusts.
+        Fast, and right for some seconds, while errors are small; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
         Standard deviations of the start, for paths or ``return_std``, by name ("u", "v", "w", "v_north", ..., "phi",
         ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.
@@ -144,14 +142,15 @@ def simulate(
         A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude, density, ``ax``,
         ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls and coefficients; ``beyond``, the regressor that is
         farthest outside of what was flown, or ""; ``ended``, why the trajectory is over, or "": its rows are then NaN.
-        Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
+        Several starts have a column ``start``, paths also ``path``; ``flight`` names each. ``attrs["air"]`` says in
+        words which gusts were met.
 
     Raises
     ------
     ValueError
         If the start is not finite, controls are missing or end early, nothing gives the thrust, a regressor cannot be
-        rebuilt, the model lacks a coefficient or has no posterior to draw from, or there are ``gusts`` without paths,
-        or "as flown" and the model does not know its turbulence.
+        rebuilt, the model lacks a coefficient or has no posterior to draw from, there is a Turbulence or a number as
+        ``gusts`` without paths, or a number and the model does not know the turbulence of its flights.
 
     Warns
     -----
@@ -183,13 +182,16 @@ def simulate(
     air = wind_schedule(wind, clock, len(starts))
     commands = control_schedule(controls, clock, is_control(motion), len(starts), hold=hold)
     states = initial_states(starts, lambda at: air(0, at))
-    turbulence = _turbulence(gusts, motion, n_paths)
-    drifting = motion.aerodynamics.drift if drift and n_paths is not None else None
-    if turbulence is not None:
-        if drifting is not None:
-            drifting = _drift_besides_gusts(drifting, motion, turbulence, float(_airspeed(states, air).mean()))
-        air = _gusty(air, turbulence, wind, motion, clock, states, n_paths, random_state)
+    if n_paths is None and not (gusts is None or (isinstance(gusts, str) and gusts == "auto")):
+        raise ValueError("Got gusts without n_paths, but expected both: gusts are drawn, for each path its own.")
+    met, said = _turbulence(gusts, wind, air, motion, clock, states) if n_paths or return_std else (None, "")
+    drifting = None
+    if drift and (n_paths or return_std):
+        speed = float(_airspeed(states, air).mean())
+        drifting = _drift_in(met, motion, speed, drawn=n_paths is not None)
     if n_paths is not None:
+        if met is not None and np.any(met.intensity):
+            air = _gusty(air, met, _varies(wind), motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
         if return_std:
@@ -198,71 +200,123 @@ def simulate(
         raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
     elif len(states) == 1:
         states = states[0]
-    drifts = None if drifting is None else drifting.draw(clock.stages, states.shape[:-1], random_state)
+    drifts = None
+    if drifting is not None and n_paths is not None:
+        drifts = drifting.draw(clock.stages, states.shape[:-1], random_state)
     record = fly_record(motion, commands, air, clock, states, drifts)
     warn_of(record, motion)
-    std = linear_std(record, motion, initial_std, drift) if return_std else {}
+    std = linear_std(record, motion, initial_std, drifting) if return_std else {}
     first = [table["time"].iloc[0] for table in tables_of(controls)] or [0.0]
-    return trajectory_table(record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std)
+    table = trajectory_table(record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std)
+    table.attrs["air"] = said
+    return table
 
 
-def _turbulence(gusts: Any, motion: Motion, n_paths: int | None) -> Turbulence | None:
-    """Return the turbulence to fly in."""
+def _turbulence(
+    gusts: Any, wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array
+) -> tuple[Turbulence | None, str]:
+    """Return the turbulence to fly in, None if nobody knows it, and a sentence that says what it is."""
+    flown = motion.aerodynamics.turbulence
     if gusts is None:
-        return None
-    if n_paths is None:
-        raise ValueError("Got gusts without n_paths, but expected both: gusts are drawn, for each path its own.")
+        return STILL, "Air without gusts, as asked."
     if isinstance(gusts, Turbulence):
         intensity, length = (np.asarray(part, dtype=float) for part in gusts[:2])
         size = np.stack([intensity, length]) if intensity.shape == length.shape == (3,) else np.full((2, 3), np.nan)
         if not (np.isfinite(size).all() and (intensity >= 0).all() and (length > 0).all()):
             raise ValueError(f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w.")
-        return gusts
+        return gusts, f"Gusts {_sizes(gusts)}, as asked."
     scaled = isinstance(gusts, Real) and not isinstance(gusts, bool) and 0.0 <= float(gusts) < np.inf
-    if not scaled and not (isinstance(gusts, str) and gusts == "as flown"):
+    if not scaled and not (isinstance(gusts, str) and gusts == "auto"):
         raise ValueError(
-            f"Got gusts={gusts!r}, but expected a Turbulence, 'as flown', an intensity [m/s] from 0 on, or None."
+            f"Got gusts={gusts!r}, but expected 'auto', a Turbulence, an intensity [m/s] from 0 on, or None."
         )
-    flown = motion.aerodynamics.turbulence
-    if flown is None:
+    if not scaled and _varies(wind):
+        found = _turbulence_of(wind, air, motion, clock, states)
+        if found is not None:
+            return found, f"Gusts as those of the wind, {_sizes(found)}."
+    if flown is None and scaled:
         raise ValueError(
             f"Got gusts={gusts!r}, but the model does not know the turbulence of its flights: their tables lack "
             "airspeed, alpha, beta, attitude or v_north, v_east, v_down, or last less than 30 s. Give "
             "Turbulence.from_flight(flight, span) or Turbulence.low_altitude(height, wind_at_6m)."
         )
-    return flown.scaled(float(gusts) / flown.intensity[2]) if scaled else flown
+    if flown is None:
+        return None, "No gusts are drawn, but errors as in the training flights: their turbulence is not known."
+    if scaled:
+        found = flown.scaled(float(gusts) / flown.intensity[2])
+        return found, f"Gusts {_sizes(found)}, as asked."
+    return flown, f"Gusts as in the training flights, {_sizes(flown)}: nothing else is said of the air."
+
+
+def _sizes(turbulence: Turbulence) -> str:
+    """Return the intensities in words."""
+    u, v, w = turbulence.intensity
+    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w)"
+
+
+def _varies(wind: Any) -> bool:
+    """Return whether a wind contains its gusts: a table or a function."""
+    return callable(wind) or bool(tables_of(wind))
+
+
+def _turbulence_of(wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array) -> Turbulence | None:
+    """Return the turbulence of a wind, None if it is too short to show it; a function is followed straight ahead."""
+    speeds, tables = _airspeed(states, air), tables_of(wind)
+    if not tables:
+        ground = body_to_ned(states[:, ATTITUDE], states[:, VELOCITY])
+        met = []
+        for k in range(clock.n_steps + 1):
+            moved = states.copy()
+            moved[:, POSITION] += k * clock.dt * ground
+            met.append(np.broadcast_to(air(2 * k, moved).wind, (len(states), 3)))  # type: ignore[union-attr]
+        time = clock.dt * np.arange(clock.n_steps + 1)
+        tables = [pd.DataFrame(w, columns=[*WIND]).assign(time=time) for w in np.stack(met, axis=1)]
+    try:
+        return Turbulence.from_wind(tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span)
+    except TooShort:
+        return None
 
 
 def _gusty(
     air: AirAt,
     turbulence: Turbulence,
-    wind: Any,
+    rates_alone: bool,
     motion: Motion,
     clock: Clock,
     states: Array,
-    n_paths: int | None,
+    n_paths: int,
     random_state: Any,
 ) -> GustyAir:
-    """Return the air (n_paths, n_starts) with gusts of the turbulence, only their rates if the wind contains gusts."""
+    """Return the air (n_paths, n_starts) with gusts of the turbulence, or with their rates alone."""
     seed = check_random_state(random_state).randint(2**31 - 1, size=5)  # other numbers than those of the paths
     n = len(states)
     length, intensity = (np.tile(part, (n, 1)) for part in (turbulence.length, turbulence.intensity))
     drawn = dryden_gusts(
         len(clock.stages), 0.5 * clock.dt, _airspeed(states, air), length, intensity, motion.aircraft.span,
-        np.random.default_rng(seed), n_draws=n_paths or 1,
+        np.random.default_rng(seed), n_draws=n_paths,
     )  # fmt: skip
     parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
-    if callable(wind) or tables_of(wind):
+    if rates_alone:
         parts[:2] = (np.zeros_like(part) for part in parts[:2])
     return GustyAir(air, Gusts(*parts))
 
 
-def _drift_besides_gusts(drift: Drift, motion: Motion, turbulence: Turbulence, start_speed: float) -> Drift:
-    """Return the drift in some turbulence: without what rates of the gusts of the training flights explain."""
+def _drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, drawn: bool) -> Drift | None:
+    r"""Return the drift in the turbulence that is met; ``drawn``: besides the rates of its gusts.
+
+    Of the variance :math:`\tau^2` that the training flights had, the misfit m is of the function, and the rates of
+    their gusts explain g. The rest are other effects of gusts, and errors of regressors that a simulation lacks. It is
+
+    .. math:: m + \min(1, \rho) (\tau^2 - g - m) + \rho g,
+              \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
+
+    without the last term where rates are drawn; :math:`\sigma_0` is what sensors show of calm air.
+    """
     model = motion.aerodynamics
-    if model.turbulence is None:
+    drift, flown = model.drift, model.turbulence
+    if drift is None or flown is None or met is None:
         return drift
-    speed = start_speed if model.turbulence.airspeed is None else model.turbulence.airspeed
+    speed = start_speed if flown.airspeed is None else flown.airspeed
     middle = np.zeros(len(model.regressors)) if model.limits is None else model.limits.mean(axis=0)
     gradient = model.gradient(middle[None])[0]
     slopes = np.zeros((6, 3))
@@ -273,10 +327,10 @@ def _drift_besides_gusts(drift: Drift, motion: Motion, turbulence: Turbulence, s
             length = getattr(motion.aircraft, RATE_LENGTHS[rate])
             factor = 1.0 if rate == name else rate_factor(rate, length, np.array(speed))
             slopes[:, BODY_RATES.index(rate)] += gradient[:, k] * factor
-    besides = model.turbulence.without_rotation(drift, slopes, speed, motion.aircraft.span)
-    flown, met = (np.square(part.intensity).sum() for part in (model.turbulence, turbulence))
-    share = CALM_SHARE + (1 - CALM_SHARE) * min(1.0, met / flown if flown > 0 else 1.0)
-    return besides._replace(variance=share * besides.variance)
+    besides = flown.without_rotation(drift, slopes, speed, motion.aircraft.span).variance
+    ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
+    variance = drift.misfit + min(1.0, ratio) * np.maximum(besides - drift.misfit, 0.0)
+    return drift._replace(variance=variance if drawn else variance + ratio * (drift.variance - besides))
 
 
 def _airspeed(states: Array, air: AirAt) -> Vector:
@@ -402,11 +456,11 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
 
 
 def linear_std(
-    record: Record, motion: Motion, initial_std: Mapping[str, float] | None, drift: bool
+    record: Record, motion: Motion, initial_std: Mapping[str, float] | None, drift: Drift | None
 ) -> dict[str, Array]:
     """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order.
 
-    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance, and that of its drift.
+    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance, and that of a drift.
     """
     start, shape = checked_std(initial_std), record.ended.shape
     found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)}
@@ -418,7 +472,9 @@ def linear_std(
     return found
 
 
-def _std_along(record: Record, motion: Motion, start: Mapping[str, float], drift: bool, place: Any, n: int) -> Array:
+def _std_along(
+    record: Record, motion: Motion, start: Mapping[str, float], drift: Drift | None, place: Any, n: int
+) -> Array:
     """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory."""
     states = record.states[(slice(n), *place)]
     knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
@@ -428,8 +484,8 @@ def _std_along(record: Record, motion: Motion, start: Mapping[str, float], drift
         motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind
     )
     covariance = motion.aerodynamics.covariance(record.regressors[at], correlated=True)
-    if drift and motion.aerodynamics.drift is not None:
-        covariance = covariance + motion.aerodynamics.drift.covariance(record.time[knots])
+    if drift is not None:
+        covariance = covariance + drift.covariance(record.time[knots])
     root = semidefinite_root(covariance)  # (6 k, m), output by output
     errors = np.moveaxis(root.reshape(6, len(knots), -1), 1, 0)
     left = np.clip(np.searchsorted(knots, np.arange(n), side="right") - 1, 0, len(knots) - 2)

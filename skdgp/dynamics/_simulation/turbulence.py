@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import check_columns, check_radians, check_table
 from skdgp._flight.clock import flight_segments
-from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion, ned_to_body
+from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion
 from skdgp.dynamics._equations.aerodynamics import Drift
 from skdgp.dynamics._simulation.gusts import dryden_system, low_altitude_turbulence
 
@@ -25,6 +27,15 @@ LONGEST = 3000.0
 """Scale length [m] beyond which there is none."""
 SAMPLES = 10
 """Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the sensors."""
+BAND = 1.0
+"""Frequency, over that of the lag of a wing, up to which spectra are fitted. Sensors measure the wind at a point, the
+wing meets its mean over the span. Below, both are the same to a factor of 2. With the lag in the spectra, gusts of
+JSBSim's aircraft had lengths of 8 to 90 m for 100 to 260 m, and their rates were 1.3 to 4 times too large."""
+LENGTH, LENGTH_STD = 126.0, 0.72
+"""Prior median [m] of a scale length and standard deviation of its logarithm: 95 % within 30 m (a flight at that
+height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds do not show it."""
+FEWEST = 3
+"""Values of the periodogram from which an intensity is estimated: its standard error is then 30 %."""
 CALM = 1e-12
 """Power [m^2/s^2] of the wind below which it is round-off."""
 HORIZON, POINTS = 1.0, 101
@@ -52,7 +63,7 @@ class Turbulence(NamedTuple):
     """Standard errors of the intensities, (3,); None where they are given."""
     length_std: Array | None = None
     airspeed: float | None = None
-    """Mean of the flights [m/s]; None where it is given."""
+    """Mean of the flights [m/s]; None where intensity and length are given."""
 
     @classmethod
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
@@ -62,17 +73,11 @@ class Turbulence(NamedTuple):
 
     @classmethod
     def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
-        r"""Return the turbulence of one or more flights.
+        """Return the turbulence of one or more flights.
 
-        The velocity over the ground less that through the air is the wind; less its mean, in body axes, it is the
-        gusts u, v, w and the noise of the sensors. The spectra are Dryden's with the lag of a wing
-        (:func:`skdgp.dynamics.simulate` draws such gusts) and white noise. Their parameters maximise Whittle's
-        likelihood of the periodogram I at the frequencies \omega,
-
-        .. math:: -\sum_\omega \log S(\omega) + I(\omega) / S(\omega),
-
-        summed over flights. u and v share intensity and length (MIL-F-8785C, 3.7.2). Standard errors are those of its
-        Fisher information. Six minutes give intensities to a tenth and lengths to a fifth.
+        The velocity over the ground less that through the air is the wind, with the noise of the sensors: intensity and
+        length are estimated as by `from_wind`, and white noise with them. Six minutes give intensities to a tenth and
+        lengths to a fifth.
 
         Parameters
         ----------
@@ -91,22 +96,87 @@ class Turbulence(NamedTuple):
             If columns are missing, angles are in degrees, the span is not > 0, or no flight lasts 30 s and is sampled
             every 300 m.
         """
-        if not 0 < span < np.inf:
-            raise ValueError(f"Got span={span!r}, but expected a number > 0 [m].")
         columns = ["time", *AIR_DATA, *EULER, *EARTH_VELOCITY]
         check_columns(check_table(flight, what="flight"), columns, what="flight")
         check_radians(flight, (*EULER, "alpha", "beta"))
         rows = flight_segments(flight["time"], flight.get("flight"))
-        spectra = [found for part in rows if (found := _periodogram(flight.iloc[part][columns], span)) is not None]
-        if not spectra:
+        winds = [_wind_of(flight.iloc[part][columns].dropna()) for part in rows]
+        long = [wind for wind in winds if len(wind) > 1 and np.ptp(wind["time"]) >= SHORTEST]
+        try:
+            return cls._of(long, [wind["airspeed"].mean() for wind in long], span, noisy=True)
+        except TooShort as error:
             raise ValueError(
                 f"Got no flight of {SHORTEST:g} s in the air, without gaps, sampled every {LONGEST / SAMPLES:g} m, "
                 f"with values in {columns}, but gusts last for seconds: fly longer."
+            ) from error
+
+    @classmethod
+    def from_wind(cls, wind: pd.DataFrame | Sequence[pd.DataFrame], airspeed: ArrayLike, span: float) -> Turbulence:
+        r"""Return the turbulence of winds that were met at some airspeeds.
+
+        The spectra S are Dryden's. Their parameters maximise Whittle's likelihood of the periodogram I, with a prior on
+        the length L,
+
+        .. math:: -\sum_\omega \left(\log S(\omega) + \frac{I(\omega)}{S(\omega)}\right)
+                  - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
+
+        over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as one, all winds and
+        axes. u and v share intensity and length (MIL-F-8785C, 3.7.2); of north and east, S is the mean of their
+        spectra. Standard errors are those of the Fisher information.
+
+        Parameters
+        ----------
+        wind : DataFrame or list of DataFrame
+            Each with time, wind_north, wind_east, wind_down. Those of a few seconds tell the rates of the gusts, not
+            their lengths.
+        airspeed : float or array-like (n_winds,)
+            [m/s].
+        span : float
+            Of the wing [m].
+
+        Returns
+        -------
+        Turbulence
+
+        Raises
+        ------
+        ValueError
+            If a column is missing, there is not one airspeed or as many as winds, the span is not > 0, or the winds are
+            too short or too rarely sampled.
+
+        Examples
+        --------
+        >>> from skdgp.dynamics import Turbulence, dryden_wind
+        >>> wind = dryden_wind(600.0, airspeed=25.0, height=100.0, wind_at_6m=7.7, random_state=0)
+        >>> Turbulence.from_wind(wind, 25.0, span=2.0).intensity.round(1)
+        array([1. , 1. , 0.8])
+        """
+        wind = [wind] if isinstance(wind, pd.DataFrame) else list(wind)
+        for table in wind:
+            check_columns(check_table(table, what="wind"), ["time", *WIND], what="wind")
+        if np.shape(airspeed) not in ((), (len(wind),)):
+            raise ValueError(
+                f"Got {np.size(airspeed)} airspeeds of {len(wind)} winds, but expected one, or one for each."
             )
-        horizontal, vertical = (_fitted(spectra, axes) for axes in ((0, 1), (2,)))
+        return cls._of(wind, airspeed, span, noisy=False)
+
+    @classmethod
+    def _of(cls, wind: Sequence[pd.DataFrame], airspeed: ArrayLike, span: float, *, noisy: bool) -> Turbulence:
+        """Return the turbulence of winds, ``noisy`` if they are of sensors."""
+        if not 0 < span < np.inf:
+            raise ValueError(f"Got span={span!r}, but expected a number > 0 [m].")
+        speeds = np.broadcast_to(np.asarray(airspeed, dtype=float), (len(wind),))
+        found = [_periodogram(table, speed, span) for table, speed in zip(wind, speeds.tolist(), strict=True)]
+        spectra = [spectrum for spectrum in found if spectrum is not None]
+        if sum(len(spectrum.frequency) for spectrum in spectra) < FEWEST:
+            raise TooShort(
+                "Got winds that are too short, or too rarely sampled, to show gusts, but expected some seconds, with a "
+                "row for each 300 m: give longer ones."
+            )
+        horizontal, vertical = (_fitted(spectra, axes, noisy) for axes in ((0, 1), (2,)))
         intensity, length, intensity_std, length_std = np.transpose([horizontal, horizontal, vertical])
-        airspeed = np.average([p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra])
-        return cls(intensity, length, intensity_std, length_std, float(airspeed))
+        mean = np.average([p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra])
+        return cls(intensity, length, intensity_std, length_std, float(mean))
 
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
@@ -147,70 +217,79 @@ class Turbulence(NamedTuple):
         return drift._replace(variance=drift.variance * np.maximum(1 - share, 0.0))
 
 
-class _Spectra(NamedTuple):
-    """Periodograms of u, v, w of one flight, (n, 3), at frequencies (n,) [rad/s]."""
+class TooShort(ValueError):
+    """There is no wind to estimate from."""
 
-    frequency: Any
-    values: Any
+
+class _Spectra(NamedTuple):
+    """Periodograms of the wind north, east, down, (n, 3), at frequencies (n,) [rad/s]."""
+
+    frequency: np.ndarray
+    values: Array
     step: float
     airspeed: float
-    lag: Array
+    shortest: float
+    """Scale length [m] that they can show."""
 
 
-def _periodogram(rows: pd.DataFrame, span: float) -> _Spectra | None:
-    """Return the periodogram of the wind of a flight, None if it is too short, on the ground, or sampled too rarely."""
-    rows = rows.dropna()
-    time = rows["time"].to_numpy(float)
-    if len(time) < 2 or np.ptp(time) < SHORTEST:
-        return None
-    step, airspeed = float(np.median(np.diff(time))), float(rows["airspeed"].mean())
-    if not 0 < SAMPLES * step * airspeed < LONGEST:
-        return None
+def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return time, airspeed and wind of a flight."""
     attitude = euler_to_quaternion(*rows[[*EULER]].to_numpy(float).T)
     air = body_to_ned(attitude, air_velocity(*rows[[*AIR_DATA]].to_numpy(float).T))
-    wind = rows[[*EARTH_VELOCITY]].to_numpy(float) - air
-    gusts = ned_to_body(attitude, wind - wind.mean(axis=0))
+    wind = pd.DataFrame(rows[[*EARTH_VELOCITY]].to_numpy(float) - air, columns=[*WIND])
+    return wind.assign(time=rows["time"].to_numpy(float), airspeed=rows["airspeed"].to_numpy(float))
+
+
+def _periodogram(wind: pd.DataFrame, airspeed: float, span: float) -> _Spectra | None:
+    """Return the periodogram of a wind, None if it is too short, met at no airspeed, or sampled too rarely."""
+    wind = wind[["time", *WIND]].dropna()
+    time = wind["time"].to_numpy(float)
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    if not 0 < SAMPLES * step * airspeed < LONGEST:
+        return None
     even = np.arange(time[0], time[-1], step)
-    gusts = np.stack([np.interp(even, time, column) for column in gusts.T], axis=1)
+    gusts = np.stack([np.interp(even, time, wind[name].to_numpy(float)) for name in WIND], axis=1)
     values = np.abs(np.fft.rfft(gusts - gusts.mean(axis=0), axis=0)) ** 2 * step / len(even)
     frequency = 2 * np.pi * np.fft.rfftfreq(len(even), step)
-    used = (frequency > SLOWEST) & (frequency < 0.9 * np.pi / step)
-    lag = np.array([4.0, 3.0, 4.0]) * span / (np.pi * airspeed)  # of u, v, w, as in dryden_system
-    return _Spectra(frequency[used], values[used], step, airspeed, lag)
+    highest = min(BAND * np.pi * airspeed / (4 * span), 0.9 * np.pi / step)
+    used = (frequency > SLOWEST) & (frequency < highest)
+    shortest = max(SAMPLES * step * airspeed, airspeed / highest)
+    return _Spectra(frequency[used], values[used], step, airspeed, shortest)
 
 
-def _spectrum(frequency: Array, time: float, lag: float, axis: int) -> Array:
-    """Return the spectrum of u, v, w (axis 0, 1, 2) of unit variance without the lag: `dryden_system`, T = ``time``."""
+def _spectrum(frequency: Array, time: float, axis: int) -> Array:
+    """Return the spectrum of u, v, w (axis 0, 1, 2) of unit variance without lags: `dryden_system`, T = ``time``."""
     x = (time * frequency) ** 2
-    shape = 2 * time / (1 + x) if axis == 0 else time * (1 + 3 * x) / (1 + x) ** 2
-    return shape / (1 + (lag * frequency) ** 2)
+    return 2 * time / (1 + x) if axis == 0 else time * (1 + 3 * x) / (1 + x) ** 2
 
 
-def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> tuple[float, float, float, float]:
-    """Return intensity and length common to the axes, and their standard errors."""
-    powers = [part.values[:, axes].sum(axis=0) / part.step / len(part.values) for part in spectra]
-    power = max(float(np.mean(powers)), CALM)
-    observed = np.concatenate([part.values[:, axis] for part in spectra for axis in axes])
+def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], noisy: bool) -> tuple[float, float, float, float]:
+    """Return intensity and length common to the axes, whose spectrum is the mean of theirs, and standard errors."""
+    observed = np.concatenate([part.values[:, axes].ravel() for part in spectra])
+    level = max(float(np.mean(observed)), CALM)
+    power = level * max(part.frequency[-1] for part in spectra)
+    density = level / min(part.step for part in spectra)
 
     def logarithm(theta):
         variance, length, noise = np.exp(theta)
         parts = []
         for part in spectra:
-            for axis in axes:
-                unit = _spectrum(part.frequency, length / part.airspeed, part.lag[axis], axis)
-                parts.append(np.log(variance * unit + noise * part.step))
+            unit = np.mean([_spectrum(part.frequency, length / part.airspeed, axis) for axis in axes], axis=0)
+            parts.append(np.repeat(np.log(variance * unit + noise * part.step), len(axes)))
         return np.concatenate(parts)
 
     def loss(theta):
         spectrum = logarithm(theta)
-        return np.mean(spectrum + observed * np.exp(-spectrum))
+        return np.sum(spectrum + observed * np.exp(-spectrum)) + 0.5 * ((theta[1] - np.log(LENGTH)) / LENGTH_STD) ** 2
 
-    shortest = min(SAMPLES * part.step * part.airspeed for part in spectra)
-    bounds = [*np.log([(1e-6 * power, 100 * power), (shortest, LONGEST), (1e-6 * power, 10 * power)])]
-    starts = [np.log([0.5 * power, length, 0.5 * power]) for length in (2 * shortest, 10 * shortest)]
+    shortest = min(part.shortest for part in spectra)
+    loudest = 10 * density if noisy else 2e-6 * density
+    bounds = [*np.log([(1e-6 * power, 100 * power), (shortest, LONGEST), (1e-6 * density, loudest)])]
+    starts = [np.log([0.5 * power, length, 0.05 * loudest]) for length in (2 * shortest, 10 * shortest)]
     best = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun).x
     step = 1e-4
     slopes = np.array([(logarithm(best + step * e) - logarithm(best - step * e)) / (2 * step) for e in np.eye(3)])
-    error = np.sqrt(np.diag(np.linalg.pinv(slopes @ slopes.T)))  # of the logarithms
+    information = slopes @ slopes.T + np.diag([0.0, LENGTH_STD**-2, 0.0])
+    error = np.sqrt(np.diag(np.linalg.pinv(information)))  # of the logarithms
     intensity, length = np.exp(0.5 * best[0]), np.exp(best[1])
     return intensity, length, 0.5 * error[0] * intensity, error[1] * length

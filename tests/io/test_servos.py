@@ -69,6 +69,30 @@ class TestRefusals:
             read_servos(tmp_path / "nowhere.toml")
 
 
+class TestFullThrow:
+    """Surfaces from -1 to 1 by the parameters of the autopilot, with the signs of a flight table."""
+
+    def test_of_ardupilot(self, tmp_path, ardupilot, flight):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        table = read_flight(tmp_path / "log.bin", servos="full throw")
+        template = servo_template(tmp_path / "log.bin").replace("deflection = nan", "deflection = 0.5")
+        (tmp_path / "servo.toml").write_text(template)
+        angles = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
+        for name in ("aileron", "elevator", "rudder"):
+            np.testing.assert_allclose(0.5 * table[name], angles[name], atol=1e-12)
+        assert table.attrs["sources"]["rudder"] == "RCOU.C4 (in parts of the full throw)"
+
+    def test_what_cannot_be(self, tmp_path, dataflash, ulog):
+        log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0).topic("RCOU", [0.1, 0.2], C1=("H", 1500))
+        (tmp_path / "log.bin").write_bytes(bytes(log))
+        with pytest.raises(FlightReadError, match="min 1900, trim 1500, max 1900 of the aileron"):
+            read_flight(tmp_path / "log.bin", servos="full throw")
+        log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=("float", [1, 2]))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        with pytest.raises(FlightReadError, match="without servo outputs"):
+            read_flight(tmp_path / "log.ulg", servos="full throw")
+
+
 class TestTemplates:
     """A template asks for the angles and for nothing else."""
 

@@ -159,7 +159,8 @@ def _surface(log, name, servo: Servo) -> Source:
         )
     values = servo.deflection(topic[field])
     known = np.isfinite(values)
-    return Source((name,), servo.channel, topic.time[known], values[known][:, None], "by the servo file")
+    note = "by the servo file" if max(np.abs(servo.angles)) != 1 else "in parts of the full throw"
+    return Source((name,), servo.channel, topic.time[known], values[known][:, None], note)
 
 
 def _joined(fields) -> str:

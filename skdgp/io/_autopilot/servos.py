@@ -17,6 +17,8 @@ from skdgp.io._errors import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
+FULL_THROW = "full throw"
+"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1."""
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
 TEMPLATE = """\
@@ -72,6 +74,29 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
         except ValueError as error:
             raise FlightReadError(f"Got {servos} as the servo file, but expected TOML: {error}") from error
     return {name: _servo(name, entry) for name, entry in servos.items()}
+
+
+def full_throws(log: Log) -> dict[str, Servo]:
+    """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
+
+    Raises FlightReadError if there are none.
+
+    Examples
+    --------
+    >>> from skdgp.io._autopilot.formats import Log, ServoChannel
+    >>> full_throws(Log("", {}, servos={"rudder": ServoChannel("RCOU.C4", 1100, 1500, 1900, turned=True)}))
+    {'rudder': Servo(channel='RCOU.C4', inputs=(1100, 1500, 1900), angles=(1.0, 0.0, -1.0))}
+    """
+    _check_names_servos(log)
+    found = {}
+    for surface, (channel, low, trim, high, turned) in log.servos.items():
+        if not low < trim < high:
+            raise FlightReadError(
+                f"Got min {low:g}, trim {trim:g}, max {high:g} of the {surface} on {channel}, but expected them in "
+                "this order: write the servo file by hand."
+            )
+        found[surface] = Servo(channel, (low, trim, high), (1.0, 0.0, -1.0) if turned else (-1.0, 0.0, 1.0))
+    return found
 
 
 def _servo(name, entry) -> Servo:
@@ -131,13 +156,17 @@ def _is_number(value):
 
 def template(log: Log) -> str:
     """Return a calibration file without the angles; raise FlightReadError if the log does not name the servos."""
-    if not log.servos:
-        raise FlightReadError(
-            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
-            "one of them: log it, or write the servo file by hand."
-        )
+    _check_names_servos(log)
     return TEMPLATE + "".join(
         f'\n[{surface}]\nchannel = "{servo.channel}"\nmin = {servo.low:g}\ntrim = {servo.trim:g}\n'
         f"max = {servo.high:g}\ndeflection = nan\nreversed = {str(servo.turned).lower()}\n"
         for surface, servo in log.servos.items()
     )
+
+
+def _check_names_servos(log: Log) -> None:
+    if not log.servos:
+        raise FlightReadError(
+            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
+            "one of them: log it, or write the servo file by hand."
+        )

@@ -5,7 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from skdgp.dynamics import Aircraft
+from skdgp._flight.channels import RATE_LENGTHS
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    air_velocity,
+    euler_to_quaternion,
+    linearize,
+    stability_derivatives,
+    trim,
+)
+from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES
 
 PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
     "Aerosonde, Beard & McLain 2012, table E.2": (13.5, 2.8956, 0.55, 1.7, (0.8244, 1.135, 1.759)),
@@ -105,3 +116,48 @@ class TestFiles:
     def test_errors(self, values, words):
         with pytest.raises(ValueError, match=words):
             Aircraft.from_dict(values)
+
+
+class TestWhatErrorsDo:
+    """The same log with the sizes of another aircraft: its forces and accelerations are what they are."""
+
+    STATE = np.r_[0.0, 0.0, -200.0, air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0), 0.2, 0.1, 0.15]
+    CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04}
+
+    def learned(self, aircraft):
+        """Return the coefficients of one log with the sizes of an aircraft: F / (qbar S), I omega_dot / (qbar S b)."""
+        force = BRUMBY.wing_area / BRUMBY.mass * aircraft.mass / aircraft.wing_area
+        moments = BRUMBY.moment_lengths / BRUMBY.inertia.diagonal()
+        moments = moments * aircraft.inertia.diagonal() / aircraft.moment_lengths
+        moments = moments * BRUMBY.wing_area / aircraft.wing_area
+        scale = np.array([force] * 3 + moments.tolist())
+        lengths = [getattr(BRUMBY, RATE_LENGTHS[name]) if name in RATE_LENGTHS else 2 * 36.0 for name in REGRESSORS]
+        return Aerodynamics(lambda X: scale * brumby_coefficients(X * np.array(lengths) / (2 * 36.0)), REGRESSORS)
+
+    @pytest.mark.parametrize("cause", ["mass", "span", "aspect ratio", "length", "roll inertia", "yaw inertia"])
+    def test_relative_errors_are_those_of_a_second_identification(self, cause):
+        factor = Aircraft.estimate((60.0, 0.6), (BRUMBY.span, 0.01)).deviations[cause]
+        sizes = BRUMBY.to_dict() | {"deviations": {cause: {"std": 1e-5, "powers": factor.powers}}}
+        diagonal = np.diag(BRUMBY.inertia.diagonal())
+        known = Aircraft.from_dict(sizes | {"inertia": diagonal})
+        grown = {name: getattr(known, name) * 1.00001 ** factor.powers.get(name, 0.0) for name in QUANTITIES}
+        moments = np.array([1.00001 ** factor.powers.get(name, 0.0) for name in MOMENTS])
+        other = Aircraft.from_dict(sizes | grown | {"inertia": diagonal * moments})
+        at = {"point": self.STATE, "controls": self.CONTROLS, "thrust": None, "density": 1.1}
+        table = stability_derivatives(self.learned(known), known, **at)
+        change = stability_derivatives(self.learned(other), other, **at)["value"] - table["value"]
+        np.testing.assert_allclose(np.abs(change), table["std_aircraft"], rtol=1e-3, atol=1e-9)
+        assert set(table["aircraft"]) <= {cause, ""}
+
+    def test_trim_and_modes_do_not_depend_on_the_sizes(self):
+        """With a diagonal inertia, so that its moments can be scaled one by one without products between them."""
+        known = Aircraft.from_dict(BRUMBY.to_dict() | {"inertia": np.diag(BRUMBY.inertia.diagonal())})
+        wrong = {"mass": 50.0, "wing_area": 4.0, "span": 2.5, "chord": 1.9}
+        wrong = Aircraft.from_dict(known.to_dict() | wrong | {"inertia": 1.3 * known.inertia})
+        found = []
+        for aircraft in (known, wrong):
+            model = self.learned(aircraft)
+            point = trim(model, aircraft, 36.0, climb=None, density=1.1, thrust=None)
+            modes = linearize(model, aircraft, point, density=1.1, thrust=None).modes()
+            found.append(np.r_[point.alpha, point.controls["elevator"], np.sort(modes["frequency"])])
+        np.testing.assert_allclose(found[1], found[0], rtol=1e-5)

@@ -72,7 +72,7 @@ def predict(run: Run) -> None:
         raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
     run.console.stage("reading")
     model = read_model(options)
-    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **opt.reading(options)))
+    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **opt.reading(options, model)))
     tables = []
     for name, table in flights.items():
         run.console.stage(f"predicting {name}")

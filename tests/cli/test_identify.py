@@ -290,7 +290,7 @@ class TestBadInput:
 
     def test_nothing_tells_the_thrust(self, refused, folder, tmp_path):
         table = pd.read_csv(folder / "latlon.csv")
-        gone = [name for name in table if name.startswith(("thrust", "propeller"))]
+        gone = [name for name in table if name.startswith(("thrust", "propeller", "throttle"))]
         table.drop(columns=gone).to_csv(tmp_path / "glider.csv", index=False)
         refused("thrust .* is unknown.*On the command line: --thrust none", train=[str(tmp_path / "glider.csv")])
 
@@ -372,9 +372,23 @@ class TestBadInput:
         ("arguments", "message"),
         [
             ([], "the following arguments are required: COMMAND"),
-            (["identify"], "the following arguments are required: --aircraft, -o/--output"),
-            (["identify", "latlon.csv", "-o", "out"], "the following arguments are required: --aircraft"),
-            (["identify", "latlon.csv", "--aircraft", "uav.json"], "the following arguments are required: -o/--output"),
+            (["identify"], "the following arguments are required: TRAIN"),
+            (
+                ["identify", "latlon.csv", "-o", "out"],
+                "got no aircraft, but expected --aircraft FILE, or --mass and --span",
+            ),
+            (
+                ["identify", "a.csv", "--mass", "3", "--aircraft", "b.json", "-o", "out"],
+                "got --aircraft --mass, but exp",
+            ),
+            (
+                ["identify", "a.csv", "--mass", "3", "-o", "out"],
+                "got --mass, but expected --aircraft FILE, or --mass and",
+            ),
+            (
+                ["identify", "a.csv", "--mass", "3+-", "--span", "-1", "-o", "out"],
+                "--span: got -1, but expected a number",
+            ),
             (["land"], "argument COMMAND: invalid choice: 'land'"),
             (["demo", "--inference", "magic"], "--inference: invalid choice: 'magic'"),
             (["demo", "--samples", "1"], "--samples: got 1, but expected a whole number, 2 or more, or all"),

@@ -192,6 +192,7 @@ class _Frame:
             have = set(self.columns)
             self.added = [n for pair in TURNED if have & set(pair) for n in pair if n not in have]
         self.columns += self.added
+        self.units = motion.aerodynamics.units
 
     def __call__(self, coefficients: Array, slopes: Array) -> Array:
         """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
@@ -227,7 +228,7 @@ class _Frame:
             table["lower"] = table["value"] - NORMAL_95 * table["std"]
             table["upper"] = table["value"] + NORMAL_95 * table["std"]
         table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
-        table["per"] = [_unit(name) for _, name in pairs]
+        table["per"] = [self.units.get(name, _unit(name)) for _, name in pairs]
         if "merged" in columns:
             sources = columns.pop("merged").astype(int)
             merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]

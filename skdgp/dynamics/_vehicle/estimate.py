@@ -75,15 +75,15 @@ class Kind(NamedTuple):
 # the B-49 gives them a sixth of their moment. Sizes of other kinds and their deviations: guesses, wider for gliders.
 KINDS = {
     "conventional": Kind(
-        (7.5, 0.35), (0.77, 0.15), (0.25, 0.38, 0.39), (0.45, 0.25, 0.35), "single propeller, Raymer table 16.1"
+        (7.5, 0.35), (0.77, 0.15), (0.25, 0.38, 0.39), (0.45, 0.25, 0.35), "of a single propeller, Raymer"
     ),
     "flying wing": Kind(
-        (6.5, 0.2), (0.4, 0.2), (0.32, 0.55, 0.51), (0.5, 0.5, 0.5), "flying wing, Raymer table 16.1 and two UAVs"
+        (6.5, 0.2), (0.4, 0.2), (0.32, 0.55, 0.51), (0.5, 0.5, 0.5), "of a flying wing, Raymer and two UAVs"
     ),
     "motor glider": Kind(
-        (16.0, 0.25), (0.5, 0.2), (0.25, 0.38, 0.39), (0.6, 0.6, 0.6), "single propeller, Raymer table 16.1"
+        (16.0, 0.25), (0.5, 0.2), (0.25, 0.38, 0.39), (0.6, 0.6, 0.6), "of a single propeller, Raymer"
     ),
-    "twin": Kind((8.0, 0.3), (0.75, 0.15), (0.34, 0.29, 0.44), (0.45, 0.3, 0.35), "twin propeller, Raymer table 16.1"),
+    "twin": Kind((8.0, 0.3), (0.75, 0.15), (0.34, 0.29, 0.44), (0.45, 0.3, 0.35), "of twin propellers, Raymer"),
 }
 REMEDIES = {
     "mass": "weigh it",
@@ -112,7 +112,7 @@ def estimated(
     check_choice("kind", kind, KINDS)
     if wing_area is not None and aspect_ratio is not None:
         raise ValueError("Got wing_area and aspect_ratio, but expected one of them: wing_area = span^2 / aspect_ratio.")
-    rule, usual = KINDS[kind], f"usual of the kind {kind!r}"
+    rule, usual = KINDS[kind], f"usual of {kind} aircraft"
     m, mass_std = value_and_std("mass", mass)
     b, span_std = value_and_std("span", span)
     of_mass, of_span, factors = {"mass": 1.0}, {"span": 1.0}, {}
@@ -146,7 +146,7 @@ def estimated(
         source = f"{l:.3g} m, {usual}" if length is None else "told"
         factors["length"] = ScaleFactor(length_std, {"Iyy": 2.0, "Izz": 2 * share}, source)
         for (name, moment), std, radius in zip(INERTIAS.items(), rule.inertia_std, rule.radii, strict=True):
-            factors[name] = ScaleFactor(std, {moment: 1.0}, f"radius of gyration {radius:g} ({rule.words})")
+            factors[name] = ScaleFactor(std, {moment: 1.0}, f"radius of gyration {radius:g}, {rule.words}")
     else:
         values["inertia"] = inertia
     factors |= {"mass": ScaleFactor(mass_std, of_mass, "told"), "span": ScaleFactor(span_std, of_span, "told")}

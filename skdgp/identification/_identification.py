@@ -248,6 +248,8 @@ class Identification:
             envelope=self._envelope(),
             effects=self._effects(),
             plan=self.plan,
+            assumed=self.assumed,
+            units=getattr(self.pipeline, "control_units_", {}),
             messages=self.messages,
             command=self.command,
         )
@@ -298,8 +300,6 @@ class Identification:
             remarks["Bands"] = f"computed at one row in {step}, interpolated between"
         if any(one.truth is not None for one in self.evaluations):
             remarks["Truth"] = "contains gusts that no sensor felt: coverage and NLPD against it are in metrics.json"
-        if self.assumed:
-            remarks["Assumed"] = " ".join(self.assumed)
         if fit.get("interrupted"):
             remarks["Fit"] = "interrupted; this is the best model until then"
         return remarks

@@ -21,6 +21,7 @@ import pytest
 
 from skdgp._cli import _console, main
 from skdgp._cli._console import CLEAR, Console
+from skdgp._cli._main import COMMANDS
 from skdgp._cli._output import OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
@@ -56,6 +57,18 @@ def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json
 
 @pytest.mark.usefixtures("short_fits")
 class TestIdentify:
+    def test_a_mass_and_a_span_instead_of_a_file(self, folder, tmp_path, capsys, monkeypatch):
+        """The configuration repeats it; the aircraft is the estimate, named by the log."""
+        monkeypatch.chdir(folder)
+        words = ["identify", "latlon.csv", "--test", "test.csv", *QUICK, "--horizons", "1"]
+        sizes = ["--mass", "45+-0.5", "--span", "2.8", "--kind", "flying wing"]
+        assert main([*words, *sizes, "-o", str(tmp_path / "out")]) == 0
+        assert "assumed, as nothing was told:" in capsys.readouterr().out
+        expected = Aircraft.estimate((45.0, 0.5), 2.8, kind="flying wing", name="latlon")
+        assert load_model(tmp_path / "out" / "model.joblib").aircraft == expected
+        options = COMMANDS["identify"].parse(["--config", str(tmp_path / "out" / "config.toml")])
+        assert (options.mass, options.span, options.kind) == ("45+-0.5", "2.8", "flying wing")
+
     def test_writes_three_files_and_nothing_else(self, identified):
         assert {path.name for path in identified[0].iterdir()} == OUTPUTS
 

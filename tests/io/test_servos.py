@@ -82,6 +82,37 @@ class TestFullThrow:
             np.testing.assert_allclose(0.5 * table[name], angles[name], atol=1e-12)
         assert table.attrs["sources"]["rudder"] == "RCOU.C4 (in parts of the full throw)"
 
+    COMMANDS = {"aileron": 0.3, "elevator": -0.4, "rudder": 0.2}
+
+    def test_any_mixing_of_px4(self, tmp_path, ulog):
+        """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
+        types = {0: (1, -0.5, 0, 0), 1: (2, 0.8, 0, 0), 2: (7, 0, 0.5, 0.5), 3: (8, 0, 0.5, -0.5), 4: (9, 0.3, 0, 0)}
+        parameters = {f"CA_SV_CS{n}_TYPE": each[0] for n, each in types.items()}
+        for k, axis in enumerate("RPY"):
+            parameters |= {f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()}
+        roll, pitch, yaw = self.COMMANDS["aileron"], -self.COMMANDS["elevator"], -self.COMMANDS["rudder"]
+        t = np.arange(0, 10, 0.05)
+        control = np.tile([-roll, roll, pitch + yaw, pitch - yaw, 0.7], (t.size, 1))
+        log = ulog(**parameters).topic("actuator_servos", t, control=("float[5]", control))
+        log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, 20.0)))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        table = read_flight(tmp_path / "log.ulg", servos="full throw")
+        found = {name: round(float(table[name].median()), 6) for name in self.COMMANDS}
+        assert found == self.COMMANDS
+
+    def test_a_v_tail_of_ardupilot(self, tmp_path, dataflash):
+        """left = elevator + rudder, right = elevator - rudder, of commands that pitch up and yaw right."""
+        pitch, yaw = -self.COMMANDS["elevator"], -self.COMMANDS["rudder"]
+        log = dataflash(SERVO1_FUNCTION=4.0, SERVO2_FUNCTION=79.0, SERVO4_FUNCTION=80.0, SERVO4_REVERSED=1.0)
+        t = np.arange(0, 10, 0.05)
+        pulses = {"C1": 1500 + 400 * self.COMMANDS["aileron"], "C2": 1500 + 400 * (pitch + yaw)}
+        pulses["C4"] = 1500 - 400 * (pitch - yaw)
+        log.topic("RCOU", t, **{name: ("H", np.full(t.size, pulse)) for name, pulse in pulses.items()})
+        log.topic("ARSP", t, Airspeed=("f", np.full(t.size, 20.0)), H=("B", np.ones(t.size)))
+        (tmp_path / "log.bin").write_bytes(bytes(log))
+        table = read_flight(tmp_path / "log.bin", servos="full throw", airborne=False)
+        assert {name: round(float(table[name].median()), 6) for name in self.COMMANDS} == self.COMMANDS
+
     def test_what_cannot_be(self, tmp_path, dataflash, ulog):
         log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0).topic("RCOU", [0.1, 0.2], C1=("H", 1500))
         (tmp_path / "log.bin").write_bytes(bytes(log))

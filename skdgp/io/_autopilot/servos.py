@@ -11,8 +11,8 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import ALL_SURFACES
-from skdgp.io._autopilot.formats import Log
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS
+from skdgp.io._autopilot.formats import Log, ServoChannel
 from skdgp.io._errors import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
@@ -53,6 +53,12 @@ class Servo(NamedTuple):
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
 
+class Mixture(NamedTuple):
+    """Servos of one topic whose weighted deflections add up to a control, such as those of a V-tail."""
+
+    parts: tuple[tuple[float, Servo], ...]
+
+
 def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo]:
     r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
@@ -76,10 +82,11 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
     return {name: _servo(name, entry) for name, entry in servos.items()}
 
 
-def full_throws(log: Log) -> dict[str, Servo]:
+def full_throws(log: Log) -> dict[str, Servo | Mixture]:
     """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
 
-    Raises FlightReadError if there are none.
+    Where the parameters say how controls are mixed, these are elevator, aileron and rudder of any tail and wing. Raises
+    FlightReadError if there are none.
 
     Examples
     --------
@@ -87,16 +94,27 @@ def full_throws(log: Log) -> dict[str, Servo]:
     >>> full_throws(Log("", {}, servos={"rudder": ServoChannel("RCOU.C4", 1100, 1500, 1900, turned=True)}))
     {'rudder': Servo(channel='RCOU.C4', inputs=(1100, 1500, 1900), angles=(1.0, 0.0, -1.0))}
     """
-    _check_names_servos(log)
-    found = {}
-    for surface, (channel, low, trim, high, turned) in log.servos.items():
-        if not low < trim < high:
-            raise FlightReadError(
-                f"Got min {low:g}, trim {trim:g}, max {high:g} of the {surface} on {channel}, but expected them in "
-                "this order: write the servo file by hand."
-            )
-        found[surface] = Servo(channel, (low, trim, high), (1.0, 0.0, -1.0) if turned else (-1.0, 0.0, 1.0))
-    return found
+    if not log.mixing:
+        _check_names_servos(log)
+    found: dict[str, Servo | Mixture] = {
+        name: _full_throw(name, channel)
+        for name, channel in log.servos.items()
+        if not (log.mixing and name in ELEVONS)  # elevator and aileron are among the mixed
+    }
+    return found | {
+        name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
+        for name, parts in log.mixing.items()
+    }
+
+
+def _full_throw(name: str, servo: ServoChannel) -> Servo:
+    if not servo.low < servo.trim < servo.high:
+        raise FlightReadError(
+            f"Got min {servo.low:g}, trim {servo.trim:g}, max {servo.high:g} of the {name} on {servo.channel}, but "
+            "expected them in this order: write the servo file by hand."
+        )
+    ends = (1.0, 0.0, -1.0) if servo.turned else (-1.0, 0.0, 1.0)
+    return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
 
 
 def _servo(name, entry) -> Servo:

@@ -19,7 +19,7 @@ THRUST_IN_COEFFICIENTS = (
     "thrust less drag, which the model does not tell apart."
 )
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
-THROWS = "angle of each surface at full throw (protractor; then a servo file): effects per radian, comparable ones"
+THROWS = 'angle of each surface at full throw (a servo file with elevator = "25 deg"): effects per radian'
 THRUST = "thrust on a bench over propeller speed, and a sensor of that speed in flight: drag without thrust"
 LISTED = 3
 """Measurements that are named."""

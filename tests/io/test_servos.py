@@ -42,6 +42,8 @@ class TestRefusals:
         ("name", "entry", "message"),
         [
             ("flap", ENDS, "Got 'flap' in the servo file, but expected one of"),
+            ("rudder", "25", 'expected the angle at full throw, up to 90 degrees, as in rudder = "25 deg"'),
+            ("rudder", "25 rad", "up to 90 degrees"),
             ("rudder", {}, 'without a channel, but expected one, as in channel = "RCOU.C2"'),
             ("rudder", 7, "without a channel"),
             ("rudder", ENDS | {"trimm": 1}, r"Got \['trimm'\] for rudder"),
@@ -81,6 +83,19 @@ class TestFullThrow:
         for name in ("aileron", "elevator", "rudder"):
             np.testing.assert_allclose(0.5 * table[name], angles[name], atol=1e-12)
         assert table.attrs["sources"]["rudder"] == "RCOU.C4 (in parts of the full throw)"
+
+    def test_a_throw_in_one_line(self, tmp_path, ardupilot):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        parts = read_flight(tmp_path / "log.bin", servos="full throw")
+        (tmp_path / "servo.toml").write_text('elevator = "25 deg"\nrudder = ".5 rad"\n')
+        table = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
+        np.testing.assert_allclose(table["elevator"], np.deg2rad(25) * parts["elevator"])
+        np.testing.assert_allclose(table["rudder"], 0.5 * parts["rudder"])
+        assert "aileron" not in table
+        with pytest.raises(
+            FlightReadError, match=r"full throw of \['elevon_left'\], but expected surfaces .*'elevator'"
+        ):
+            read_flight(tmp_path / "log.bin", servos={"elevon_left": "25 deg"})
 
     COMMANDS = {"aileron": 0.3, "elevator": -0.4, "rudder": 0.2}
 

@@ -18,7 +18,7 @@ from skdgp.io._autopilot.clock import clock_parts, gaps
 from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to_table
 from skdgp.io._autopilot.dataflash import read_dataflash
 from skdgp.io._autopilot.formats import Log, Topic
-from skdgp.io._autopilot.servos import FULL_THROW, full_throws, read_servos
+from skdgp.io._autopilot.servos import FULL_THROW, full_throws, read_servos, with_throws
 from skdgp.io._autopilot.ulog import read_ulog
 from skdgp.io._errors import FlightReadError
 
@@ -71,7 +71,7 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
     servos = servos if servos == FULL_THROW else read_servos(servos)
     with np.errstate(all="ignore"):  # what is damaged may hold any number
         log = read_log(path)
-        servos = full_throws(log) if servos == FULL_THROW else servos
+        servos = full_throws(log) if servos == FULL_THROW else with_throws(servos, log)
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
         parts: list[Part] = []

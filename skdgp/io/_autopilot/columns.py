@@ -156,8 +156,8 @@ def _surface(log, name, servo: Servo | Mixture) -> Source:
     found = [(weight * each.deflection(_channel(log, name, each.channel)), each) for weight, each in parts]
     values = np.sum([deflection for deflection, _ in found], axis=0)
     known = np.isfinite(values)
-    of_throw = isinstance(servo, Mixture) or max(np.abs(servo.angles)) == 1
-    note = "in parts of the full throw" if of_throw else "by the servo file"
+    largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in parts)
+    note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
     channels = " ".join(each.channel for _, each in found)
     time = log.topics[parts[0][1].channel.partition(".")[0]].time  # parts are fields of one topic
     return Source((name,), channels, time[known], values[known][:, None], note)

@@ -27,9 +27,18 @@ NOTABLE_GUSTS = 0.5
 
 
 def read_model(options) -> Bunch:
-    """Return the model that the options name, with its own aircraft or theirs; raise ValueError if it is of no use."""
+    """Return the model that the options name, with its own aircraft or theirs; raise ValueError if it is of no use.
+
+    Warns of surfaces that are not in radians.
+    """
     model = load_model(options.model)
     check_identified(model.pipeline)
+    if getattr(model.pipeline, "control_units_", {}):
+        warnings.warn(
+            "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians are expected of them: "
+            "in controls, limits, plans and exports.",
+            stacklevel=2,
+        )
     if getattr(options, "aircraft", None) is not None:
         model.aircraft = read_aircraft(options.aircraft)
     return model

@@ -13,6 +13,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES, REMEDIES, relative_errors
 from skdgp.identification._flights import is_autopilot_log
 from skdgp.io import FULL_THROW
+from skdgp.io._inspect import names_servos
 
 THRUST_IN_COEFFICIENTS = (
     "Nothing gives the thrust, so it is part of the coefficients, with throttle and airspeed as regressors: CX is "
@@ -26,7 +27,7 @@ LISTED = 3
 
 
 def servos_for(servos: Any, *flights: Any) -> Any:
-    """Return ``servos``, or without them "full throw" for logs of autopilots.
+    """Return ``servos``, or without them "full throw" for logs of autopilots whose parameters name servos.
 
     Raises ValueError of logs without servos beside tables, whose surfaces are in radians.
     """
@@ -39,7 +40,7 @@ def servos_for(servos: Any, *flights: Any) -> Any:
             "Got logs of autopilots without servos beside tables, but expected surfaces in one unit: give servos, a "
             "file of the angles of the surfaces."
         )
-    return FULL_THROW
+    return FULL_THROW if any(map(names_servos, items)) else None
 
 
 def _items(flights: Any) -> list:

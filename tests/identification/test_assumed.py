@@ -8,7 +8,8 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
-from skdgp.identification import identify, load_model, validate
+from skdgp.export import portable_model
+from skdgp.identification import _assumed, identify, load_model, validate
 from skdgp.identification._assumed import THRUST_IN_COEFFICIENTS, assumptions, lacks_thrust, servos_for
 from skdgp.io import FULL_THROW
 
@@ -21,11 +22,18 @@ SIGNS = {
 
 
 class TestServos:
+    @pytest.fixture(autouse=True)
+    def parameters(self, monkeypatch):
+        monkeypatch.setattr(_assumed, "names_servos", lambda path: path != "nameless.ulg")
+
     def test_logs_of_autopilots_have_full_throws(self):
         assert servos_for(None, "a.ulg", None) == FULL_THROW
         assert servos_for(None, {"one": "a.ulg"}, ["b.bin"]) == FULL_THROW
         assert servos_for("servo.toml", ["a.ulg", "b.bin"], None) == "servo.toml"
         assert servos_for(None, ["a.csv", pd.DataFrame()], "b.parquet") is None
+
+    def test_a_log_that_names_no_servo_has_none(self):
+        assert servos_for(None, "nameless.ulg", None) is None
 
     def test_units_are_not_mixed(self):
         with pytest.raises(ValueError, match="Got logs of autopilots without servos beside tables"):
@@ -125,6 +133,8 @@ class TestALogAMassAndASpan:
         point = trim(model.pipeline, model.aircraft, 24.0, climb=None, thrust=None)
         derivatives = stability_derivatives(model.pipeline, model.aircraft, point, n_paths=0, thrust=None)
         assert derivatives.loc["Cl_aileron", "per"] == "full throw"
+        units = {each.name: each.unit for each in portable_model(model.pipeline, model.aircraft).regressors}
+        assert (units["aileron"], units["alpha"]) == ("full throw", "rad")
 
     @pytest.mark.filterwarnings("ignore")
     def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path):

@@ -115,6 +115,11 @@ def _matrix(table: pd.DataFrame) -> list[str]:
         held = table[table["std_unmerged"] < NOTABLE * table["std"]]
         named = [f"{name} {row['std_unmerged']:.2g} (without {row['merged']})" for name, row in held.iterrows()]
         lines += ["", *wrap(f"std_unmerged, which plan counts: {', '.join(named) or 'the same'}", WIDTH)]
+    if "std_aircraft" in table:
+        known = table[(table["value"].abs() > 0) & (table["regressor"] == "")]
+        words = [f"{name} {100 * row['std_aircraft'] / abs(row['value']):.2g} % ({row['aircraft']})"
+                 for name, row in known.iterrows()]  # fmt: skip
+        lines += ["", *wrap(f"std_aircraft, errors of the aircraft that derivatives share: {', '.join(words)}", WIDTH)]
     return lines
 
 

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
 from skdgp.datasets import load_example_flights
+from skdgp.dynamics import Aircraft
+from skdgp.dynamics._vehicle.estimate import KINDS
 from skdgp.identification import Identification, default_regressor
 from skdgp.identification import identify as learn
 
+SIZES = {
+    "mass": "[kg]",
+    "span": "of the wing [m]",
+    "wing_area": "[m^2]",
+    "aspect_ratio": "span^2 / wing area, instead of this",
+    "chord": "mean chord of the wing [m]",
+    "length": "from nose to tail [m]",
+}
 CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model", "config.toml": "options"}
 
 
@@ -43,17 +54,36 @@ def identify(run: Run) -> None:
       {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
        "wing_area": 1.3, "span": 2.6, "chord": 0.55}
       kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or TOML.
+      Without a file: --mass and --span. The rest is estimated, and the summary says what was assumed, how far that may
+      be off, and what to measure next. A log of an autopilot then needs no servo file and no thrust either.
 
     Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing is written.
 
     For example:
+      python -m skdgp identify sortie.ulg --mass 3.2 --span 1.6
       python -m skdgp identify train.csv --aircraft uav.json --test test.csv -o results
       python -m skdgp identify mon.parquet tue.parquet --aircraft uav.toml -o results    (holds out the last flight)
       python -m skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
     """
     options = run.options
     known = {"thrust": opt.none_of(options.thrust), "external_forces": options.external_forces}
-    _learn(run, options.train, options.aircraft, options.test or None, **known, **opt.reading(options))
+    _learn(run, options.train, _aircraft(run), options.test or None, **known, **opt.reading(options))
+
+
+def _aircraft(run: Run) -> Aircraft | str:
+    """Return the file of the aircraft, or its estimate of a mass and a span."""
+    options = run.options
+    told = {name: getattr(options, name) for name in SIZES if getattr(options, name) is not None}
+    if options.aircraft is not None and not told:
+        return options.aircraft
+    if options.aircraft is not None or not {"mass", "span"} <= set(told):
+        names = ["aircraft"] * (options.aircraft is not None) + [name.replace("_", "-") for name in told]
+        got = " ".join(f"--{name}" for name in names) or "no aircraft"
+        run.command.parser({}).error(
+            f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is estimated"
+        )
+    sizes: dict = {name: opt.value_and_std(text) for name, text in told.items()}
+    return Aircraft.estimate(**sizes, kind=options.kind, name=Path(options.train[0]).stem)
 
 
 def demo(run: Run) -> None:
@@ -154,7 +184,7 @@ IDENTIFY = Command(
     {
         "": [
             opt.option("train TRAIN", "flights to learn from", nargs="+"),
-            opt.option("--aircraft FILE", "the aircraft, JSON or TOML", required=True),
+            opt.option("--aircraft FILE", "the aircraft, JSON or TOML (or --mass and --span)"),
             opt.option(
                 "--test TEST",
                 "flights to judge the model on (default: the last of several, or the last quarter of one, is held out)",
@@ -162,7 +192,12 @@ IDENTIFY = Command(
                 default=[],
             ),
             *opt.loads("auto", [], "auto, columns where the flights have them, else the propeller"),
-            *(opt.SERVOS, opt.AIRBORNE, opt.HORIZONS, opt.FOLDER),
+            *(opt.SERVOS, opt.AIRBORNE, opt.HORIZONS),
+            opt.option("-o --output DIR", "folder for the outputs (default: skdgp-results)", default="skdgp-results"),
+        ],
+        "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": [
+            *(opt.option(f"--{name.replace('_', '-')} X", words, opt.size) for name, words in SIZES.items()),
+            opt.choice("--kind", list(KINDS), "what is not given is that of its kind (default: conventional)"),
         ],
         "model": LEARNING,
     },

@@ -45,6 +45,7 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
 
   python -m skdgp demo                                     simulated example flights, nothing else needed
   python -m skdgp inspect log.ulg                          what a log holds, and lacks for which step
+  python -m skdgp identify log.ulg --mass 3.2 --span 1.6   from a log, a scale and a tape measure
   python -m skdgp identify a.csv b.csv --aircraft uav.json -o results
   python -m skdgp validate results/model.joblib c.csv      is the model right about another flight?
   python -m skdgp predict results/model.joblib c.csv -o coefficients.csv

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -172,7 +172,25 @@ def none_of(words: str) -> str | None:
     return None if words == "none" else words
 
 
-def reading(options: argparse.Namespace) -> dict:
-    """Return the keywords of ``skdgp.io.read_flight`` for logs of autopilots."""
+def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
+    """Return the keywords of ``skdgp.io.read_flight`` for logs of autopilots; surfaces in the unit of the model."""
     airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
-    return {"servos": options.servos, "airborne": airborne}
+    learned = {} if model is None else model.get("options", {})
+    return {"servos": options.servos or learned.get("servos"), "airborne": airborne}
+
+
+def size(text: str) -> str:
+    """Return words such as ``3.2`` or ``3.2+-0.05``, a size and its standard deviation."""
+    try:
+        value, std = value_and_std(text)
+        if 0 < value < math.inf and 0 <= std < math.inf:
+            return text
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"got {text}, but expected a number > 0, or with its deviation such as 3.2+-0.05")
+
+
+def value_and_std(text: str) -> tuple[float, float]:
+    """Return the numbers of ``3.2+-0.05``; without a deviation it is 0."""
+    value, _, std = text.partition("+-")
+    return float(value), float(std or 0.0)

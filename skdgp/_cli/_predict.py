@@ -27,9 +27,18 @@ NOTABLE_GUSTS = 0.5
 
 
 def read_model(options) -> Bunch:
-    """Return the model that the options name, with its own aircraft or theirs; raise ValueError if it is of no use."""
+    """Return the model that the options name, with its own aircraft or theirs; raise ValueError if it is of no use.
+
+    Warns of surfaces that are not in radians.
+    """
     model = load_model(options.model)
     check_identified(model.pipeline)
+    if getattr(model.pipeline, "control_units_", {}):
+        warnings.warn(
+            "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians are expected of them: "
+            "in controls, limits, plans and exports.",
+            stacklevel=2,
+        )
     if getattr(options, "aircraft", None) is not None:
         model.aircraft = read_aircraft(options.aircraft)
     return model
@@ -72,7 +81,7 @@ def predict(run: Run) -> None:
         raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
     run.console.stage("reading")
     model = read_model(options)
-    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **opt.reading(options)))
+    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **opt.reading(options, model)))
     tables = []
     for name, table in flights.items():
         run.console.stage(f"predicting {name}")

@@ -166,7 +166,7 @@ def _logged(options, model) -> Start:
     """Start from a moment of a log, its noise removed and its wind estimated by the model's pipeline."""
     if options.at is None:
         raise ValueError("Got --flight without --at, but expected the moment to start from: --at SECONDS.")
-    log = _flight_around(options.at, named_flights(options.flight, **opt.reading(options)))
+    log = _flight_around(options.at, named_flights(options.flight, **opt.reading(options, model)))
     for step in model.pipeline:
         if isinstance(step, MEASUREMENTS):
             log = step.transform(log)

@@ -32,6 +32,7 @@ from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_
 from skdgp.dynamics._simulation.turbulence import Turbulence
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, ThrustTable
+from skdgp.dynamics._vehicle.estimate import ScaleFactor
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "LinearModel",
     "OutputError",
     "Propeller",
+    "ScaleFactor",
     "SimulationWarning",
     "Simulator",
     "ThrustLine",

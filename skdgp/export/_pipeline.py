@@ -104,19 +104,20 @@ def _inputs(pipeline):
     shift, scale, others = standard_scaling(steps[place + 1 :], len(names))
     if others:
         raise ValueError(f"Got {type(others[0]).__name__} behind RegressorSelector, which has no form. {REMEDY}")
-    regressors = tuple(_regressor(name, by_role.get("rates"), by_role.get("controls")) for name in names)
+    units = getattr(pipeline, "control_units_", {})
+    regressors = tuple(_regressor(name, by_role.get("rates"), by_role.get("controls"), units) for name in names)
     low, high = (getattr(selector, name, None) for name in ("data_min_", "data_max_"))
     return regressors, shift, scale, None if low is None or high is None else (low, high)
 
 
-def _regressor(name, rates, controls) -> Regressor:
+def _regressor(name, rates, controls, units) -> Regressor:
     """Return a regressor with the columns that the pipeline computes it from."""
     rate = name.removesuffix(HAT)
     lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
     if name.endswith(HAT) and rate in lengths and rates is not None:
         power = 2 if rate in ACCELERATION_LENGTHS else 1
         return Regressor(name, "", (rate,), (1.0,), float(getattr(rates, lengths[rate])), power)
-    unit = CHANNELS[name].unit if name in CHANNELS else ""
+    unit = units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
     if controls is not None and name in controls.controls:
         row = controls.mixing_[list(controls.controls).index(name)]
         used = [(str(surface), float(c)) for surface, c in zip(controls.surfaces, row, strict=True) if c]

@@ -47,7 +47,7 @@ def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (
     origin: dict[str, object] = {}
     for number, item in enumerate(items, start=1):
         path = item if isinstance(item, str | os.PathLike) else None
-        options = reading if path is not None and _is_autopilot(path) else {}
+        options = reading if is_autopilot_log(path) else {}
         table = check_table(item) if path is None else read_flight(path, **options)
         for name, part in flights_of(table, f"{default} {number}").items():
             if name in found:
@@ -71,8 +71,9 @@ def _single_flight(name, table) -> pd.DataFrame:
     return next(iter(parts.values())).assign(flight=name)
 
 
-def _is_autopilot(path) -> bool:
-    return Path(path).suffix.lower() in AUTOPILOTS
+def is_autopilot_log(item) -> bool:
+    """Return whether this is the path of a log of an autopilot."""
+    return isinstance(item, str | os.PathLike) and Path(item).suffix.lower() in AUTOPILOTS
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:
@@ -80,7 +81,7 @@ def _checked_columns(table, needed, path=None) -> pd.DataFrame:
     try:
         check_columns(table, needed)
     except ValueError as error:
-        if path is None or not _is_autopilot(path):
+        if not is_autopilot_log(path):
             raise
         raise ValueError(f"{error} What a log has, and why it lacks them: python -m skdgp inspect {path}") from None
     return table

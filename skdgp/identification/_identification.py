@@ -10,6 +10,7 @@ from datetime import datetime
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,8 @@ class Identification:
         What was held out because no test flight was named.
     plan : FlownPlan or None
         What a plan expected beside what was found.
+    assumed : list of str
+        What was assumed where flights and aircraft do not say, and what to measure; empty where all was told.
     title, command, created : str
         Heading of the report, the command line, date and time.
     """
@@ -97,6 +100,7 @@ class Identification:
     messages: list[str]
     held_out: str | None = None
     plan: FlownPlan | None = None
+    assumed: list[str] = field(default_factory=list)
     title: str = ""
     command: str | None = None
     created: str = field(default_factory=lambda: datetime.now().astimezone().isoformat(timespec="seconds"))
@@ -139,6 +143,7 @@ class Identification:
                 "verdict": self.verdict.to_dict(),
                 "flight_mechanics": self.mechanics.to_dict(),
                 **({} if self.plan is None else {"plan": self.plan.to_dict()}),
+                **({"assumed": self.assumed} if self.assumed else {}),
                 "messages": self.messages,
             }
         )
@@ -163,7 +168,8 @@ class Identification:
         paths = reconstruction_of(self.pipeline)
         facts = [f"flight paths {paths}"] if paths else []
         facts += [] if self.plan is None else _plan_lines(self.plan)
-        return "\n".join([*lines, "", *facts, "", *_verdict_lines(self.verdict)]).rstrip()
+        text = "\n".join([*lines, "", *facts, "", *_verdict_lines(self.verdict)]).rstrip()
+        return "\n".join([text, *_assumed_lines(self.assumed)])
 
     def evaluate(self, flight: Any) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
@@ -242,6 +248,8 @@ class Identification:
             envelope=self._envelope(),
             effects=self._effects(),
             plan=self.plan,
+            assumed=self.assumed,
+            units=getattr(self.pipeline, "control_units_", {}),
             messages=self.messages,
             command=self.command,
         )
@@ -318,6 +326,14 @@ def _verdict_lines(verdict: Verdict) -> list[str]:
     lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
     lines += [f"warning {k}: {warning}" for k, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1)]
     return [line for line in lines if line]
+
+
+def _assumed_lines(assumed: list[str]) -> list[str]:
+    """Return what was assumed as lines of the summary; none where all was told."""
+    if not assumed:
+        return []
+    indents = {"initial_indent": "  - ", "subsequent_indent": "    "}
+    return ["", "assumed, as nothing was told:", *(line for each in assumed for line in wrap(each, 110, **indents))]
 
 
 def _plan_lines(plan: FlownPlan) -> list[str]:

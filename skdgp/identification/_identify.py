@@ -25,6 +25,14 @@ from skdgp.design import FlownPlan, Plan, coefficient_noise, posterior_informati
 from skdgp.design._flown import compare_with_plan, read_plan
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, as_aerodynamics
 from skdgp.identification import _flights
+from skdgp.identification._assumed import (
+    FULL_THROWS,
+    THRUST_IN_COEFFICIENTS,
+    assumptions,
+    control_units,
+    lacks_thrust,
+    servos_for,
+)
 from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
 from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
 from skdgp.identification._flights import Flights
@@ -36,6 +44,7 @@ from skdgp.identification._pipeline import (
     flown_turbulence,
     make_identification_pipeline,
 )
+from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
 
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
@@ -81,7 +90,8 @@ def identify(
         As of :func:`make_identification_pipeline`.
     thrust, external_forces
         As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the speed of the
-        propeller among the regressors, best with the airspeed, unless the aircraft glides.
+        propeller among the regressors, best with the airspeed, unless the aircraft glides. With "auto" it is so by
+        itself where the flights have a throttle and nothing gives the thrust.
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     regressor : DependentGPRegressor, optional
@@ -96,7 +106,7 @@ def identify(
     random_state, n_jobs
         Of the default regressor; not used with a given one.
     servos, airborne
-        As of :func:`skdgp.io.read_flight`, for paths of logs of autopilots.
+        As of :func:`skdgp.io.read_flight`, for paths of logs of autopilots; by default ``servos="full throw"``.
 
     Returns
     -------
@@ -140,10 +150,10 @@ def identify(
             f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "
             "regressors with make_identification_pipeline."
         )
-    loads: dict[str, Any] = {"thrust": thrust, "external_forces": list(external_forces)}
     with recorded_warnings() as messages:
         notify("reading")
         aircraft = read_aircraft(aircraft)
+        servos = servos_for(servos, flights, test)
         reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
         train = _flights.named_flights(flights, **reading)
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
@@ -153,8 +163,18 @@ def identify(
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
-        if thrust is None:
+        thrust_unknown = lacks_thrust(thrust, train.values(), aircraft)
+        if thrust_unknown:
+            _warn(THRUST_IN_COEFFICIENTS)
+        loads: dict[str, Any] = {
+            "thrust": None if thrust_unknown else thrust,
+            "external_forces": list(external_forces),
+        }
+        if loads["thrust"] is None:
             _flights.warn_of_engine(train, regressors)
+        if servos == FULL_THROW:
+            _warn(FULL_THROWS)
+            warnings.filterwarnings("ignore", "Got surfaces up to", UserWarning)
         # The steps of the pipeline meet the same faults again.
         warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
 
@@ -174,6 +194,9 @@ def identify(
             regressor=CalibratedRegressor(clone(regressor)) if calibrate else regressor,
             symmetric=symmetric,
         )
+        if thrust_unknown and isinstance(regressors, str):  # a named set, which has the throttle already
+            pipeline.set_params(regressorselector__extra=["airspeed"])
+        pipeline.control_units_ = control_units(servos)
         began = time.monotonic()
         X = _fit(pipeline, table, targets)
         pipeline.noise_ = flight_noise(pipeline, table, aircraft, regressors=X, **loads)
@@ -183,7 +206,7 @@ def identify(
             "samples": int(targets.notna().any(axis=1).sum()),
             "samples_available": int(Y.notna().any(axis=1).sum()),
             "values": int(targets.notna().sum().sum()),
-            "thrust": thrust_sources(thrust, train.values()),
+            "thrust": thrust_sources(loads["thrust"], train.values()),
             **fit_facts(pipeline),
             **fit_least_squares(pipeline, X, targets),
             "seconds": round(seconds, 3),
@@ -191,6 +214,7 @@ def identify(
             "flights": {name: len(part) for name, part in train.items()},
         }
         settings = {"samples": fit["samples"], **loads, **settings_of(pipeline, reconstruction, horizons)}
+        settings |= {"servos": servos} if servos == FULL_THROW else {}
         evaluations = evaluate_flights(test, pipeline, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
@@ -202,6 +226,7 @@ def identify(
         evaluations=evaluations,
         messages=messages,
         held_out=held_out,
+        assumed=assumptions(aircraft, servos=servos, thrust_unknown=thrust_unknown),
     )
 
 
@@ -247,6 +272,7 @@ def validate(
     """
     settings = {"thrust": "auto", "external_forces": []} | model.get("options", {}) | loads
     settings["horizons"] = list(horizons)
+    servos = settings.get("servos") if servos is None else servos
     with recorded_warnings() as messages:
         notify("reading")
         named = _flights.named_flights(flights, servos=servos, airborne=airborne)

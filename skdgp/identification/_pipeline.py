@@ -228,6 +228,8 @@ class FlightPipeline(Pipeline):
     ----------
     turbulence_ : Turbulence or None
         Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their table, which says why.
+    control_units_ : dict of str to str
+        Set by :func:`identify`: units of controls that are not those of docs/notation.md, such as "full throw".
     noise_ : DataFrame or None
         Set by :func:`identify`, used by the plan of flights: :func:`flight_noise`, which needs the mass and the loads
         that ``fit`` does not get. Set it yourself: ``pipeline.noise_ = flight_noise(pipeline, flights, aircraft)``.

@@ -5,6 +5,7 @@
 
 from skdgp.io._autopilot.autopilot import AUTOPILOTS
 from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
+from skdgp.io._autopilot.servos import FULL_THROW
 from skdgp.io._errors import FlightReadError
 from skdgp.io._inspect import LogSummary, inspect_log, servo_template
 from skdgp.io._poses import flight_from_poses
@@ -13,6 +14,7 @@ from skdgp.io._read import read_flight, read_flights
 __all__ = [
     "AUTOPILOTS",
     "EQUIVALENT",
+    "FULL_THROW",
     "QUATERNION",
     "FlightReadError",
     "Log",

@@ -229,6 +229,12 @@ def servo_template(path: PathLike) -> str:
     return template(read_log(path))
 
 
+def names_servos(path: PathLike) -> bool:
+    """Return whether the parameters of a log of an autopilot name servos; raise FlightReadError if it is none."""
+    log = read_log(Path(path))
+    return bool(log.servos or log.mixing)
+
+
 def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
     """Return by step the columns that are missing, or a sensor's that never change."""
     found = {column.name for column in columns if not (column.constant and column.name in SENSORS)}

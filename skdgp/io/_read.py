@@ -66,7 +66,8 @@ def read_flight(
         Rate of the clock [Hz]; autopilots only. By default that of the gyros, at most 50 Hz.
     servos : path or mapping, optional
         Calibration of servos, channel to surface and angle, in TOML: see the page on logs of autopilots. Without it the
-        table has no surfaces; autopilots only.
+        table has no surfaces. ``"full throw"``: surfaces from -1 to 1, parts of their full throw, of the servos that
+        the autopilot's parameters name. Autopilots only.
     airborne : bool or float, default=True
         Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8 m/s if none is), or
         above this number [m/s], and not landed by the autopilot's own account. False keeps all; autopilots only.

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -55,8 +59,23 @@ def check_matplotlib(who: str) -> None:
         ) from error
 
 
+_UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
+
+
+@contextmanager
+def units_shown(units: Mapping[str, str]) -> Iterator[None]:
+    """Show columns in these units inside the ``with`` block, such as surfaces in parts of their full throw."""
+    token = _UNITS.set(units)
+    try:
+        yield
+    finally:
+        _UNITS.reset(token)
+
+
 def display_unit(name: str) -> tuple[float, str]:
     """Return the factor from SI to the displayed unit, and that unit. Only pictures use degrees."""
+    if name in _UNITS.get():
+        return 1.0, _UNITS.get()[name]
     unit = CHANNELS[name].unit if name in CHANNELS else ""
     if unit.startswith("rad") and name != "propeller_speed":
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")

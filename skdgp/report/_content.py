@@ -132,7 +132,8 @@ class FlightMechanics:
             names = ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
             found["trim"] = {name: getattr(self.trim, name) for name in names}
             found["trim"]["beyond"] = {name: list(values) for name, values in self.trim.beyond.items()}
-        columns = [name for name in ("value", "std", "lower", "upper") if name in self.derivatives]
+        kept = ("value", "std", "lower", "upper", "std_aircraft", "aircraft")
+        columns = [name for name in kept if name in self.derivatives]
         found["derivatives"] = self.derivatives[columns].to_dict("index")
         if self.least_squares is not None:
             found["least_squares"] = self.least_squares.to_dict("index")
@@ -355,6 +356,10 @@ class ReportContent:
         What ``EffectsDisplay.compute`` returned: how each regressor changes each coefficient.
     plan : FlownPlan, optional
         What a plan expected beside what was found.
+    assumed : sequence of str
+        What was assumed where nothing was told.
+    units : mapping of str to str
+        Units of controls that are not those of docs/notation.md.
     messages : sequence of str
         Warnings that arose.
     command : str, optional
@@ -373,6 +378,8 @@ class ReportContent:
     envelope: EnvelopeDisplay | None = None
     effects: EffectsDisplay | None = None
     plan: FlownPlan | None = None
+    assumed: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     messages: Sequence[str] = ()
     command: str | None = None
     created: datetime | None = None

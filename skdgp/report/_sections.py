@@ -114,6 +114,12 @@ def _list(kind: str, lines: Sequence[str]) -> str:
     return f'<{kind} class="alerts">{"".join(f"<li>{text(line)}</li>" for line in lines)}</{kind}>'
 
 
+def assumed(content: ReportContent) -> str:
+    """Return what was assumed where nothing was told, empty where all was."""
+    lines = "".join(f"<li>{text(line)}</li>" for line in content.assumed)
+    return f"<section><h2>What was assumed</h2><ul>{lines}</ul></section>" if lines else ""
+
+
 def messages(content: ReportContent) -> str:
     """Return the warnings that the verdict does not show, or that none arose."""
     if content.verdict is None:
@@ -146,8 +152,7 @@ GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
 
 
 def _in_words(name: str, value: float) -> str:
-    angle = name in ("climb", *LATERAL_REGRESSORS, "elevator", "alpha", "theta", "phi")
-    factor, unit = (float(np.rad2deg(1.0)), "deg") if angle else display_unit(name)
+    factor, unit = display_unit("theta" if name == "climb" else name)
     return f"{number(factor * value, '.2f' if unit == 'deg' else '.3g')} {unit}"
 
 
@@ -165,12 +170,22 @@ def _derivatives(found: FlightMechanics, group: str, coefficients: Sequence[str]
             beside = DASH if linear is None else _band(*linear.loc[str(name), ["value", "std"]])
             value = _band(row["value"], row.get("std"))
             value = f'<span class="off">▼ {value}</span>' if open_sign else value
-            rows.append([derivative(*row[["coefficient", "regressor"]]), value, beside])
+            sizes = [f"± {number(1.96 * row['std_aircraft'], '.2g')}"] if "std_aircraft" in row else []
+            rows.append([derivative(*row[["coefficient", "regressor"]]), value, beside, *sizes])
     caption = (
         f"{group} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V, with half their 95 % bands. "
         "▼: the log cannot tell it, its band holds both signs."
     )
-    return table(["", "model", "least squares"], rows, caption=caption, classes="numbers named")
+    head = ["", "model", "least squares"]
+    if "std_aircraft" in derivatives:
+        head.append("aircraft")
+        caption += (
+            " Aircraft: half the 95 % band of what errors of its sizes make of them, which all derivatives of a moment "
+            "or force share; it matters against other sources, not for trim, modes and simulations with this aircraft."
+        )
+    if "full throw" in set(derivatives.get("per", ())):
+        caption += " Those by surfaces are by their full throw."
+    return table(head, rows, caption=caption, classes="numbers named")
 
 
 def _band(value: float, std: float | None) -> str:

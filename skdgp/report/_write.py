@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from skdgp._compute.files import text_writer, write_atomically
+from skdgp.plotting._style import units_shown
 from skdgp.report import _sections as sections
 from skdgp.report._card import flown_plan
 from skdgp.report._charts import thinning
@@ -43,12 +44,13 @@ def render_report(content: ReportContent) -> str:
     version = content.model.versions.get("skdgp")
     made = f"Made by skdgp{f' {text(version)}' if version else ''}."
     colophon = f"{made} SI units; degrees in pictures and in the table of states."
-    return render_page("Aerodynamic identification report", content.title, meta, _body(content), colophon)
+    with units_shown(content.units):
+        return render_page("Aerodynamic identification report", content.title, meta, _body(content), colophon)
 
 
 def _body(content: ReportContent) -> str:
     draw, every = can_draw(), thinning(content)
-    parts = [sections.verdict(content), sections.messages(content)]
+    parts = [sections.verdict(content), sections.assumed(content), sections.messages(content)]
     if content.mechanics is not None:
         parts.append(sections.mechanics(content.mechanics))
     parts.append(sections.what_was_done(content))

@@ -21,6 +21,7 @@ import pytest
 
 from skdgp._cli import _console, main
 from skdgp._cli._console import CLEAR, Console
+from skdgp._cli._main import COMMANDS
 from skdgp._cli._output import OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
@@ -56,6 +57,18 @@ def identify(*arguments, output="out", train=("latlon.csv",), aircraft="uav.json
 
 @pytest.mark.usefixtures("short_fits")
 class TestIdentify:
+    def test_a_mass_and_a_span_instead_of_a_file(self, folder, tmp_path, capsys, monkeypatch):
+        """The configuration repeats it; the aircraft is the estimate, named by the log."""
+        monkeypatch.chdir(folder)
+        words = ["identify", "latlon.csv", "--test", "test.csv", *QUICK, "--horizons", "1"]
+        sizes = ["--mass", "45+-0.5", "--span", "2.8", "--kind", "flying wing"]
+        assert main([*words, *sizes, "-o", str(tmp_path / "out")]) == 0
+        assert "assumed, as nothing was told:" in capsys.readouterr().out
+        expected = Aircraft.estimate((45.0, 0.5), 2.8, kind="flying wing", name="latlon")
+        assert load_model(tmp_path / "out" / "model.joblib").aircraft == expected
+        options = COMMANDS["identify"].parse(["--config", str(tmp_path / "out" / "config.toml")])
+        assert (options.mass, options.span, options.kind) == ("45+-0.5", "2.8", "flying wing")
+
     def test_writes_three_files_and_nothing_else(self, identified):
         assert {path.name for path in identified[0].iterdir()} == OUTPUTS
 
@@ -290,7 +303,7 @@ class TestBadInput:
 
     def test_nothing_tells_the_thrust(self, refused, folder, tmp_path):
         table = pd.read_csv(folder / "latlon.csv")
-        gone = [name for name in table if name.startswith(("thrust", "propeller"))]
+        gone = [name for name in table if name.startswith(("thrust", "propeller", "throttle"))]
         table.drop(columns=gone).to_csv(tmp_path / "glider.csv", index=False)
         refused("thrust .* is unknown.*On the command line: --thrust none", train=[str(tmp_path / "glider.csv")])
 
@@ -372,9 +385,23 @@ class TestBadInput:
         ("arguments", "message"),
         [
             ([], "the following arguments are required: COMMAND"),
-            (["identify"], "the following arguments are required: --aircraft, -o/--output"),
-            (["identify", "latlon.csv", "-o", "out"], "the following arguments are required: --aircraft"),
-            (["identify", "latlon.csv", "--aircraft", "uav.json"], "the following arguments are required: -o/--output"),
+            (["identify"], "the following arguments are required: TRAIN"),
+            (
+                ["identify", "latlon.csv", "-o", "out"],
+                "got no aircraft, but expected --aircraft FILE, or --mass and --span",
+            ),
+            (
+                ["identify", "a.csv", "--mass", "3", "--aircraft", "b.json", "-o", "out"],
+                "got --aircraft --mass, but exp",
+            ),
+            (
+                ["identify", "a.csv", "--mass", "3", "-o", "out"],
+                "got --mass, but expected --aircraft FILE, or --mass and",
+            ),
+            (
+                ["identify", "a.csv", "--mass", "3+-", "--span", "-1", "-o", "out"],
+                "--span: got -1, but expected a number",
+            ),
             (["land"], "argument COMMAND: invalid choice: 'land'"),
             (["demo", "--inference", "magic"], "--inference: invalid choice: 'magic'"),
             (["demo", "--samples", "1"], "--samples: got 1, but expected a whole number, 2 or more, or all"),

@@ -240,6 +240,14 @@ class TestFlights:
         log.topic("vehicle_land_detected", [0.0, 30.0], landed=("bool", [1, 0]))
         assert read_flight(write("log.ulg", log)).time.min() == pytest.approx(30.0, abs=0.05)
 
+    def test_rolling_on_the_ground_is_not_flight(self, write, ulog):
+        """Fast and no longer reported as landed from 10 s, half a metre above the runway at 22.5 s."""
+        t = np.arange(0, 60, 0.05)
+        log = self.log(ulog, np.full(t.size, 20.0), t)
+        log.topic("vehicle_land_detected", [0.0, 10.0], landed=("bool", [1, 0]))
+        log.topic("vehicle_local_position", t, z=("float", -100.0 - 0.2 * np.maximum(t - 20, 0)))
+        assert read_flight(write("log.ulg", log)).time.min() == pytest.approx(22.5, abs=0.1)
+
     def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, write, ulog):
         t = np.arange(100, 140, 0.05)
         first = self.log(ulog, np.full(t.size, 20.0), t)
@@ -311,6 +319,36 @@ class TestRefusals:
             read_flight([write("log.ulg", px4)], flight="one")
 
 
+class TestWithoutAnAccelerometer:
+    """A steady banked turn: specific force is minus gravity over cos(phi) along z, and zero along x and y."""
+
+    def log(self, ulog, **accelerometer):
+        t, omega, speed = np.arange(0, 30, 0.05), 0.3, 20.0
+        phi, psi = np.arctan(omega * speed / 9.80665), omega * t
+        half = np.stack([np.cos(psi / 2), np.sin(psi / 2)])
+        q = np.stack([half[0] * np.cos(phi / 2), half[0] * np.sin(phi / 2)], axis=1)
+        q = np.column_stack([q, half[1] * np.sin(phi / 2), half[1] * np.cos(phi / 2)])
+        log = ulog().topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, speed)))
+        log.topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
+        log.topic("vehicle_attitude", t, q=("float[4]", q))
+        velocity = {"vx": speed * np.cos(psi), "vy": speed * np.sin(psi), "vz": np.zeros(t.size)}
+        log.topic("vehicle_local_position", t, **{name: ("float", each) for name, each in velocity.items()})
+        for name, values in accelerometer.items():
+            log.topic(name, t, xyz=("float[3]", np.broadcast_to(values, (t.size, 3))))
+        return log, 9.80665 / np.cos(phi)
+
+    def test_specific_force_is_that_of_velocity_and_attitude(self, write, ulog):
+        log, load = self.log(ulog)
+        table = read_flight(write("log.ulg", log))
+        found = table[(table.time > 2) & (table.time < 28)][["ax", "ay", "az"]].to_numpy()
+        np.testing.assert_allclose(found, np.broadcast_to([0.0, 0.0, -load], found.shape), atol=0.03)
+        assert table.attrs["sources"]["az"] == "velocity and attitude, as no accelerometer is of use"
+
+    def test_an_accelerometer_has_priority(self, write, ulog):
+        log, _ = self.log(ulog, vehicle_acceleration=[0.0, 0.0, -9.0])
+        assert read_flight(write("log.ulg", log)).az.median() == pytest.approx(-9.0)
+
+
 class TestRules:
     def test_columns_are_words_of_the_vocabulary(self):
         for rule in (*ulog.RULES, *dataflash.RULES):
@@ -329,9 +367,10 @@ class TestSharedLogs:
         path = shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg"
         with pytest.warns(FlightDataWarning, match="563 of distance_sensor"):
             table = read_flight(path)
-        assert 50 < np.ptp(table.time) < 57
+        assert 48 < np.ptp(table.time) < 51  # the first seconds are on the runway
         assert 20 < table.airspeed.mean() < 27
-        assert "ax" not in table  # integers that overflowed
+        assert "velocity and attitude" in table.attrs["sources"]["ax"]  # the sensor's integers overflowed
+        assert table.az.median() == pytest.approx(-9.8, abs=0.1)
 
     def test_bench_logs_are_no_flights_but_can_be_read(self, shared_data):
         for name in ("pyulog_sample_log_small_vtol_bench.ulg", "pyflightcoach_elevator_bench.BIN"):

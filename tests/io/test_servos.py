@@ -42,6 +42,8 @@ class TestRefusals:
         ("name", "entry", "message"),
         [
             ("flap", ENDS, "Got 'flap' in the servo file, but expected one of"),
+            ("rudder", "25", 'expected the angle at full throw, up to 90 degrees, as in rudder = "25 deg"'),
+            ("rudder", "25 rad", "up to 90 degrees"),
             ("rudder", {}, 'without a channel, but expected one, as in channel = "RCOU.C2"'),
             ("rudder", 7, "without a channel"),
             ("rudder", ENDS | {"trimm": 1}, r"Got \['trimm'\] for rudder"),
@@ -67,6 +69,74 @@ class TestRefusals:
             read_servos(tmp_path / "servo.toml")
         with pytest.raises(FileNotFoundError):
             read_servos(tmp_path / "nowhere.toml")
+
+
+class TestFullThrow:
+    """Surfaces from -1 to 1 by the parameters of the autopilot, with the signs of a flight table."""
+
+    def test_of_ardupilot(self, tmp_path, ardupilot, flight):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        table = read_flight(tmp_path / "log.bin", servos="full throw")
+        template = servo_template(tmp_path / "log.bin").replace("deflection = nan", "deflection = 0.5")
+        (tmp_path / "servo.toml").write_text(template)
+        angles = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
+        for name in ("aileron", "elevator", "rudder"):
+            np.testing.assert_allclose(0.5 * table[name], angles[name], atol=1e-12)
+        assert table.attrs["sources"]["rudder"] == "RCOU.C4 (in parts of the full throw)"
+
+    def test_a_throw_in_one_line(self, tmp_path, ardupilot):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        parts = read_flight(tmp_path / "log.bin", servos="full throw")
+        (tmp_path / "servo.toml").write_text('elevator = "25 deg"\nrudder = ".5 rad"\n')
+        table = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
+        np.testing.assert_allclose(table["elevator"], np.deg2rad(25) * parts["elevator"])
+        np.testing.assert_allclose(table["rudder"], 0.5 * parts["rudder"])
+        assert "aileron" not in table
+        with pytest.raises(
+            FlightReadError, match=r"full throw of \['elevon_left'\], but expected surfaces .*'elevator'"
+        ):
+            read_flight(tmp_path / "log.bin", servos={"elevon_left": "25 deg"})
+
+    COMMANDS = {"aileron": 0.3, "elevator": -0.4, "rudder": 0.2}
+
+    def test_any_mixing_of_px4(self, tmp_path, ulog):
+        """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
+        types = {0: (1, -0.5, 0, 0), 1: (2, 0.8, 0, 0), 2: (7, 0, 0.5, 0.5), 3: (8, 0, 0.5, -0.5), 4: (9, 0.3, 0, 0)}
+        parameters = {f"CA_SV_CS{n}_TYPE": each[0] for n, each in types.items()}
+        for k, axis in enumerate("RPY"):
+            parameters |= {f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()}
+        roll, pitch, yaw = self.COMMANDS["aileron"], -self.COMMANDS["elevator"], -self.COMMANDS["rudder"]
+        t = np.arange(0, 10, 0.05)
+        control = np.tile([-roll, roll, pitch + yaw, pitch - yaw, 0.7], (t.size, 1))
+        log = ulog(**parameters).topic("actuator_servos", t, control=("float[5]", control))
+        log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, 20.0)))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        table = read_flight(tmp_path / "log.ulg", servos="full throw")
+        found = {name: round(float(table[name].median()), 6) for name in self.COMMANDS}
+        assert found == self.COMMANDS
+
+    def test_a_v_tail_of_ardupilot(self, tmp_path, dataflash):
+        """left = elevator + rudder, right = elevator - rudder, of commands that pitch up and yaw right."""
+        pitch, yaw = -self.COMMANDS["elevator"], -self.COMMANDS["rudder"]
+        log = dataflash(SERVO1_FUNCTION=4.0, SERVO2_FUNCTION=79.0, SERVO4_FUNCTION=80.0, SERVO4_REVERSED=1.0)
+        t = np.arange(0, 10, 0.05)
+        pulses = {"C1": 1500 + 400 * self.COMMANDS["aileron"], "C2": 1500 + 400 * (pitch + yaw)}
+        pulses["C4"] = 1500 - 400 * (pitch - yaw)
+        log.topic("RCOU", t, **{name: ("H", np.full(t.size, pulse)) for name, pulse in pulses.items()})
+        log.topic("ARSP", t, Airspeed=("f", np.full(t.size, 20.0)), H=("B", np.ones(t.size)))
+        (tmp_path / "log.bin").write_bytes(bytes(log))
+        table = read_flight(tmp_path / "log.bin", servos="full throw", airborne=False)
+        assert {name: round(float(table[name].median()), 6) for name in self.COMMANDS} == self.COMMANDS
+
+    def test_what_cannot_be(self, tmp_path, dataflash, ulog):
+        log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0).topic("RCOU", [0.1, 0.2], C1=("H", 1500))
+        (tmp_path / "log.bin").write_bytes(bytes(log))
+        with pytest.raises(FlightReadError, match="min 1900, trim 1500, max 1900 of the aileron"):
+            read_flight(tmp_path / "log.bin", servos="full throw")
+        log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=("float", [1, 2]))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        with pytest.raises(FlightReadError, match="without servo outputs"):
+            read_flight(tmp_path / "log.ulg", servos="full throw")
 
 
 class TestTemplates:

@@ -18,6 +18,7 @@ from skdgp.dynamics._control.trim import Trim
 from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.estimate import relative_errors
 from skdgp.dynamics._vehicle.loads import Thrust
 
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
@@ -92,6 +93,12 @@ def stability_derivatives(
         samples (compact models) ``std_random``, ``std_method`` and ``n_effective`` are missing. A model by formula has
         no such parts.
 
+        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make of the values, and
+        ``aircraft`` names the largest of them. They are shared: an inertia that is 10 % too large makes all derivatives
+        of that moment 10 % too large. They are not part of ``std``, as trim, modes and simulations with the same
+        aircraft do not depend on them: the forces and accelerations of the log do not change with the sizes that they
+        are divided by and multiplied with again. Compare derivatives with those of another source by both deviations.
+
     Notes
     -----
     A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went together in the flights:
@@ -129,6 +136,8 @@ def stability_derivatives(
     if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
         parts = _deviations(motion, now, frame, n_paths, random_state)
     tables = [frame.table(values[k], {name: part[k] for name, part in parts.items()}) for k in range(len(states))]
+    if aircraft.deviations:
+        _add_errors_of_aircraft(tables, motion, now, frame)
     if single:
         return tables[0]
     for k, table in enumerate(tables):
@@ -157,6 +166,19 @@ def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, rando
     return parts | {"n_effective": errors.n_samples * np.minimum(share, 1.0)}
 
 
+def _add_errors_of_aircraft(tables: list[pd.DataFrame], motion: Motion, now: Instant, frame: _Frame) -> None:
+    """Add what errors of the aircraft's sizes make of the values, and the largest of these errors."""
+    deviations = motion.aircraft.deviations or {}
+    errors = relative_errors(deviations, tuple(motion.regressors))
+    slopes = motion.aerodynamics.gradient(now.regressors)
+    each = np.abs([frame(now.coefficients * one[:, 0], slopes * one[:, 1:]) for one in errors])
+    causes = np.array(list(deviations))
+    for k, table in enumerate(tables):
+        by_cause = each[:, k].reshape(len(causes), -1)
+        table["std_aircraft"] = np.sqrt(np.sum(by_cause**2, axis=0))
+        table["aircraft"] = np.where(by_cause.any(axis=0), causes[by_cause.argmax(axis=0)], "")
+
+
 class _Frame:
     """Conversion of coefficients and slopes in body axes to rows and columns of the table of derivatives."""
 
@@ -170,6 +192,7 @@ class _Frame:
             have = set(self.columns)
             self.added = [n for pair in TURNED if have & set(pair) for n in pair if n not in have]
         self.columns += self.added
+        self.units = motion.aerodynamics.units
 
     def __call__(self, coefficients: Array, slopes: Array) -> Array:
         """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
@@ -205,7 +228,7 @@ class _Frame:
             table["lower"] = table["value"] - NORMAL_95 * table["std"]
             table["upper"] = table["value"] + NORMAL_95 * table["std"]
         table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
-        table["per"] = [_unit(name) for _, name in pairs]
+        table["per"] = [self.units.get(name, _unit(name)) for _, name in pairs]
         if "merged" in columns:
             sources = columns.pop("merged").astype(int)
             merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]

@@ -127,6 +127,8 @@ class Aerodynamics:
         Lengths [m] of the non-dimensional rates; by default those of the aircraft that flies.
     mixing : Mixing, optional
         How the model's controls follow from the aircraft's surfaces.
+    units : mapping of str to str, optional
+        Units of controls that are not those of docs/notation.md.
 
     Examples
     --------
@@ -165,6 +167,7 @@ class Aerodynamics:
         span: float | None = None,
         chord: float | None = None,
         mixing: Mixing | None = None,
+        units: Mapping[str, str] | None = None,
     ) -> None:
         if isinstance(regressors, str) or len(set(regressors)) != len(regressors):
             raise ValueError(f"Got regressors={regressors!r}, but expected a list of names, each once.")
@@ -173,7 +176,7 @@ class Aerodynamics:
         if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
             raise ValueError(f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)}).")
         self.span, self.chord, self.mixing, self.drift, self.turbulence = span, chord, mixing, drift, turbulence
-        self.flown = dict(flown or {})
+        self.flown, self.units = dict(flown or {}), dict(units or {})
         self.n_paths: int | None = None
         self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
 
@@ -352,6 +355,7 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         span=None if rates is None else rates.span,
         chord=None if rates is None else rates.chord,
         mixing=mixing,
+        units=getattr(model, "control_units_", None),
     )
     if chain.can_sample:
         aerodynamics.slope_errors, aerodynamics.function_errors = chain.slope_errors, chain.function_errors

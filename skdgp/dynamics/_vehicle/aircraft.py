@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from functools import cached_property
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,14 @@ from numpy.typing import ArrayLike
 from skdgp._compute.files import parse_json, read_json, read_toml
 from skdgp._compute.typing import Array
 from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, as_floats
+from skdgp.dynamics._vehicle.estimate import INERTIAS, KINDS, QUANTITIES, ScaleFactor, estimated, value_and_std
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Aircraft:
     """Mass, inertia, reference lengths and thrust line of an aircraft.
 
-    Raises ValueError if a number is not positive and finite, or the inertia is not symmetric and positive definite.
+    Raises ValueError if a size is not positive and finite, or the inertia is not symmetric and positive definite.
     Warns if one principal moment of inertia exceeds the sum of the other two, which no real body's does.
 
     Parameters
@@ -41,6 +43,11 @@ class Aircraft:
         Position and direction of the engine's force; without it, through the centre of gravity and forward.
     propeller : Propeller or mapping, optional
         Thrust as a function of propeller speed and airspeed, for flights without thrust columns.
+    deviations : mapping of str to ScaleFactor or mapping, optional
+        Errors of the sizes, by their cause. A pair (value, standard deviation) for mass, wing_area, span or chord, or
+        (matrix, three standard deviations of Ixx, Iyy, Izz) for inertia, adds its own. `Aircraft.estimate` fills it.
+        :func:`skdgp.dynamics.stability_derivatives` says what these errors do; a simulation with the same aircraft does
+        not depend on them.
 
     Examples
     --------
@@ -61,16 +68,24 @@ class Aircraft:
     chord: float
     thrust_line: ThrustLine | None = None
     propeller: Propeller | None = None
+    deviations: Mapping[str, ScaleFactor] | None = None
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name.isprintable():
             raise ValueError(f"Got name={self.name!r}, but expected a line of text.")
-        for name, unit in (("mass", "kg"), ("wing_area", "m^2"), ("span", "m"), ("chord", "m")):
-            value = as_floats(getattr(self, name))
-            if value.shape != () or not 0 < value < np.inf:
-                raise ValueError(f"Got {name}={getattr(self, name)!r}, but expected a number > 0, finite [{unit}].")
-            object.__setattr__(self, name, float(value))
-        object.__setattr__(self, "inertia", _inertia(self.inertia))
+        factors = dict(self.deviations or {})
+        for name in QUANTITIES:
+            value, std = value_and_std(name, getattr(self, name))
+            object.__setattr__(self, name, value)
+            if std:
+                factors[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "told")
+        inertia, of_inertia = _inertia_and_factors(self.inertia)
+        factors = {
+            name: _build(ScaleFactor, each, f"deviations of {name}") if isinstance(each, Mapping) else each
+            for name, each in (factors | of_inertia).items()
+        }
+        object.__setattr__(self, "inertia", inertia)
+        object.__setattr__(self, "deviations", factors or None)
         for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
             value = getattr(self, name)
             if isinstance(value, Mapping):
@@ -90,6 +105,56 @@ class Aircraft:
         return np.array([self.span, self.chord, self.span])
 
     @classmethod
+    def estimate(
+        cls,
+        mass: float | Sequence[float],
+        span: float | Sequence[float],
+        *,
+        kind: str = "conventional",
+        wing_area: float | Sequence[float] | None = None,
+        aspect_ratio: float | Sequence[float] | None = None,
+        chord: float | Sequence[float] | None = None,
+        length: float | Sequence[float] | None = None,
+        inertia: Any = None,
+        name: str = "aircraft",
+        thrust_line: ThrustLine | Mapping | None = None,
+        propeller: Propeller | Mapping | None = None,
+    ) -> Aircraft:
+        """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the rest may be.
+
+        Moments of inertia are those of radii of gyration of its kind (Raymer, Aircraft Design, equations 16.52 to
+        16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b + l) / 4)^2, and no products. What is
+        missing of wing area, chord and length follows from usual ratios of the kind, area = span chord, or area =
+        span^2 / aspect ratio. A pair is a value and its standard deviation. Raises ValueError as `Aircraft` does, and
+        if the kind is unknown, or wing area and aspect ratio are both given.
+
+        Parameters
+        ----------
+        mass, span : float or pair
+            [kg], [m].
+        kind : {"conventional", "flying wing", "motor glider", "twin"}
+            "conventional" has one propeller and a tail, "twin" two propellers on the wing.
+        wing_area, aspect_ratio, chord, length : float or pair, optional
+            [m^2], span^2 / wing area, mean chord [m], from nose to tail [m].
+        inertia : array-like of shape (3, 3), or pair, optional
+            Where it was measured.
+        name, thrust_line, propeller
+            As of `Aircraft`.
+
+        Examples
+        --------
+        >>> from skdgp.dynamics import Aircraft
+        >>> uav = Aircraft.estimate(mass=(3.2, 0.05), span=1.6, chord=0.22)
+        >>> uav, uav.inertia.diagonal().round(3).tolist()
+        (Aircraft('aircraft', 3.2 kg, S 0.352 m^2, b 1.6 m, c 0.22 m), [0.128, 0.175, 0.244])
+        >>> {cause: round(each.std, 3) for cause, each in uav.deviations.items()}
+        {'length': 0.15, 'roll inertia': 0.45, 'pitch inertia': 0.25, 'yaw inertia': 0.35, 'mass': 0.016}
+        """
+        sizes = {"wing_area": wing_area, "aspect_ratio": aspect_ratio, "chord": chord, "length": length}
+        sizes = estimated(mass, span, kind=kind, inertia=inertia, **sizes)
+        return cls(name=name, thrust_line=thrust_line, propeller=propeller, **sizes)
+
+    @classmethod
     def from_json(cls, path: str | Path) -> Aircraft:
         """Read the aircraft from a JSON file, or the text of one, whose keys are the parameters of this class."""
         if isinstance(path, str) and path.lstrip().startswith("{"):
@@ -105,8 +170,12 @@ class Aircraft:
     def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
         """Build the aircraft from a mapping whose keys are the parameters of this class.
 
-        Raises ValueError if a key is missing or unknown (the nearest known one is named), or a value is not valid.
+        With a key ``kind`` they are those of `estimate`. Raises ValueError if a key is missing or unknown (the nearest
+        known one is named), or a value is not valid.
         """
+        if isinstance(values, Mapping) and "kind" in values:
+            check_keys(values, list(signature(cls.estimate).parameters), ["mass", "span"], what)
+            return cls.estimate(**values)
         return _build(cls, values, what)
 
     def to_dict(self) -> dict:
@@ -131,6 +200,18 @@ class Aircraft:
             f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} m, "
             f"c {self.chord:g} m)"
         )
+
+
+def _inertia_and_factors(value: Any) -> tuple[Array, dict[str, ScaleFactor]]:
+    """Return the inertia, of a tensor or of a pair of it and the deviations of its moments, and their scale factors."""
+    if not (isinstance(value, (list, tuple)) and len(value) == 2 and np.shape(value[1]) == (3,)):
+        return _inertia(value), {}
+    inertia, std = _inertia(value[0]), as_floats(value[1])
+    relative = std / np.diag(inertia)
+    return inertia, {
+        name: ScaleFactor(each, {moment: 1.0}, "told")
+        for (name, moment), each in zip(INERTIAS.items(), relative.tolist(), strict=True)
+    }
 
 
 def _inertia(value: ArrayLike) -> Array:
@@ -168,16 +249,22 @@ def _build(kind: type, values: Mapping, what: str) -> Any:
     if not isinstance(values, Mapping):
         raise ValueError(f"Got {type(values).__name__} in {what}, but expected named values (key: value).")
     known = [field.name for field in fields(kind)]
+    required = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    check_keys(values, known, required, what)
+    return kind(**values)
+
+
+def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], what: str) -> None:
+    """Raise ValueError if a key is unknown, with the nearest known one, or a required one is missing."""
     for key in values:
         if key not in known:
             near = get_close_matches(str(key), known, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}?" if near else f"known keys are {known}."
             raise ValueError(f"Got unknown key {key!r} in {what}: {hint}")
-    required = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
     missing = [name for name in required if name not in values]
     if missing:
-        raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.")
-    return kind(**values)
+        remedy = f" Give them, or kind = one of {list(KINDS)} to estimate them." if "inertia" in required else ""
+        raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.{remedy}")
 
 
 def _plain(value: Any) -> Any:
@@ -185,4 +272,6 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "__dataclass_fields__"):
         items = {field.name: getattr(value, field.name) for field in fields(value)}
         return {key: _plain(item) for key, item in items.items() if item is not None}
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
     return np.asarray(value).tolist() if isinstance(value, (np.ndarray, tuple)) else value

@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from skdgp._flight.atmosphere import GRAVITY
+from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
+from skdgp._flight.frames import euler_to_matrix
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._autopilot.clock import clock_parts, gaps
 from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to_table
 from skdgp.io._autopilot.dataflash import read_dataflash
 from skdgp.io._autopilot.formats import Log, Topic
-from skdgp.io._autopilot.servos import read_servos
+from skdgp.io._autopilot.servos import FULL_THROW, full_throws, read_servos, with_throws
 from skdgp.io._autopilot.ulog import read_ulog
 from skdgp.io._errors import FlightReadError
 
@@ -25,6 +28,8 @@ RATE_CUTOFF = 0.2
 """Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
 AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0
 """Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
+CLEAR = 0.5
+"""Height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess."""
 LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0
 """Slower for less than this is still flight [s]; faster for less than this is none [s]."""
 LONGEST_EDGE = 1.0
@@ -63,9 +68,10 @@ def read_log(path: Path) -> Log:
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     _check_options(rate, airborne, imu_position)
-    servos = read_servos(servos)
+    servos = servos if servos == FULL_THROW else read_servos(servos)
     with np.errstate(all="ignore"):  # what is damaged may hold any number
         log = read_log(path)
+        servos = full_throws(log) if servos == FULL_THROW else with_throws(servos, log)
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
         parts: list[Part] = []
@@ -76,9 +82,11 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
             useless += unused
             clock, chosen = follow(sources, rate)
             table, where = to_table(sources, clock, chosen)
-            origin |= where
             if imu_position is not None:
                 table = at_centre_of_gravity(table, imu_position, chosen)
+            if not set(SPECIFIC_FORCE) & set(table):
+                table, where = with_specific_force(table, where)
+            origin |= where
             parts.append(Part(some, sources, table, find_segments(table, log, some, speed)))
     remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_gap_remarks(parts)]
     return FlightLog(log, parts, origin, speed, remarks)
@@ -122,6 +130,30 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
     return table.assign(**dict(zip(names, (table[names].to_numpy() - extra).T, strict=True)))
 
 
+def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple[pd.DataFrame, dict[str, Origin]]:
+    """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g), where it has both.
+
+    It is for logs without an accelerometer of use, and carries what the velocity does: little above a fifth of its
+    rate.
+    """
+    names = (*EARTH_VELOCITY, *EULER)
+    if not set(names) <= set(table.columns):
+        return table, origin
+    rate = min(origin[name].rate for name in EARTH_VELOCITY)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
+            change = differentiate(table[list(EARTH_VELOCITY)], table["time"], cutoff=RATE_CUTOFF * rate)
+    except ValueError:  # the clock of the log is not sound, which coefficients refuse in their own words
+        return table, origin
+    change[:, 2] -= GRAVITY
+    attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
+    force = np.einsum("nji,nj->ni", attitude, change)
+    words = Origin("velocity and attitude, as no accelerometer is of use", rate)
+    table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+    return table[[name for name in CHANNELS if name in table]], origin | dict.fromkeys(SPECIFIC_FORCE, words)
+
+
 def threshold(log: Log, airborne: bool | float) -> float:
     """Return the airspeed [m/s] above which the aircraft is airborne."""
     if airborne is not True:
@@ -132,7 +164,8 @@ def threshold(log: Log, airborne: bool | float) -> float:
 def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
     """Return the rows of each flight: airspeed above a speed, and not reported as landed.
 
-    Without an airspeed the speed over ground is used, unless the vehicle has no wings.
+    Without an airspeed the speed over ground is used, unless the vehicle has no wings. What rolls on its wheels after
+    it was reported as landed does not fly yet.
     """
     fast = _speed(table, log) > speed
     landed = _landed(table["time"].to_numpy(), log, topics)
@@ -140,8 +173,17 @@ def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed
         fast &= ~landed
     time, rows = table["time"].to_numpy(), np.flatnonzero(fast)
     parts = np.split(rows, np.flatnonzero(np.diff(time[rows]) >= LONGEST_DIP) + 1)
-    ends = [(int(part[0]), int(part[-1])) for part in parts if len(part)]
+    ends = [(_lift_off(table, landed, int(part[0]), int(part[-1])), int(part[-1])) for part in parts if len(part)]
     return [slice(a, b + 1) for a, b in ends if time[b] - time[a] >= SHORTEST_FLIGHT]
+
+
+def _lift_off(table, landed, first: int, last: int) -> int:
+    """Return the first row of a flight that is clear of the ground on which it was reported as landed before."""
+    before = np.flatnonzero(landed[:first]) if landed is not None and "down" in table else np.empty(0)
+    if not len(before):
+        return first
+    height = table["down"].to_numpy()[before[-1]] - table["down"].to_numpy()[first : last + 1]
+    return first + int((height > CLEAR).argmax())  # 0 where it is never: the height is not to be believed
 
 
 def trimmed(flight: pd.DataFrame) -> pd.DataFrame:

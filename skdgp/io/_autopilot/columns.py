@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
 from skdgp.io._autopilot.clock import resample, sampling_rate, uniform_clock
 from skdgp.io._autopilot.formats import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
-from skdgp.io._autopilot.servos import Servo
+from skdgp.io._autopilot.servos import Mixture, Servo
 from skdgp.io._errors import FlightReadError
 
 LEAST_RATE = 5.0
@@ -51,7 +52,9 @@ class Source(NamedTuple):
         return sampling_rate(self.time)
 
 
-def find_sources(log: Log, topics: dict[str, Topic], servos: dict[str, Servo]) -> tuple[list[Source], list[str]]:
+def find_sources(
+    log: Log, topics: dict[str, Topic], servos: Mapping[str, Servo | Mixture]
+) -> tuple[list[Source], list[str]]:
     """Return the source of each group of columns, and remarks on those that are of no use."""
     part = replace(log, topics=topics)
     candidates: dict[tuple[str, ...], list[Source]] = {}
@@ -148,18 +151,29 @@ def _impossible(source) -> float:
     return share if share > RARE else 0.0
 
 
-def _surface(log, name, servo: Servo) -> Source:
-    topic_name, _, field = servo.channel.partition(".")
+def _surface(log, name, servo: Servo | Mixture) -> Source:
+    parts = servo.parts if isinstance(servo, Mixture) else ((1.0, servo),)
+    found = [(weight * each.deflection(_channel(log, name, each.channel)), each) for weight, each in parts]
+    values = np.sum([deflection for deflection, _ in found], axis=0)
+    known = np.isfinite(values)
+    largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in parts)
+    note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
+    channels = " ".join(each.channel for _, each in found)
+    time = log.topics[parts[0][1].channel.partition(".")[0]].time  # parts are fields of one topic
+    return Source((name,), channels, time[known], values[known][:, None], note)
+
+
+def _channel(log, name, channel: str) -> Vector:
+    """Return the values of a channel; raise FlightReadError if the log has none such."""
+    topic_name, _, field = channel.partition(".")
     topic = log.topics.get(topic_name)
     if topic is None or field not in topic:
         fields = [f"{key}.{each}" for key in log.topics if key in log.outputs for each in log.topics[key].channels()]
         raise FlightReadError(
-            f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one of "
+            f"Got channel {channel!r} for {name}, but the log has no such field: expected one of "
             f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
         )
-    values = servo.deflection(topic[field])
-    known = np.isfinite(values)
-    return Source((name,), servo.channel, topic.time[known], values[known][:, None], "by the servo file")
+    return topic[field]
 
 
 def _joined(fields) -> str:

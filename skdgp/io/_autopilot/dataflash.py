@@ -92,6 +92,8 @@ SERVOS = {
     77: ("elevon_left", True), 78: ("elevon_right", True),
 }  # fmt: skip
 """By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign."""
+V_TAIL = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}}
+"""Weights by SERVOn_FUNCTION: left = elevator + rudder, right = elevator - rudder of commands that go up and right."""
 
 
 def read_dataflash(path: Path) -> Log:
@@ -128,6 +130,7 @@ def read_dataflash(path: Path) -> Log:
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
         servos=_servos(topics.get("RCOU", ()), parameters),
+        mixing=_mixing(topics.get("RCOU", ()), parameters),
     )
 
 
@@ -255,7 +258,21 @@ def _servos(outputs, parameters) -> dict[str, ServoChannel]:
     for n in range(1, 15):
         surface, turned = SERVOS.get(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), (None, False))
         if surface is not None and f"C{n}" in outputs:
-            keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
-            low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
-            channels.setdefault(surface, ServoChannel(f"RCOU.C{n}", low, trim, high, turned != bool(back)))
+            channels.setdefault(surface, _channel(n, parameters, turned))
     return channels
+
+
+def _channel(n, parameters, turned) -> ServoChannel:
+    keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
+    low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
+    return ServoChannel(f"RCOU.C{n}", low, trim, high, turned != bool(back))
+
+
+def _mixing(outputs, parameters) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
+    """Return elevator and rudder of a V-tail; none where one of its servos is missing."""
+    by_function = {whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)): n for n in range(14, 0, -1) if f"C{n}" in outputs}
+    return {
+        control: tuple((weight, _channel(by_function[each], parameters, False)) for each, weight in weights.items())
+        for control, weights in V_TAIL.items()
+        if set(weights) <= set(by_function)
+    }

@@ -162,6 +162,8 @@ class Log:
         Topics that hold what was sent to servos.
     servos : dict of str to ServoChannel
         By surface, what the parameters say of its servo.
+    mixing : dict of str to tuple of (float, ServoChannel)
+        By control, weights of the outputs that make it together, such as those of a V-tail, each output from -1 to 1.
     """
 
     kind: str
@@ -175,6 +177,7 @@ class Log:
     landed: tuple[str, str, float] | None = None
     outputs: tuple[str, ...] = ()
     servos: Mapping[str, ServoChannel] = field(default_factory=dict)
+    mixing: Mapping[str, tuple[tuple[float, ServoChannel], ...]] = field(default_factory=dict)
 
     def find(self, name: str) -> str | None:
         """Return the name of the first instance of a topic that has messages, or None."""

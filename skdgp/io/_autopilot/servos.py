@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,12 +12,15 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import ALL_SURFACES
-from skdgp.io._autopilot.formats import Log
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS
+from skdgp.io._autopilot.formats import Log, ServoChannel
 from skdgp.io._errors import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
+FULL_THROW = "full throw"
+"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1."""
+THROW = re.compile(r"(\d+\.?\d*|\.\d+) ?(deg|rad)")
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
 TEMPLATE = """\
@@ -51,12 +55,25 @@ class Servo(NamedTuple):
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
 
-def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo]:
+class Mixture(NamedTuple):
+    """Servos of one topic whose weighted deflections add up to a control, such as those of a V-tail."""
+
+    parts: tuple[tuple[float, Servo], ...]
+
+
+class Throw(NamedTuple):
+    """The angle of a surface at full throw [rad]; the autopilot's parameters name its servos."""
+
+    angle: float
+
+
+def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw]:
     r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
     ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel, angle in rad), or
     ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at ``min`` is
-    its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Raises FlightReadError if
+    its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Or in one line the angle at
+    full throw, ``elevator = "25 deg"``, of the servos that the autopilot's parameters name. Raises FlightReadError if
     the file is no TOML, or a surface or number makes no sense.
 
     Examples
@@ -74,9 +91,65 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
     return {name: _servo(name, entry) for name, entry in servos.items()}
 
 
-def _servo(name, entry) -> Servo:
+def full_throws(log: Log) -> dict[str, Servo | Mixture]:
+    """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
+
+    Where the parameters say how controls are mixed, these are elevator, aileron and rudder of any tail and wing. Raises
+    FlightReadError if there are none.
+
+    Examples
+    --------
+    >>> from skdgp.io._autopilot.formats import Log, ServoChannel
+    >>> full_throws(Log("", {}, servos={"rudder": ServoChannel("RCOU.C4", 1100, 1500, 1900, turned=True)}))
+    {'rudder': Servo(channel='RCOU.C4', inputs=(1100, 1500, 1900), angles=(1.0, 0.0, -1.0))}
+    """
+    if not log.mixing:
+        _check_names_servos(log)
+    found: dict[str, Servo | Mixture] = {
+        name: _full_throw(name, channel)
+        for name, channel in log.servos.items()
+        if not (log.mixing and name in ELEVONS)  # elevator and aileron are among the mixed
+    }
+    return found | {
+        name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
+        for name, parts in log.mixing.items()
+    }
+
+
+def with_throws(servos: Mapping[str, Servo | Throw], log: Log) -> dict[str, Servo | Mixture]:
+    """Return the servos, those of a throw by the parameters of the autopilot; FlightReadError if these lack one."""
+    throws = {name: each.angle for name, each in servos.items() if isinstance(each, Throw)}
+    named = full_throws(log) if throws else {}
+    if lacking := sorted(set(throws) - set(named)):
+        raise FlightReadError(
+            f"Got the full throw of {lacking}, but expected surfaces that the parameters of the log name, "
+            f"{sorted(named)}: give the channel of the others."
+        )
+    found: dict[str, Servo | Mixture] = {name: each for name, each in servos.items() if isinstance(each, Servo)}
+    return found | {name: _scaled(named[name], angle) for name, angle in throws.items()}
+
+
+def _scaled(servo: Servo | Mixture, angle: float) -> Servo | Mixture:
+    if isinstance(servo, Mixture):
+        return Mixture(tuple((angle * weight, each) for weight, each in servo.parts))
+    return servo._replace(angles=tuple(angle * each for each in servo.angles))
+
+
+def _full_throw(name: str, servo: ServoChannel) -> Servo:
+    if not servo.low < servo.trim < servo.high:
+        raise FlightReadError(
+            f"Got min {servo.low:g}, trim {servo.trim:g}, max {servo.high:g} of the {name} on {servo.channel}, but "
+            "expected them in this order: write the servo file by hand."
+        )
+    ends = (1.0, 0.0, -1.0) if servo.turned else (-1.0, 0.0, 1.0)
+    return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
+
+
+def _servo(name, entry) -> Servo | Throw:
     if name not in MOVED:
         raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
+    if isinstance(entry, str):
+        return _throw(name, entry)
     if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
         raise FlightReadError(f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".')
     if set(entry) - KEYS:
@@ -95,6 +168,16 @@ def _servo(name, entry) -> Servo:
         )
     sign = -1.0 if _flag(name, entry) else 1.0
     return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple((sign * pairs[:, 1] + 0.0).tolist()))
+
+
+def _throw(name, text) -> Throw:
+    match = THROW.fullmatch(text.strip())
+    angle = float(match[1]) * {"deg": np.pi / 180, "rad": 1.0}[match[2]] if match else np.nan
+    if not 0 < angle <= np.pi / 2:
+        raise FlightReadError(
+            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg".'
+        )
+    return Throw(angle)
 
 
 def _flag(name, entry):
@@ -131,13 +214,17 @@ def _is_number(value):
 
 def template(log: Log) -> str:
     """Return a calibration file without the angles; raise FlightReadError if the log does not name the servos."""
-    if not log.servos:
-        raise FlightReadError(
-            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
-            "one of them: log it, or write the servo file by hand."
-        )
+    _check_names_servos(log)
     return TEMPLATE + "".join(
         f'\n[{surface}]\nchannel = "{servo.channel}"\nmin = {servo.low:g}\ntrim = {servo.trim:g}\n'
         f"max = {servo.high:g}\ndeflection = nan\nreversed = {str(servo.turned).lower()}\n"
         for surface, servo in log.servos.items()
     )
+
+
+def _check_names_servos(log: Log) -> None:
+    if not log.servos:
+        raise FlightReadError(
+            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
+            "one of them: log it, or write the servo file by hand."
+        )

@@ -88,7 +88,11 @@ RULES = (
 
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuator_controls_0", "actuator_controls_1")
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
-"""By CA_SV_CSn_TYPE."""
+"""By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up, against our signs."""
+MIXED_TYPES = (*range(1, 9), 12)
+"""Ailerons, elevator, rudder, elevons, halves of a V-tail, custom: flaps and airbrakes are left out."""
+TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
+"""Torques CA_SV_CSn_TRQ_ by which the autopilot allocates a control, and the sign of ours at a positive torque."""
 CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
 """Fields of actuator_controls, and whether more turns the surface against our sign."""
 
@@ -120,6 +124,7 @@ def read_ulog(path: Path) -> Log:
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
         servos=_servos(topics, reader.parameters),
+        mixing=_mixing(topics, reader.parameters),
     )
 
 
@@ -365,10 +370,32 @@ def _servos(topics, parameters) -> dict[str, ServoChannel]:
     for n in range(8):
         surface = SURFACES.get(whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)))
         if surface is not None and outputs is not None and f"control[{n}]" in outputs:
-            channels.setdefault(surface, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1))
+            channels.setdefault(surface, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True))
     if channels:
         return channels
     name = "actuator_controls_1" if "actuator_controls_1" in topics else "actuator_controls_0"  # 1: a VTOL's wings
     if name not in topics or "control[2]" not in topics[name]:
         return {}
     return {key: ServoChannel(f"{name}.control[{n}]", -1, 0, 1, turned) for key, (n, turned) in CONTROLS.items()}
+
+
+def _mixing(topics, parameters) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
+    """Return the controls by the torques of control allocation: any number of surfaces, mixed in any way."""
+    outputs = topics.get("actuator_servos")
+    found = {}
+    for control, (axis, sign) in TORQUES.items():
+        torques = {
+            n: parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0)
+            for n in range(8)
+            if whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)) in MIXED_TYPES
+            and outputs is not None
+            and f"control[{n}]" in outputs
+        }
+        total = sum(map(abs, torques.values()))
+        if 0 < total < np.inf:
+            found[control] = tuple(
+                (sign * torque / total, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1))
+                for n, torque in torques.items()
+                if torque
+            )
+    return found

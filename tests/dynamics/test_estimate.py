@@ -1,0 +1,163 @@
+"""An aircraft of a mass and a span: its inertia is of the right size, and its errors scale what is computed with it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from skdgp._flight.channels import RATE_LENGTHS
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    air_velocity,
+    euler_to_quaternion,
+    linearize,
+    stability_derivatives,
+    trim,
+)
+from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES
+
+PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
+    "Aerosonde, Beard & McLain 2012, table E.2": (13.5, 2.8956, 0.55, 1.7, (0.8244, 1.135, 1.759)),
+    "Ultra Stick 25e, University of Minnesota": (1.959, 1.27, 0.3097, 1.05, (0.07151, 0.08636, 0.15364)),
+    "FASER, Ultra Stick 120, NASA": (10.0, 1.93, 0.736, 1.7, (0.672, 0.889, 1.578)),
+    "Skyhunter, ROSflight": (2.28, 1.795, 0.4296, 1.4, (0.141, 0.208, 0.293)),
+    "Cessna 172R": (1111.0, 11.0, 16.2, 8.28, (1285.0, 1824.0, 2666.0)),
+}
+ZAGI = (1.56, 1.4224, 0.2589, (0.1147, 0.0576, 0.1712))  # Beard & McLain 2012, table E.1
+
+
+class TestPublishedAircraft:
+    def test_moments_of_inertia_lie_within_two_standard_deviations(self):
+        """With the length told; the deviations of the rule are those of this list, so one in twenty may lie outside."""
+        off = []
+        for mass, span, area, length, moments in PUBLISHED.values():
+            aircraft = Aircraft.estimate(mass, span, wing_area=area, length=length)
+            stds = [aircraft.deviations[f"{axis} inertia"].std for axis in ("roll", "pitch", "yaw")]
+            off.append(np.log(np.array(moments) / aircraft.inertia.diagonal()) / stds)
+        assert np.abs(off).max() < 2
+        assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4  # neither too narrow nor too wide
+
+    def test_sizes_from_the_span_alone(self):
+        for mass, span, area, length, _ in PUBLISHED.values():
+            aircraft = Aircraft.estimate(mass, span)
+            assert abs(np.log(area / aircraft.wing_area)) < 2.2 * aircraft.deviations["aspect ratio"].std
+            assert abs(np.log(length / (0.77 * span))) < 2 * aircraft.deviations["length"].std
+
+    def test_flying_wing(self):
+        mass, span, area, moments = ZAGI
+        wing = Aircraft.estimate(mass, span, kind="flying wing", wing_area=area)
+        assert np.abs(np.log(moments / wing.inertia.diagonal())).max() < 1.0
+
+    @pytest.mark.parametrize("kind", ["conventional", "flying wing", "motor glider", "twin"])
+    def test_every_kind_is_a_body(self, kind):
+        """No principal moment exceeds the sum of the others (a warning, here an error)."""
+        Aircraft.estimate(3.0, 2.0, kind=kind)
+
+
+class TestSharing:
+    """Factors carry the powers with which quantities follow a told one: the same as of a second estimate."""
+
+    @pytest.mark.parametrize("told", [{}, {"chord": 0.2}, {"wing_area": 0.4}, {"aspect_ratio": 9.0}, {"length": 1.1}])
+    @pytest.mark.parametrize("name", ["mass", "span", "chord", "wing_area", "aspect_ratio", "length"])
+    def test_powers_are_derivatives(self, told, name):
+        sizes = {"mass": 3.0, "span": 1.8} | told
+        if name not in sizes:
+            return
+        step = 1e-4
+        aircraft = Aircraft.estimate(**sizes | {name: (sizes[name], 0.1 * sizes[name])})
+        more = Aircraft.estimate(**sizes | {name: sizes[name] * (1 + step)})
+        powers = aircraft.deviations[name.replace("_", " ")].powers
+        for quantity in ("mass", "wing_area", "span", "chord"):
+            change = np.log(getattr(more, quantity) / getattr(aircraft, quantity)) / step
+            assert change == pytest.approx(powers.get(quantity, 0.0), abs=1e-3), quantity
+        changes = np.log(more.inertia.diagonal() / aircraft.inertia.diagonal()) / step
+        for moment, change in zip(("Ixx", "Iyy", "Izz"), changes, strict=True):
+            assert change == pytest.approx(powers.get(moment, 0.0), abs=1e-3), moment
+
+    def test_what_is_told_exactly_has_no_deviation(self):
+        told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2]))
+        assert told.deviations is None
+
+
+class TestFiles:
+    def test_round_trip(self, tmp_path):
+        aircraft = Aircraft.estimate((3.2, 0.05), 1.6, name="mine")
+        aircraft.to_json(tmp_path / "a.json")
+        again = Aircraft.from_json(tmp_path / "a.json")
+        assert again == aircraft
+        assert again.deviations == aircraft.deviations
+
+    def test_a_file_with_a_kind_is_an_estimate(self, tmp_path):
+        (tmp_path / "a.toml").write_text('kind = "twin"\nmass = [3.2, 0.05]\nspan = 1.6\nname = "mine"\n')
+        assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.estimate((3.2, 0.05), 1.6, kind="twin", name="mine")
+
+    def test_pairs_in_a_file_of_everything(self):
+        diagonal = np.diag([0.1, 0.15, 0.2]).tolist()
+        values = {"mass": [3.2, 0.05], "inertia": [diagonal, [0.01, 0.015, 0.04]], "wing_area": 0.4, "span": 1.6}
+        aircraft = Aircraft.from_dict(json.loads(json.dumps(values | {"chord": [0.25, 0.01]})))
+        found = {cause: round(each.std, 4) for cause, each in aircraft.deviations.items()}
+        expected = {"mass": 0.0156, "chord": 0.04, "roll inertia": 0.1, "pitch inertia": 0.1, "yaw inertia": 0.2}
+        assert found == expected
+        assert aircraft.mass == pytest.approx(3.2)
+
+    @pytest.mark.parametrize(
+        ("values", "words"),
+        [
+            ({"kind": "blimp", "mass": 1.0, "span": 1.0}, "kind='blimp'.*conventional"),
+            ({"kind": "twin", "mass": 1.0}, r"lacks \['span'\]"),
+            ({"kind": "twin", "mass": 1.0, "span": 1.0, "cord": 0.2}, "unknown key 'cord'.*did you mean 'chord'"),
+            ({"kind": "twin", "mass": 1.0, "span": 1.0, "wing_area": 0.2, "aspect_ratio": 5.0}, "one of them"),
+            ({"kind": "twin", "mass": [1.0, -0.1], "span": 1.0}, "a pair of it and its standard deviation"),
+            ({"mass": 1.0, "span": 1.0}, "kind = one of .* to estimate them"),
+        ],
+    )
+    def test_errors(self, values, words):
+        with pytest.raises(ValueError, match=words):
+            Aircraft.from_dict(values)
+
+
+class TestWhatErrorsDo:
+    """The same log with the sizes of another aircraft: its forces and accelerations are what they are."""
+
+    STATE = np.r_[0.0, 0.0, -200.0, air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0), 0.2, 0.1, 0.15]
+    CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04}
+
+    def learned(self, aircraft):
+        """Return the coefficients of one log with the sizes of an aircraft: F / (qbar S), I omega_dot / (qbar S b)."""
+        force = BRUMBY.wing_area / BRUMBY.mass * aircraft.mass / aircraft.wing_area
+        moments = BRUMBY.moment_lengths / BRUMBY.inertia.diagonal()
+        moments = moments * aircraft.inertia.diagonal() / aircraft.moment_lengths
+        moments = moments * BRUMBY.wing_area / aircraft.wing_area
+        scale = np.array([force] * 3 + moments.tolist())
+        lengths = [getattr(BRUMBY, RATE_LENGTHS[name]) if name in RATE_LENGTHS else 2 * 36.0 for name in REGRESSORS]
+        return Aerodynamics(lambda X: scale * brumby_coefficients(X * np.array(lengths) / (2 * 36.0)), REGRESSORS)
+
+    @pytest.mark.parametrize("cause", ["mass", "span", "aspect ratio", "length", "roll inertia", "yaw inertia"])
+    def test_relative_errors_are_those_of_a_second_identification(self, cause):
+        factor = Aircraft.estimate((60.0, 0.6), (BRUMBY.span, 0.01)).deviations[cause]
+        sizes = BRUMBY.to_dict() | {"deviations": {cause: {"std": 1e-5, "powers": factor.powers}}}
+        diagonal = np.diag(BRUMBY.inertia.diagonal())
+        known = Aircraft.from_dict(sizes | {"inertia": diagonal})
+        grown = {name: getattr(known, name) * 1.00001 ** factor.powers.get(name, 0.0) for name in QUANTITIES}
+        moments = np.array([1.00001 ** factor.powers.get(name, 0.0) for name in MOMENTS])
+        other = Aircraft.from_dict(sizes | grown | {"inertia": diagonal * moments})
+        at = {"point": self.STATE, "controls": self.CONTROLS, "thrust": None, "density": 1.1}
+        table = stability_derivatives(self.learned(known), known, **at)
+        change = stability_derivatives(self.learned(other), other, **at)["value"] - table["value"]
+        np.testing.assert_allclose(np.abs(change), table["std_aircraft"], rtol=1e-3, atol=1e-9)
+        assert set(table["aircraft"]) <= {cause, ""}
+
+    def test_trim_and_modes_do_not_depend_on_the_sizes(self):
+        """With a diagonal inertia, so that its moments can be scaled one by one without products between them."""
+        known = Aircraft.from_dict(BRUMBY.to_dict() | {"inertia": np.diag(BRUMBY.inertia.diagonal())})
+        wrong = {"mass": 50.0, "wing_area": 4.0, "span": 2.5, "chord": 1.9}
+        wrong = Aircraft.from_dict(known.to_dict() | wrong | {"inertia": 1.3 * known.inertia})
+        found = []
+        for aircraft in (known, wrong):
+            model = self.learned(aircraft)
+            point = trim(model, aircraft, 36.0, climb=None, density=1.1, thrust=None)
+            modes = linearize(model, aircraft, point, density=1.1, thrust=None).modes()
+            found.append(np.r_[point.alpha, point.controls["elevator"], np.sort(modes["frequency"])])
+        np.testing.assert_allclose(found[1], found[0], rtol=1e-5)

@@ -1,0 +1,143 @@
+"""A model of what an owner has: what is chosen where nothing tells it, and what is said of it."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.dynamics import Aircraft, stability_derivatives, trim
+from skdgp.export import portable_model
+from skdgp.identification import _assumed, identify, load_model, validate
+from skdgp.identification._assumed import THRUST_IN_COEFFICIENTS, assumptions, lacks_thrust, servos_for
+from skdgp.io import FULL_THROW
+
+QUICK = DependentGPRegressor(structure="trend", random_state=0)
+SIGNS = {
+    "CZ_alpha": -1, "Cm_alpha": -1, "Cm_q": -1, "Cl_p": -1, "Cn_beta": 1, "Cn_r": -1,
+    "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1, "CX_throttle": 1,
+}  # fmt: skip
+"""Of a stable aircraft, of its dampings, and of its controls."""
+
+
+class TestServos:
+    @pytest.fixture(autouse=True)
+    def parameters(self, monkeypatch):
+        monkeypatch.setattr(_assumed, "names_servos", lambda path: path != "nameless.ulg")
+
+    def test_logs_of_autopilots_have_full_throws(self):
+        assert servos_for(None, "a.ulg", None) == FULL_THROW
+        assert servos_for(None, {"one": "a.ulg"}, ["b.bin"]) == FULL_THROW
+        assert servos_for("servo.toml", ["a.ulg", "b.bin"], None) == "servo.toml"
+        assert servos_for(None, ["a.csv", pd.DataFrame()], "b.parquet") is None
+
+    def test_a_log_that_names_no_servo_has_none(self):
+        assert servos_for(None, "nameless.ulg", None) is None
+
+    def test_units_are_not_mixed(self):
+        with pytest.raises(ValueError, match="Got logs of autopilots without servos beside tables"):
+            servos_for(None, "a.csv", "b.ulg")
+
+
+class TestThrust:
+    KNOWN = Aircraft.estimate(3.0, 1.8, propeller={"diameter": 0.3, "thrust_coefficients": [0.1]})
+    UNKNOWN = Aircraft.estimate(3.0, 1.8)
+
+    @pytest.mark.parametrize(
+        ("columns", "aircraft", "thrust", "lacks"),
+        [
+            ("throttle", UNKNOWN, "auto", True),
+            ("throttle propeller_speed", UNKNOWN, "auto", True),
+            ("throttle propeller_speed", KNOWN, "auto", False),
+            ("throttle thrust_x", UNKNOWN, "auto", False),
+            ("airspeed", UNKNOWN, "auto", False),  # no throttle explains it: an error says so
+            ("throttle", UNKNOWN, None, False),
+        ],
+    )
+    def test_is_unknown_where_nothing_gives_it(self, columns, aircraft, thrust, lacks):
+        assert lacks_thrust(thrust, [pd.DataFrame(columns=columns.split())], aircraft) is lacks
+
+
+class TestWords:
+    def test_nothing_was_assumed_of_what_was_told(self):
+        told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2]))
+        assert assumptions(told, servos=None, thrust_unknown=False) == []
+
+    def test_sizes_are_said_with_all_their_errors(self):
+        """Iyy follows the length by its square: 25 % of the radius and twice 15 % of the length."""
+        first, *_ = assumptions(Aircraft.estimate(3.0, 1.8), servos=None, thrust_unknown=False)
+        assert "wing area 0.432 m^2 ± 35 %" in first
+        assert "Iyy 0.208 kg m^2 ± 39 %" in first
+        assert "mass" not in first
+
+    def test_what_narrows_most_is_named_first(self):
+        of_span = assumptions(Aircraft.estimate(3.0, 1.8), servos=FULL_THROW, thrust_unknown=True)[-1]
+        assert of_span.index("chord of the wing") < of_span.index("bifilar") < of_span.index("full throw")
+        of_chord = assumptions(Aircraft.estimate(3.0, 1.8, chord=0.22), servos=None, thrust_unknown=False)[-1]
+        assert of_chord.startswith("An hour each, most useful first: swing it")
+        assert "throw" not in of_chord
+
+
+def quietly(*flights, **options):
+    """Return what identify finds; its warnings are among its messages."""
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        return identify(*flights, regressor=QUICK, **options)
+
+
+def test_a_table_without_thrust():
+    """The model has throttle and airspeed among its regressors."""
+    t = np.arange(400) * 0.05
+    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "throttle", "ax", "ay", "az"]
+    table = pd.DataFrame({name: 0.1 * np.sin((0.7 + 0.31 * k) * t + k) for k, name in enumerate(names)})
+    table = table.assign(time=t, airspeed=20 + np.sin(0.3 * t), density=1.2, az=table["az"] - 9.8)
+    found = quietly(table, Aircraft.estimate(3.0, 1.8), samples=100, horizons=[1.0])
+    assert {"throttle", "airspeed"} <= set(found.fit["regressors"])
+    assert found.settings["thrust"] is None
+    assert "servos" not in found.settings
+    assert THRUST_IN_COEFFICIENTS in found.assumed
+    assert THRUST_IN_COEFFICIENTS in found.messages
+
+
+@pytest.fixture(scope="module")
+def log(shared_data):
+    return shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg"
+
+
+@pytest.fixture(scope="module")
+def found(log):
+    return quietly(log, Aircraft.estimate(3.2, 1.6))
+
+
+@pytest.mark.shared
+class TestALogAMassAndASpan:
+    def test_signs_are_right(self, found):
+        """PX4, hardware in the loop: no accelerometer, vane, servo angle or thrust, of an unknown simulator."""
+        table = found.mechanics.derivatives
+        assert {name: np.sign(table.loc[name, "value"]) for name in SIGNS} == SIGNS
+        assert table.loc["Cm_elevator", "per"] == "full throw"
+        assert table.loc["Cm_alpha", "per"] == "rad"
+
+    def test_says_what_it_assumed_in_a_dozen_lines(self, found):
+        lines = found.summary().partition("assumed, as nothing was told:")[2].strip().splitlines()
+        assert 5 <= len(lines) <= 16
+        assert any("full throw" in line for line in lines)
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_the_model_reads_other_logs_in_its_unit(self, found, log, tmp_path):
+        found.save(tmp_path / "model.joblib")
+        model = load_model(tmp_path / "model.joblib")
+        again = validate(model, log)
+        assert again.evaluations[0].table["elevator"].abs().max() > 0.3
+        point = trim(model.pipeline, model.aircraft, 24.0, climb=None, thrust=None)
+        derivatives = stability_derivatives(model.pipeline, model.aircraft, point, n_paths=0, thrust=None)
+        assert derivatives.loc["Cl_aileron", "per"] == "full throw"
+        units = {each.name: each.unit for each in portable_model(model.pipeline, model.aircraft).regressors}
+        assert (units["aileron"], units["alpha"]) == ("full throw", "rad")
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path):
+        page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
+        assert "<h2>What was assumed</h2>" in page
+        assert "Those by surfaces are by their full throw." in page

@@ -332,7 +332,7 @@ def _assumed_lines(assumed: list[str]) -> list[str]:
     """Return what was assumed as lines of the summary; none where all was told."""
     if not assumed:
         return []
-    indents = {"initial_indent": "  - ", "subsequent_indent": "    "}
+    indents: dict[str, Any] = {"initial_indent": "  - ", "subsequent_indent": "    "}
     return ["", "assumed, as nothing was told:", *(line for each in assumed for line in wrap(each, 110, **indents))]
 
 

@@ -150,9 +150,9 @@ class Aircraft:
         >>> {cause: round(each.std, 3) for cause, each in uav.deviations.items()}
         {'length': 0.15, 'roll inertia': 0.45, 'pitch inertia': 0.25, 'yaw inertia': 0.35, 'mass': 0.016}
         """
-        sizes = {"wing_area": wing_area, "aspect_ratio": aspect_ratio, "chord": chord, "length": length}
-        sizes = estimated(mass, span, kind=kind, inertia=inertia, **sizes)
-        return cls(name=name, thrust_line=thrust_line, propeller=propeller, **sizes)
+        sizes: dict[str, Any] = {"wing_area": wing_area, "aspect_ratio": aspect_ratio, "chord": chord, "length": length}
+        found = estimated(mass, span, kind=kind, inertia=inertia, **sizes)
+        return cls(**{"name": name, "thrust_line": thrust_line, "propeller": propeller} | found)
 
     @classmethod
     def from_json(cls, path: str | Path) -> Aircraft:

@@ -133,7 +133,7 @@ def estimated(
     if c is not None:
         by_chord = {"chord": 1.0} | ({"wing_area": 1.0} if wing_area is None and aspect_ratio is None else {})
         factors["chord"] = ScaleFactor(chord_std, by_chord, "told")
-    values = {"mass": m, "span": b, "wing_area": area, "chord": area / b if c is None else c}
+    values: dict[str, Any] = {"mass": m, "span": b, "wing_area": area, "chord": area / b if c is None else c}
     if inertia is None:
         l, length_std = (rule.length[0] * b, rule.length[1]) if length is None else value_and_std("length", length)
         share = l / (b + l)

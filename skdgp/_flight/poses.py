@@ -106,7 +106,7 @@ def minus_log_likelihood(records: list[Record], log_k: np.ndarray) -> float:
     fits = [record.fit(log_k) for record in records]
     degrees = sum(record.degrees for record in records)
     misfit = sum(fit.misfit for fit in fits) + np.finfo(float).tiny
-    differences = sum(len(record.expected[0]) for record in records)
+    differences = sum(record.counts[1] for record in records)
     return float(degrees * np.log(misfit) + sum(fit.log_determinant for fit in fits) + differences * np.sum(log_k))
 
 
@@ -128,16 +128,19 @@ class Record:
         self.step = (time[-1] - time[0]) / intervals
         self.knots = time[0] + self.step * np.arange(-DEGREE, intervals + DEGREE + 1)
         inside = np.clip(time, *self.knots[[DEGREE, -DEGREE - 1]])
-        self.basis = sparse.kron(BSpline.design_matrix(inside, self.knots, DEGREE), sparse.eye(3), "csr")
+        basis = sparse.kron(BSpline.design_matrix(inside, self.knots, DEGREE), sparse.eye(3), "csr")
         at_knots = Slerp(time, axes)(np.clip(self.knots[4:-4], time[0], time[-1]))
         turns = sparse.block_diag(list(at_knots.inv().as_matrix()), "csr")
         size = len(self.knots) - DEGREE - 1
         force = turns @ _second_differences(size) / self.step**2
         differences = _second_differences(size - 2)
         fall = differences @ (turns @ np.tile([0.0, 0.0, gravity], size - 2))
-        self.penalties = [(differences @ force)[axis::3] for axis in range(3)]
-        self.expected = [fall[axis::3] for axis in range(3)]
-        self._bands = [_bands(each.T @ each) for each in (self.basis, *self.penalties)]
+        rows = [basis, *((differences @ force)[axis::3] for axis in range(3))]
+        self._bands = [_bands(each.T @ each) for each in rows]
+        self.counts = [each.shape[0] for each in rows]
+        self._rows = sparse.vstack(rows, "csr")
+        self._columns = self._rows.T.tocsr()
+        self._values = np.concatenate([(x - x[0]).ravel(), *(fall[axis::3] for axis in range(3))])
 
     def parts(self, longest: int) -> list[Record]:
         """Return the record cut into parts of at most ``longest`` samples."""
@@ -149,16 +152,15 @@ class Record:
     def fit(self, log_k: np.ndarray) -> Fit:
         """Return the coefficients of the least misfit |x - B c|^2 + sum_i |D_i c - d_i|^2 / k_i."""
         weights = [1.0, *np.exp(-np.asarray(log_k))]
-        rows, values = [self.basis, *self.penalties], [(self.x - self.x[0]).ravel(), *self.expected]
         precision = sum(weight * bands for weight, bands in zip(weights, self._bands, strict=True))
         factor = linalg.cholesky_banded(precision, lower=True, overwrite_ab=True, check_finite=False)
-        found, left = np.zeros(self.basis.shape[1]), values
+        found, left, of_row = np.zeros(self._rows.shape[1]), self._values, np.repeat(weights, self.counts)
         for _ in range(3):  # refined, as the precision may be ill-conditioned
-            target = sum(w * (row.T @ value) for w, row, value in zip(weights, rows, left, strict=True))
+            target = self._columns @ (of_row * left)
             found = found + linalg.cho_solve_banded((factor, True), target, check_finite=False)
-            left = [value - row @ found for row, value in zip(rows, values, strict=True)]
-        misfit = sum(w * np.sum(value**2) for w, value in zip(weights, left, strict=True))
-        return Fit(found.reshape(-1, 3) + self.x[0], float(misfit), float(2 * np.sum(np.log(factor[0]))))
+            left = self._values - self._rows @ found
+        misfit = float(of_row @ left**2)
+        return Fit(found.reshape(-1, 3) + self.x[0], misfit, float(2 * np.sum(np.log(factor[0]))))
 
     def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return x, v and f at the samples."""

@@ -69,6 +69,14 @@ def test_every_table_on_the_page_has_a_script(script):
         assert (FOLDER / f"{script_of}.py").is_file()
 
 
+def test_worst_of_the_aircraft_are_the_lowest_coverage_and_the_largest_error(script):
+    table = {"aircraft": ["a", "b", "c"], "derivatives": [90, 80, 97], "NRMSE": [3, 2, 1]}
+    rows = importlib.import_module("pandas").DataFrame(table).to_dict("records")
+    *_, median, worst = script("freeflight_air").summarized(rows)
+    assert (median["derivatives"], median["NRMSE"]) == (90, 2)
+    assert (worst["derivatives"], worst["NRMSE"]) == (80, 3)
+
+
 def test_fits_interrupted_at_a_deadline_end_there_and_predict(script):
     heldout = script("heldout")
     points = list(heldout.ours(heldout.toy(), heldout.toy().Y, [0.05], inference="exact"))

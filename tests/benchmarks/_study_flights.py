@@ -126,6 +126,7 @@ HEIGHT = 274.0  # above the ground [m]
 KNOTS = {"c172p": 100.0, "c182": 100.0, "t6texan2": 150.0, "T37": 200.0}
 """Calibrated airspeed of aircraft of JSBSim. On the last two of the study, t6texan2 and T37, nothing was chosen."""
 KNOTS |= {"J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0}
+KNOTS |= {"737": 250.0, "A320": 250.0, "B747": 280.0, "MD11": 280.0}
 FRAMES = 6  # of JSBSim per row; controls change at each of them: held longer, they would lag behind the logged loads
 SETTLING = 10.0  # s before the log
 SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}

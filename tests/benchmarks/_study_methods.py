@@ -181,11 +181,16 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
         known = error.var(axis=0) * [autocorrelation_time(e) for e in error.T]
         model = pipeline[-1]
         model.posterior_ = model.posterior_.with_noise(known / model._scale**2)
+    random = correlated(X, Y, asked_of(subject, case))
+    return known_by(pipeline, subject, case)._replace(function_random=random), pipeline[-1].kernel_
+
+
+def known_by(pipeline, subject, case):
+    """Return what a pipeline from the regressors of a case to coefficients knows."""
     asked = pd.DataFrame(asked_of(subject, case), columns=case.regressors)
     function, std = pipeline.predict(asked, return_std=True, include_input_noise=False)
     slopes, slopes_std, *parts = slopes_of(pipeline, subject, case, ("value", "std", *PARTS))
-    random = correlated(X, Y, asked_of(subject, case))
-    return Found(function, std, slopes, slopes_std, np.array(parts), random), pipeline[-1].kernel_
+    return Found(function, std, slopes, slopes_std, np.array(parts))
 
 
 def correlated(X, Y, asked):

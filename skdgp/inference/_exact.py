@@ -7,6 +7,7 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
+from scipy.linalg.blas import dsyrk
 
 from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
 from skdgp._compute.threads import few_threads, n_threads, thread_map, threads_for
@@ -318,7 +319,7 @@ class Factor:
         (m, m), in Fortran order, is the covariance of the new rows; it is overwritten. Raises LinAlgError as
         ``jittered_cholesky``.
         """
-        K -= half.T @ half
+        K = dsyrk(-1.0, half, beta=1.0, c=K, trans=1, lower=1, overwrite_c=1)  # what is above the diagonal may be NaN
         corner = jittered_cholesky(lambda: K.copy(order="F"))
         n = len(self.head)
         if self.tail is None:

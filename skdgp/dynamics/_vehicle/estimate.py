@@ -98,13 +98,12 @@ Cessna 172 0, Draken .075, F-16 .040, F-4 .037, ADMIRE .054 (tests/dynamics/test
 REMEDIES = {
     "mass": "weigh it",
     "span": "measure the span",
-    "aspect ratio": "measure the chord of the wing along the span: wing area is span times mean chord",
-    "wing area": "measure the chord of the wing along the span: wing area is span times mean chord",
+    "aspect ratio": "measure the chord of the wing (area = span x mean chord)",
+    "wing area": "measure the chord of the wing (area = span x mean chord)",
     "chord": "measure the chord of the wing along the span",
     "mean aerodynamic chord": "measure the chord of the wing along the span",
     "length": "measure the length from nose to tail",
-    "product of inertia": "swing it about a third axis, nose up by 45 degrees, too",
-    **dict.fromkeys(INERTIAS, "swing it about this axis on two cords (bifilar pendulum)"),
+    **dict.fromkeys(INERTIAS, "swing it about each axis on two cords (bifilar pendulum)"),
 }
 """Measurements of an hour at most, by the scale factor that they narrow."""
 
@@ -163,7 +162,7 @@ def estimated(
         factors["length"] = ScaleFactor(length_std, {"Iyy": 2.0, "Izz": 2 * share}, source)
         for (name, moment), std, radius in zip(INERTIAS.items(), rule.inertia_std, rule.radii, strict=True):
             factors[name] = ScaleFactor(std, {moment: 1.0}, f"radius of gyration {radius:g}, {rule.words}")
-        factors["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, "none, usual of aircraft")
+        factors["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, f"none, {usual}")
     else:
         values["inertia"] = inertia
     factors |= {"mass": ScaleFactor(mass_std, of_mass, "told"), "span": ScaleFactor(span_std, of_span, "told")}

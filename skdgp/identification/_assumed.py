@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,10 @@ import pandas as pd
 
 from skdgp._flight.channels import ALL_SURFACES
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES, REMEDIES, relative_errors
+from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
 from skdgp.identification._flights import is_autopilot_log
 from skdgp.io import FULL_THROW
+from skdgp.io._autopilot.servos import throw_errors
 from skdgp.io._inspect import names_servos
 
 THRUST_IN_COEFFICIENTS = (
@@ -20,8 +22,8 @@ THRUST_IN_COEFFICIENTS = (
     "thrust less drag, which the model does not tell apart."
 )
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
-THROWS = 'angle of each surface at full throw (a servo file with elevator = "25 deg"): effects per radian'
-THRUST = "thrust on a bench over propeller speed, and a sensor of that speed in flight: drag without thrust"
+THROWS = 'angles of surfaces at full throw (servo file: elevator = "25 +- 1 deg")'
+THRUST = "thrust on a bench over the propeller's speed"
 LISTED = 3
 """Measurements that are named."""
 
@@ -41,6 +43,13 @@ def servos_for(servos: Any, *flights: Any) -> Any:
             "file of the angles of the surfaces."
         )
     return FULL_THROW if any(map(names_servos, items)) else None
+
+
+def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
+    """Return the aircraft, with the deviations of full throws that a servo file gives among its own."""
+    errors = {} if servos == FULL_THROW else throw_errors(servos)
+    factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in errors.items()}
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors}) if factors else aircraft
 
 
 def _items(flights: Any) -> list:
@@ -68,13 +77,7 @@ def control_units(servos: Any) -> dict[str, str]:
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:
     """Return what was assumed, and which measurements would narrow what follows from it most, in a line each."""
-    lines = [_of_sizes(aircraft)] if aircraft.deviations else []
-    if aircraft.deviations:
-        lines += _of_causes(aircraft)
-        lines.append(
-            "What their errors make of coefficients and derivatives stands beside the bands of the log; errors over "
-            "spread, trim, modes and simulations with this aircraft do not depend on them."
-        )
+    lines = _of_sizes(aircraft) + _of_causes(aircraft)
     lines += [FULL_THROWS] if servos == FULL_THROW else []
     lines += [THRUST_IN_COEFFICIENTS] if thrust_unknown else []
     remedies = _remedies(aircraft) + [THROWS] * (servos == FULL_THROW) + [THRUST] * thrust_unknown
@@ -83,8 +86,8 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
     return lines
 
 
-def _of_sizes(aircraft: Aircraft) -> str:
-    """Return the sizes that are uncertain, with what errors of all causes make of them."""
+def _of_sizes(aircraft: Aircraft) -> list[str]:
+    """Return a line of the sizes that are uncertain, with what errors of all causes make of them."""
     moments = dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True))
     units = QUANTITIES | dict.fromkeys(MOMENTS, "kg m^2")
     words = []
@@ -93,13 +96,16 @@ def _of_sizes(aircraft: Aircraft) -> str:
         if std := float(np.linalg.norm(parts)):
             value = moments[name] if name in moments else getattr(aircraft, name)
             words.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
-    return f"Of the aircraft: {', '.join(words)}."
+    return [f"Of the aircraft: {', '.join(words)}; what this makes of derivatives is std_aircraft."] if words else []
 
 
 def _of_causes(aircraft: Aircraft) -> list[str]:
-    """Return a line of the rules that the sizes were estimated by."""
-    rules = [f"{name} ({each.source})" for name, each in (aircraft.deviations or {}).items() if each.source != "told"]
-    return [f"Estimated: {', '.join(rules)}."] if rules else []
+    """Return a line of the rules that the sizes were estimated by, each source with all that is from it."""
+    by_source: dict[str, list[str]] = {}
+    for name, each in (aircraft.deviations or {}).items():
+        by_source.setdefault(each.source.rpartition(", ")[2], []).append(name)
+    rules = [f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"]
+    return [f"Estimated: {'; '.join(rules)}."] if rules else []
 
 
 def _remedies(aircraft: Aircraft) -> list[str]:
@@ -107,10 +113,9 @@ def _remedies(aircraft: Aircraft) -> list[str]:
     deviations = aircraft.deviations or {}
     errors = np.sum(relative_errors(deviations, ())[..., 0] ** 2, axis=1) if deviations else []
     by_remedy: dict[str, float] = {}
-    causes: dict[str, list[str]] = {}
     for (name, _), error in zip(deviations.items(), errors, strict=True):
+        if not error:  # of products of inertia and of throws, which are not of a coefficient
+            continue
         words = REMEDIES.get(name, f"measure the {name}")
         by_remedy[words] = by_remedy.get(words, 0.0) + float(error)
-        causes.setdefault(words, []).append(name)
-    ranked = sorted(by_remedy, key=lambda words: -by_remedy[words])[:LISTED]
-    return [f"{words} ({', '.join(causes[words])})" for words in ranked]
+    return sorted(by_remedy, key=lambda words: -by_remedy[words])[:LISTED]

@@ -32,6 +32,7 @@ from skdgp.identification._assumed import (
     control_units,
     lacks_thrust,
     servos_for,
+    with_throw_errors,
 )
 from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
 from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
@@ -154,6 +155,7 @@ def identify(
         notify("reading")
         aircraft = read_aircraft(aircraft)
         servos = servos_for(servos, flights, test)
+        aircraft = with_throw_errors(aircraft, servos)
         reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
         train = _flights.named_flights(flights, **reading)
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)

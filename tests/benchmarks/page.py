@@ -22,7 +22,16 @@ from skdgp.plotting._style import PALETTE, tidy
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = (
-    *("benchmarks.md", "comparison.md", "control.md", "design.md", "results.md", "dynamics.md", "simulation.md"),
+    *(
+        "benchmarks.md",
+        "comparison.md",
+        "control.md",
+        "design.md",
+        "first_model.md",
+        "results.md",
+        "dynamics.md",
+        "simulation.md",
+    ),
     *("published.md", "study.md", "versions.md"),
 )
 COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}

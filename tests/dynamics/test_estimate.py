@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from skdgp._flight.channels import RATE_LENGTHS
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
@@ -16,7 +17,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES
+from skdgp.dynamics._vehicle.estimate import KINDS, MOMENTS, PRODUCT_STD, QUANTITIES
 
 PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
     "Aerosonde, Beard & McLain 2012, table E.2": (13.5, 2.8956, 0.55, 1.7, (0.8244, 1.135, 1.759)),
@@ -26,6 +27,25 @@ PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
     "Cessna 172R": (1111.0, 11.0, 16.2, 8.28, (1285.0, 1824.0, 2666.0)),
 }
 ZAGI = (1.56, 1.4224, 0.2589, (0.1147, 0.0576, 0.1712))  # Beard & McLain 2012, table E.1
+DELTAS = {  # mass, span, length, (Ixx, Iyy, Izz), Ixz
+    "Saab J 35": (10000.0, 9.42, 15.35, (13050.0, 75300.0, 86200.0), 2520.0),
+    "ADMIRE, Forssell & Nilsson 2005": (9100.0, 10.0, 14.1, (21000.0, 81000.0, 101000.0), 2500.0),
+    "F-16, Stevens & Lewis 2003": (9295.0, 9.14, 15.03, (12875.0, 75674.0, 85552.0), 1331.0),
+    "F-4, Heffley & Jewell 1972": (17642.0, 11.79, 17.77, (33898.0, 165669.0, 189496.0), 2952.0),
+}
+PRODUCTS = {  # Ixz / sqrt(Ixx Izz)
+    "Aerosonde": 0.1204 / np.sqrt(0.8244 * 1.759),
+    "Ultra Stick 25e": 0.014 / np.sqrt(0.07151 * 0.15364),
+    "Zagi": 0.0015 / np.sqrt(0.1147 * 0.1712),
+    "Cessna 172": 0.0,
+    **{name: product / np.sqrt(moments[0] * moments[2]) for name, (*_, moments, product) in DELTAS.items()},
+}
+PLANFORMS = {  # of deltas: span, wing area, length
+    "F-102": (11.61, 61.5, 20.82), "F-106": (11.67, 64.8, 21.55), "Mirage III": (8.22, 34.85, 15.03),
+    "Mirage 2000": (9.13, 41.0, 14.36), "J 35": (9.42, 49.2, 15.35), "Tejas": (8.2, 38.4, 13.2),
+    "Vulcan": (30.2, 330.0, 29.6), "Gripen": (8.4, 30.0, 14.1), "Typhoon": (10.95, 51.2, 15.96),
+    "Rafale": (10.9, 45.7, 15.27),
+}  # fmt: skip
 
 
 class TestPublishedAircraft:
@@ -50,7 +70,22 @@ class TestPublishedAircraft:
         wing = Aircraft.estimate(mass, span, kind="flying wing", wing_area=area)
         assert np.abs(np.log(moments / wing.inertia.diagonal())).max() < 1.0
 
-    @pytest.mark.parametrize("kind", ["conventional", "flying wing", "motor glider", "twin"])
+    def test_deltas(self):
+        for mass, span, length, moments, _ in DELTAS.values():
+            aircraft = Aircraft.estimate(mass, span, kind="delta", length=length)
+            stds = [aircraft.deviations[f"{axis} inertia"].std for axis in ("roll", "pitch", "yaw")]
+            assert (np.abs(np.log(moments / aircraft.inertia.diagonal())) < 2 * np.array(stds)).all()
+        sizes = {"aspect_ratio": [b**2 / S for b, S, _ in PLANFORMS.values()]}
+        sizes["length"] = [length / b for b, _, length in PLANFORMS.values()]
+        for rule, published in sizes.items():
+            middle, std = getattr(KINDS["delta"], rule)
+            assert abs(np.mean(np.log(published)) - np.log(middle)) < 0.05
+            assert std / 1.5 < np.std(np.log(published)) < std
+
+    def test_products_of_inertia(self):
+        assert np.sqrt(np.mean(np.square(list(PRODUCTS.values())))) == pytest.approx(PRODUCT_STD, abs=0.005)
+
+    @pytest.mark.parametrize("kind", KINDS)
     def test_every_kind_is_a_body(self, kind):
         """No principal moment exceeds the sum of the others (a warning, here an error)."""
         Aircraft.estimate(3.0, 2.0, kind=kind)
@@ -126,15 +161,16 @@ class TestWhatErrorsDo:
 
     def learned(self, aircraft):
         """Return the coefficients of one log with the sizes of an aircraft: F / (qbar S), I omega_dot / (qbar S b)."""
-        force = BRUMBY.wing_area / BRUMBY.mass * aircraft.mass / aircraft.wing_area
-        moments = BRUMBY.moment_lengths / BRUMBY.inertia.diagonal()
-        moments = moments * aircraft.inertia.diagonal() / aircraft.moment_lengths
-        moments = moments * BRUMBY.wing_area / aircraft.wing_area
-        scale = np.array([force] * 3 + moments.tolist())
+        force = np.eye(3) * aircraft.mass / BRUMBY.mass
+        moments = aircraft.inertia / BRUMBY.inertia.diagonal() * BRUMBY.moment_lengths
+        moments = moments / aircraft.moment_lengths[:, None]
+        scale = scipy.linalg.block_diag(force, moments) * BRUMBY.wing_area / aircraft.wing_area
         lengths = [getattr(BRUMBY, RATE_LENGTHS[name]) if name in RATE_LENGTHS else 2 * 36.0 for name in REGRESSORS]
-        return Aerodynamics(lambda X: scale * brumby_coefficients(X * np.array(lengths) / (2 * 36.0)), REGRESSORS)
+        return Aerodynamics(lambda X: brumby_coefficients(X * np.array(lengths) / (2 * 36.0)) @ scale.T, REGRESSORS)
 
-    @pytest.mark.parametrize("cause", ["mass", "span", "aspect ratio", "length", "roll inertia", "yaw inertia"])
+    @pytest.mark.parametrize(
+        "cause", ["mass", "span", "aspect ratio", "length", "roll inertia", "yaw inertia", "product of inertia"]
+    )
     def test_relative_errors_are_those_of_a_second_identification(self, cause):
         factor = Aircraft.estimate((60.0, 0.6), (BRUMBY.span, 0.01)).deviations[cause]
         sizes = BRUMBY.to_dict() | {"deviations": {cause: {"std": 1e-5, "powers": factor.powers}}}
@@ -142,7 +178,9 @@ class TestWhatErrorsDo:
         known = Aircraft.from_dict(sizes | {"inertia": diagonal})
         grown = {name: getattr(known, name) * 1.00001 ** factor.powers.get(name, 0.0) for name in QUANTITIES}
         moments = np.array([1.00001 ** factor.powers.get(name, 0.0) for name in MOMENTS])
-        other = Aircraft.from_dict(sizes | grown | {"inertia": diagonal * moments})
+        inertia = diagonal * moments
+        inertia[[0, 2], [2, 0]] = -1e-5 * factor.powers.get("Ixz", 0.0) * np.sqrt(inertia[0, 0] * inertia[2, 2])
+        other = Aircraft.from_dict(sizes | grown | {"inertia": inertia})
         at = {"point": self.STATE, "controls": self.CONTROLS, "thrust": None, "density": 1.1}
         table = stability_derivatives(self.learned(known), known, **at)
         change = stability_derivatives(self.learned(other), other, **at)["value"] - table["value"]

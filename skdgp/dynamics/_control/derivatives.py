@@ -18,7 +18,7 @@ from skdgp.dynamics._control.trim import Trim
 from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.estimate import relative_errors
+from skdgp.dynamics._vehicle.estimate import errors_of_sizes
 from skdgp.dynamics._vehicle.loads import Thrust
 
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
@@ -168,10 +168,11 @@ def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, rando
 
 def _add_errors_of_aircraft(tables: list[pd.DataFrame], motion: Motion, now: Instant, frame: _Frame) -> None:
     """Add what errors of the aircraft's sizes make of the values, and the largest of these errors."""
-    deviations = motion.aircraft.deviations or {}
-    errors = relative_errors(deviations, tuple(motion.regressors))
+    aircraft, deviations = motion.aircraft, motion.aircraft.deviations or {}
     slopes = motion.aerodynamics.gradient(now.regressors)
-    each = np.abs([frame(now.coefficients * one[:, 0], slopes * one[:, 1:]) for one in errors])
+    values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
+    errors = errors_of_sizes(deviations, aircraft.inertia, tuple(motion.regressors), values)
+    each = np.abs([frame(one[..., 0], one[..., 1:]) for one in errors])
     causes = np.array(list(deviations))
     for k, table in enumerate(tables):
         by_cause = each[:, k].reshape(len(causes), -1)

@@ -132,8 +132,9 @@ class Aircraft:
         ----------
         mass, span : float or pair
             [kg], [m].
-        kind : {"conventional", "flying wing", "motor glider", "twin"}
-            "conventional" has one propeller and a tail, "twin" two propellers on the wing.
+        kind : {"conventional", "flying wing", "delta", "motor glider", "twin"}
+            "conventional" has one propeller and a tail, "twin" two propellers on the wing; "delta" is a long one of
+            small aspect ratio.
         wing_area, aspect_ratio, chord, length : float or pair, optional
             [m^2], span^2 / wing area, mean chord [m], from nose to tail [m].
         inertia : array-like of shape (3, 3), or pair, optional
@@ -147,8 +148,9 @@ class Aircraft:
         >>> uav = Aircraft.estimate(mass=(3.2, 0.05), span=1.6, chord=0.22)
         >>> uav, uav.inertia.diagonal().round(3).tolist()
         (Aircraft('aircraft', 3.2 kg, S 0.352 m^2, b 1.6 m, c 0.22 m), [0.128, 0.175, 0.244])
-        >>> {cause: round(each.std, 3) for cause, each in uav.deviations.items()}
-        {'length': 0.15, 'roll inertia': 0.45, 'pitch inertia': 0.25, 'yaw inertia': 0.35, 'mass': 0.016}
+        >>> [f"{cause} {each.std:.2g}" for cause, each in uav.deviations.items()]
+        ['length 0.15', 'roll inertia 0.45', 'pitch inertia 0.25', 'yaw inertia 0.35', 'product of inertia 0.07',
+         'mass 0.016']
         """
         sizes: dict[str, Any] = {"wing_area": wing_area, "aspect_ratio": aspect_ratio, "chord": chord, "length": length}
         found = estimated(mass, span, kind=kind, inertia=inertia, **sizes)

@@ -17,6 +17,7 @@ QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
 """Sizes of an aircraft and their units."""
 MOMENTS = ("Ixx", "Iyy", "Izz")
 INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
+PRODUCT = "Ixz"
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 FORCE = {"mass": 1.0, "wing_area": -1.0}
 POWERS = dict.fromkeys(COEFFICIENTS[:3], FORCE) | {
@@ -38,7 +39,7 @@ class ScaleFactor:
     powers : mapping of str to float
         Powers with which quantities follow it: mass, wing_area, span, chord, Ixx, Iyy, Izz, and full throws of
         controls. An error of 1 % of the aspect ratio b^2 / S is one of -1 % of ``wing_area`` and, as c = S / b, of
-        -1 % of ``chord``.
+        -1 % of ``chord``. The product Ixz has no size to be relative to: its errors are of sqrt(Ixx Izz).
     source : str
         What it was estimated from.
     """
@@ -67,12 +68,17 @@ class Kind(NamedTuple):
     inertia_std: tuple[float, float, float]
     """Of the moments that these radii give."""
     words: str
+    chord: tuple[float, float] = (1.0, 0.0)
+    """Mean aerodynamic chord over the mean one, S / b."""
 
 
 # Radii: Raymer, Aircraft Design, table 16.1, equations 16.52 to 16.54. Their deviations, and those of length and aspect
 # ratio, of the conventional kind: published moments of five aircraft (tests/dynamics/test_estimate.py). Radii of the
 # flying wing in pitch: those of the Zagi (Beard & McLain 2012, table E.1) and the Skywalker X8 (Gryte 2018), as that of
-# the B-49 gives them a sixth of their moment. Sizes of other kinds and their deviations: guesses, wider for gliders.
+# the B-49 gives them a sixth of their moment. Deltas: radii of four published aircraft and planforms of ten (the same
+# file), as Raymer's of jet fighters give Izz > Ixx + Iyy; deviations of moments of the conventional kind, as those of
+# the four are less, but of crewed ones; the chord is between those of F-16 (1.13), ADMIRE (1.16), F-106 (1.31) and a
+# triangle (4/3). Sizes of other kinds and their deviations: guesses, wider for gliders.
 KINDS = {
     "conventional": Kind(
         (7.5, 0.35), (0.77, 0.15), (0.25, 0.38, 0.39), (0.45, 0.25, 0.35), "of a single propeller, Raymer"
@@ -80,19 +86,24 @@ KINDS = {
     "flying wing": Kind(
         (6.5, 0.2), (0.4, 0.2), (0.32, 0.55, 0.51), (0.5, 0.5, 0.5), "of a flying wing, Raymer and two UAVs"
     ),
+    "delta": Kind((2.2, 0.2), (1.55, 0.2), (0.26, 0.375, 0.48), (0.45, 0.25, 0.35), "of four deltas", (1.25, 0.15)),
     "motor glider": Kind(
         (16.0, 0.25), (0.5, 0.2), (0.25, 0.38, 0.39), (0.6, 0.6, 0.6), "of a single propeller, Raymer"
     ),
     "twin": Kind((8.0, 0.3), (0.75, 0.15), (0.34, 0.29, 0.44), (0.45, 0.3, 0.35), "of twin propellers, Raymer"),
 }
+PRODUCT_STD = 0.07
+"""Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde .100, Ultra Stick 25e .134, Zagi .011,
+Cessna 172 0, Draken .075, F-16 .040, F-4 .037, ADMIRE .054 (tests/dynamics/test_estimate.py)."""
 REMEDIES = {
     "mass": "weigh it",
     "span": "measure the span",
-    "aspect ratio": "measure the chord of the wing along the span: wing area is span times mean chord",
-    "wing area": "measure the chord of the wing along the span: wing area is span times mean chord",
+    "aspect ratio": "measure the chord of the wing (area = span x mean chord)",
+    "wing area": "measure the chord of the wing (area = span x mean chord)",
     "chord": "measure the chord of the wing along the span",
+    "mean aerodynamic chord": "measure the chord of the wing along the span",
     "length": "measure the length from nose to tail",
-    **dict.fromkeys(INERTIAS, "swing it about this axis on two cords (bifilar pendulum)"),
+    **dict.fromkeys(INERTIAS, "swing it about each axis on two cords (bifilar pendulum)"),
 }
 """Measurements of an hour at most, by the scale factor that they narrow."""
 
@@ -130,10 +141,19 @@ def estimated(
         powers = {"wing_area": -1.0} | ({"chord": -1.0} if c is None else {})
         factors["aspect ratio"] = ScaleFactor(std, powers, f"{ratio:g}, {usual if aspect_ratio is None else 'told'}")
         of_span |= {"wing_area": 2.0} | ({"chord": 1.0} if c is None else {})
-    if c is not None:
+    if c is None:
+        factors["mean aerodynamic chord"] = ScaleFactor(
+            rule.chord[1], {"chord": 1.0}, f"{rule.chord[0]:g} S / b, {usual}"
+        )
+    else:
         by_chord = {"chord": 1.0} | ({"wing_area": 1.0} if wing_area is None and aspect_ratio is None else {})
         factors["chord"] = ScaleFactor(chord_std, by_chord, "told")
-    values: dict[str, Any] = {"mass": m, "span": b, "wing_area": area, "chord": area / b if c is None else c}
+    values: dict[str, Any] = {
+        "mass": m,
+        "span": b,
+        "wing_area": area,
+        "chord": rule.chord[0] * area / b if c is None else c,
+    }
     if inertia is None:
         l, length_std = (rule.length[0] * b, rule.length[1]) if length is None else value_and_std("length", length)
         share = l / (b + l)
@@ -147,6 +167,7 @@ def estimated(
         factors["length"] = ScaleFactor(length_std, {"Iyy": 2.0, "Izz": 2 * share}, source)
         for (name, moment), std, radius in zip(INERTIAS.items(), rule.inertia_std, rule.radii, strict=True):
             factors[name] = ScaleFactor(std, {moment: 1.0}, f"radius of gyration {radius:g}, {rule.words}")
+        factors["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, f"none, {usual}")
     else:
         values["inertia"] = inertia
     factors |= {"mass": ScaleFactor(mass_std, of_mass, "told"), "span": ScaleFactor(span_std, of_span, "told")}
@@ -165,6 +186,24 @@ def value_and_std(name: str, value: Any) -> tuple[float, float]:
             "and its standard deviation."
         )
     return float(number), float(std / number)
+
+
+def errors_of_sizes(
+    deviations: Mapping[str, ScaleFactor], inertia: Array, regressors: tuple[str, ...], values: Array
+) -> Array:
+    """Return errors of coefficients and slopes by each factor, (factors, ..., 6, 1 + regressors), as ``values`` are.
+
+    A relative error scales them (`relative_errors`). One of Ixz by e sqrt(Ixx Izz) leaves N / Izz in the moment L, and
+    L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and dCn = -e sqrt(Izz / Ixx) Cl, from L = Ixx p_dot - Ixz r_dot + ...
+    """
+    relative = relative_errors(deviations, regressors)
+    errors = values * relative.reshape(len(relative), *(1,) * (values.ndim - 2), *relative.shape[1:])
+    ratio = np.sqrt(inertia[0, 0] / inertia[2, 2])
+    for error, factor in zip(errors, deviations.values(), strict=True):
+        product = factor.std * factor.powers.get(PRODUCT, 0.0)
+        error[..., 3, :] -= product * ratio * values[..., 5, :]
+        error[..., 5, :] -= product / ratio * values[..., 3, :]
+    return errors
 
 
 def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str, ...]) -> Array:

@@ -20,7 +20,8 @@ MOVED = (*ALL_SURFACES, "throttle")
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 FULL_THROW = "full throw"
 """What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1."""
-THROW = re.compile(r"(\d+\.?\d*|\.\d+) ?(deg|rad)")
+NUMBER = r"(\d+\.?\d*|\.\d+)"
+THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
 NO_PULSE = 500.0
 """Pulses shorter than this [us] move no servo: an output that is switched off."""
 TEMPLATE = """\
@@ -65,6 +66,8 @@ class Throw(NamedTuple):
     """The angle of a surface at full throw [rad]; the autopilot's parameters name its servos."""
 
     angle: float
+    std: float = 0.0
+    """Its standard deviation [rad]."""
 
 
 def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw]:
@@ -73,7 +76,8 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
     ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel, angle in rad), or
     ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at ``min`` is
     its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Or in one line the angle at
-    full throw, ``elevator = "25 deg"``, of the servos that the autopilot's parameters name. Raises FlightReadError if
+    full throw, ``elevator = "25 deg"``, or with its standard deviation ``"25 +- 2 deg"``, of the servos that the
+    autopilot's parameters name. Raises FlightReadError if
     the file is no TOML, or a surface or number makes no sense.
 
     Examples
@@ -114,6 +118,18 @@ def full_throws(log: Log) -> dict[str, Servo | Mixture]:
         name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
         for name, parts in log.mixing.items()
     }
+
+
+def throw_errors(servos: str | Path | Mapping[str, Any] | None) -> dict[str, float]:
+    """Return the relative standard deviations of the full throws, of those that a servo file gives one.
+
+    Examples
+    --------
+    >>> throw_errors({"elevator": "25 +- 2 deg", "rudder": "30 deg"})
+    {'elevator': 0.08}
+    """
+    throws = {name: each for name, each in read_servos(servos).items() if isinstance(each, Throw)}
+    return {name: each.std / each.angle for name, each in throws.items() if each.std}
 
 
 def with_throws(servos: Mapping[str, Servo | Throw], log: Log) -> dict[str, Servo | Mixture]:
@@ -172,12 +188,19 @@ def _servo(name, entry) -> Servo | Throw:
 
 def _throw(name, text) -> Throw:
     match = THROW.fullmatch(text.strip())
-    angle = float(match[1]) * {"deg": np.pi / 180, "rad": 1.0}[match[2]] if match else np.nan
+    unit = {"deg": np.pi / 180, "rad": 1.0}[match[3]] if match else np.nan
+    angle, std = (float(match[k] or 0.0) * unit if match else np.nan for k in (1, 2))
     if not 0 < angle <= np.pi / 2:
         raise FlightReadError(
-            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg".'
+            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg" '
+            'or "25 +- 2 deg".'
         )
-    return Throw(angle)
+    if std > 0 and name in ELEVONS:
+        raise FlightReadError(
+            f"Got {name} = {text!r}, but expected a deviation of elevator or aileron alone: an error of one elevon is "
+            "of both controls."
+        )
+    return Throw(angle, std)
 
 
 def _flag(name, entry):

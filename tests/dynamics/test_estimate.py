@@ -19,7 +19,7 @@ from skdgp.dynamics import (
 )
 from skdgp.dynamics._vehicle.estimate import KINDS, MOMENTS, PRODUCT_STD, QUANTITIES
 
-# Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory of these sources, not read again.
+# Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read again.
 PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
     "Aerosonde, Beard & McLain 2012, table E.2": (13.5, 2.8956, 0.55, 1.7, (0.8244, 1.135, 1.759)),
     "Ultra Stick 25e, University of Minnesota": (1.959, 1.27, 0.3097, 1.05, (0.07151, 0.08636, 0.15364)),

@@ -73,7 +73,7 @@ def identify(run: Run) -> None:
 def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    told = {name: getattr(options, name) for name in SIZES if getattr(options, name) is not None}
+    told = {name: getattr(options, name) for name in (*SIZES, "kind") if getattr(options, name) is not None}
     if options.aircraft is not None and not told:
         return options.aircraft
     if options.aircraft is not None or not {"mass", "span"} <= set(told):
@@ -82,8 +82,8 @@ def _aircraft(run: Run) -> Aircraft | str:
         run.command.parser({}).error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is estimated"
         )
-    sizes: dict = {name: opt.value_and_std(text) for name, text in told.items()}
-    return Aircraft.estimate(**sizes, kind=options.kind, name=Path(options.train[0]).stem)
+    known: dict = {name: text if name == "kind" else opt.value_and_std(text) for name, text in told.items()}
+    return Aircraft.estimate(**known, name=Path(options.train[0]).stem)
 
 
 def demo(run: Run) -> None:
@@ -197,7 +197,7 @@ IDENTIFY = Command(
         ],
         "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": [
             *(opt.option(f"--{name.replace('_', '-')} X", words, opt.size) for name, words in SIZES.items()),
-            opt.choice("--kind", list(KINDS), "what is not given is that of its kind (default: conventional)"),
+            opt.option("--kind", "what is not given is that of its kind (default: conventional)", choices=list(KINDS)),
         ],
         "model": LEARNING,
     },

@@ -73,8 +73,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         a log, which ``fit`` gets with ``time``, with ``length_scale_bounds="spacing"``. Missing values are estimated
         from the data.
     n_latent : int or None
-        Number of latent processes that all outputs share; each output also has a private one. None: half as many as
-        outputs, two to four, where targets are missing, else two, as in a log.
+        Number of latent processes that all outputs share; each output also has a private one. None: two, or without
+        ``time`` and with missing targets half as many as outputs, two to four.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     structure : {"average", "joint", "additive", "trend"}

@@ -1,4 +1,4 @@
-"""A model judged on a dozen aircraft: what its bands hold of coefficients, derivatives and free flight.
+"""A model judged on aircraft of JSBSim: what its bands hold of coefficients, derivatives and free flight.
 
     python tests/benchmarks/freeflight_air.py [--aircraft J3Cub DHC6 A4 global5000] [--models FOLDER] [--paths 40]
 

@@ -395,6 +395,10 @@ class TestBadInput:
                 "got --aircraft --mass, but exp",
             ),
             (
+                ["identify", "a.csv", "--kind", "delta", "--aircraft", "b.json", "-o", "out"],
+                "got --aircraft --kind, but expected",
+            ),
+            (
                 ["identify", "a.csv", "--mass", "3", "-o", "out"],
                 "got --mass, but expected --aircraft FILE, or --mass and",
             ),

@@ -77,8 +77,7 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
     ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at ``min`` is
     its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Or in one line the angle at
     full throw, ``elevator = "25 deg"``, or with its standard deviation ``"25 +- 2 deg"``, of the servos that the
-    autopilot's parameters name. Raises FlightReadError if
-    the file is no TOML, or a surface or number makes no sense.
+    autopilot's parameters name. Raises FlightReadError if the file is no TOML, or a surface or number makes no sense.
 
     Examples
     --------

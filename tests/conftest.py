@@ -16,7 +16,7 @@ from skdgp import datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
 from skdgp.identification import _identification
-from skdgp.inference import _optimize, _singles
+from skdgp.inference import _search
 from skdgp.report import FlightMechanics
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start, as _threads below for this one
@@ -86,9 +86,9 @@ def short_fits(monkeypatch):
 
     For tests of what is done with a model, whatever it has learned.
     """
-    monkeypatch.setattr(_singles, "WIDTH_FACTORS", _singles.WIDTH_FACTORS[:1])
-    monkeypatch.setattr(_singles, "TRIAL_ITERATIONS", 2)
-    monkeypatch.setattr(_singles, "SINGLE_ITERATIONS", 2)
+    monkeypatch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
+    monkeypatch.setattr(_search, "TRIAL_ITERATIONS", 2)
+    monkeypatch.setattr(_search, "SINGLE_ITERATIONS", 2)
 
 
 @pytest.fixture
@@ -97,12 +97,12 @@ def hasty_fits(monkeypatch, short_fits, request):
 
     For pages and commands that only use what was learned.
     """
-    minimize, most = _optimize.minimize, getattr(request, "param", 2)
+    minimize, most = _search.minimize, getattr(request, "param", 2)
 
     def hasty(*args, options, **more):
         return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
 
-    monkeypatch.setattr(_optimize, "minimize", hasty)
+    monkeypatch.setattr(_search, "minimize", hasty)
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ def model(request):
 @pytest.fixture
 def few_waves(monkeypatch):
     """Moments over paths do not depend on how many waves a path has."""
-    monkeypatch.setattr("skdgp.inference._posterior_paths.FREQUENCIES", 6)
+    monkeypatch.setattr("skdgp.inference._paths.FREQUENCIES", 6)
 
 
 def test_shapes_and_the_ways_to_ask_agree(model):

@@ -20,7 +20,7 @@ from skdgp._compute.tables import column_names
 from skdgp._compute.typing import Array, Seed
 from skdgp._regressor import check_targets
 from skdgp.calibration import _conformal as conformal
-from skdgp.inference._posterior_paths import Path, Paths
+from skdgp.inference._paths import Path, Paths
 from skdgp.metrics._metrics import check_level
 from skdgp.metrics._scorers import accepts, predict_with_noise, unwrap
 

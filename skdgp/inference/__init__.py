@@ -14,19 +14,15 @@ misfit    the error of the function that residuals show where flights come back 
 """
 
 from skdgp._compute.correlation import autocorrelation_time
-from skdgp.inference._average import AveragePosterior, average, joined
+from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
 from skdgp.inference._compact import Compaction, compact
-from skdgp.inference._coupling import output_correlation
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, fit_exact, fit_sparse, residual_drift
+from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, joined, residual_drift
 from skdgp.inference._likelihood import Data, log_likelihood
-from skdgp.inference._misfit import misfit_variance
-from skdgp.inference._optimize import Optimum, maximize
-from skdgp.inference._search import input_noise_loading
-from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, slope_errors
-from skdgp.inference._sparse import SparsePosterior
-from skdgp.inference._sums import shares_of
-from skdgp.inference._terms import CentredTerm, training_inputs
+from skdgp.inference._noise import misfit_variance
+from skdgp.inference._search import Optimum, input_noise_loading, maximize
+from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, output_correlation, slope_errors
+from skdgp.inference._sparse import SparsePosterior, shares_of
 
 __all__ = [
     "AveragePosterior",

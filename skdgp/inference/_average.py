@@ -19,21 +19,17 @@ regressor their evidence counts :math:`(r / 10)^4` times.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial, reduce
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp, softmax
 
 from skdgp._compute.correlation import autocorrelation_time
-from skdgp._compute.linalg import covariance_root
-from skdgp._compute.parallel import fit_map
+from skdgp._compute.linalg import unexplained_variance
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._fit import Fit, loading_of, with_noise_for
 from skdgp.inference._likelihood import Data
-from skdgp.inference._mixture import moments
-from skdgp.inference._posterior_paths import Paths, mixed_paths
-from skdgp.inference._sparse import SparsePosterior
+from skdgp.inference._paths import Paths, mixed_paths
 
 PRIOR_ROWS = 3.0
 """c. An output of ten values, which has another for a guide, needs few.
@@ -45,6 +41,56 @@ BLOCKS, FOLDS = 40, 4  # blocks of the log, which are held out in turn, a fourth
 MOST_ROWS = 4000  # largest number of rows that weights are learned from
 COMPLETE = 0.95  # share of its values that an output has where whole rows are held out
 STEPS = 200  # of expectation maximisation for the weights
+
+
+class Single:
+    """The words of an ``AveragePosterior`` for a posterior that is its only member."""
+
+    kernel: Any
+    measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
+
+    @property
+    def members(self) -> list[Any]:
+        """The posterior itself."""
+        return [self]
+
+    @property
+    def wholes(self) -> list[Any]:
+        """The posterior itself, which has all terms."""
+        return [self]
+
+    @property
+    def parts(self) -> list[tuple[int, ...]]:
+        """The numbers of all terms of the kernel."""
+        return [tuple(range(len(self.kernel.summands())))]
+
+    @property
+    def mixture(self) -> Matrix:
+        """The weight one for each output, (1, P)."""
+        return np.ones((1, self.kernel.n_outputs))
+
+
+def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
+    r"""Return the mean and, with ``return_variance``, the variance of a mixture.
+
+    With means :math:`m_k` and variances :math:`v_k` of members,
+    :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
+
+    Parameters
+    ----------
+    mixture : ndarray (K, P)
+        Weights of members for each output.
+    found : sequence of K
+        The mean (n, P, ...) of each member; with ``return_variance`` a pair, mean and variance.
+    return_variance : bool
+    """
+    means, variances = zip(*found, strict=True) if return_variance else (found, None)
+    means = np.asarray(means)
+    weights = mixture.reshape(len(means), 1, -1, *(1,) * (means.ndim - 3))
+    mean = np.sum(weights * means, axis=0)
+    if variances is None:
+        return mean
+    return mean, np.sum(weights * (np.asarray(variances) + (means - mean) ** 2), axis=0)
 
 
 def parts_of(kernel: Any) -> list[tuple[int, ...]]:
@@ -180,82 +226,11 @@ class AveragePosterior:
         return mixed_paths(self.members, self.mixture, n_paths, random_state)
 
 
-def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
-    """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
-
-    After Ctrl-C it is the fit of the whole kernel, interrupted.
-
-    Parameters
-    ----------
-    fit : Fit
-        Of the whole kernel to all rows.
-    X : ndarray (n, d)
-    Y : ndarray (n, P)
-        NaN where an output was not observed.
-    n_jobs : int or None
-        Parts that are fitted side by side, as in joblib.
-
-    Returns
-    -------
-    Fit
-        With an AveragePosterior; the given fit if its kernel has one member.
-    """
-    parts = parts_of(fit.posterior.kernel)
-    if len(parts) == 1:
-        return fit
-    try:
-        loading = loading_of(fit, X)
-        of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading)
-        fits = [fit, *fit_map(of_part, [{"part": part} for part in parts[1:]], n_jobs)]
-        weights = None if any(each.interrupted for each in fits) else _weights(fits, X, Y, loading)
-    except KeyboardInterrupt:
-        weights = None
-    if weights is None:
-        return fit.marked(interrupted=True)
-    posterior = AveragePosterior([each.posterior for each in fits], parts, weights)
-    noise = np.sum(weights * [each.learned.noise for each in fits], axis=0)
-    n_evaluations = sum(each.learned.n_evaluations for each in fits)
-    return fit._replace(posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations))
-
-
-def joined(fits: list[Fit]) -> Fit:
-    """Return the fit of the mean of averages, each of one search; the likelihood is that of the first.
-
-    Searches hold out other blocks and start at other values. What they find explains the log equally well, but predicts
-    other flights differently, so their mean predicts better than each (Breiman 1996).
-    """
-    if len(fits) == 1:
-        return fits[0]
-    posteriors, learned = [fit.posterior for fit in fits], [fit.learned for fit in fits]
-    posterior = AveragePosterior(
-        [member for each in posteriors for member in each.members],
-        [part for each in posteriors for part in each.parts],
-        np.concatenate([each.mixture for each in posteriors]) / len(fits),
-    )
-    roots = [each.root for each in learned if each.root is not None]
-    found = learned[0]._replace(
-        noise=np.mean([each.noise for each in learned], axis=0),
-        root=covariance_root(np.mean([root @ root.T for root in roots], axis=0)) if roots else None,
-        n_evaluations=sum(each.n_evaluations for each in learned),
-        interrupted=any(each.interrupted for each in learned),
-        converged=all(each.converged for each in learned),
-    )
-    return Fit(posterior, found, fits[0].value)
-
-
-def _of_part(fit, X, Y, loading, part) -> Fit:
-    """Return the fit of some terms of its kernel, with the noise that is best for them."""
-    kernel, features = of_terms(fit.posterior.kernel, part), None
-    if isinstance(fit.posterior, SparsePosterior):
-        features = of_terms(fit.posterior.features, part)
-    return with_noise_for(kernel, features, fit, X, Y, loading)
-
-
-def _weights(fits, X, Y, loading) -> Matrix:
-    """Return the weights (K, P) of fits from what they predict of held-out blocks."""
+def held_out_weights(members: Sequence[Any], noises: Sequence[Vector], X: Matrix, Y: Matrix, loading: Any) -> Matrix:
+    """Return the weights (K, P) of posteriors with these noises (P,) from what they predict of held-out blocks."""
     rows = np.arange(0, len(X), -(-len(X) // MOST_ROWS))
-    found = [held_out(fit, X, Y, rows, loading) for fit in fits]
-    K, P = len(fits), Y.shape[1]
+    found = [held_out(*pair, X, Y, rows, loading) for pair in zip(members, noises, strict=True)]
+    K, P = len(members), Y.shape[1]
     weights = np.empty((K, P))
     for i in range(P):
         y = Y[rows, i]
@@ -292,14 +267,15 @@ def stacked(scores: Matrix, n: float, opinion: Vector, prior_rows: float = PRIOR
     return np.exp(log_weights - logsumexp(log_weights))
 
 
-def held_out(fit: Fit, X: Matrix, Y: Matrix, rows: Any, loading: Any = None) -> tuple[Matrix, Matrix]:
+def held_out(
+    posterior: Any, noise: Vector, X: Matrix, Y: Matrix, rows: Any, loading: Any = None
+) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
-    Hyperparameters are those of the fit; ``loading`` is what noise of the regressors adds at X, if they have any. Where
-    outputs are observed together, whole rows are left out. A value that is missing while others are there is learned
-    from these, so where an output has gaps, blocks are left out of one output at a time.
+    Hyperparameters are those of the posterior; ``loading`` is what noise of the regressors adds at X, if they have any.
+    Where outputs are observed together, whole rows are left out. A value that is missing while others are there is
+    learned from these, so where an output has gaps, blocks are left out of one output at a time.
     """
-    posterior, noise = fit.posterior, fit.learned.noise
     loading = None if loading is None else loading[rows]
     X, Y, step = X[rows], Y[rows], len(X) // len(rows)
     inflation = np.maximum(posterior.noise / noise / step, 1.0)
@@ -326,3 +302,80 @@ def _folds(Y):
     turn = block[:, None] + (np.arange(P) if gaps else np.zeros(P, dtype=int))
     for fold in range(FOLDS):
         yield (turn % FOLDS == fold) & observed
+
+
+# -- one term of a sum of kernels ---
+
+
+class CentredTerm:
+    r"""The posterior of g(x) = f(x) - mean_n f(x_n) for one term f of a sum of kernels.
+
+    The data determine g much better than f, as a constant can move from one term to another. With the covariances A(x)
+    of f and the data, or the inducing features, mean and variance of g are those of f with A(x) - mean_n A(x_n) in
+    place of A(x), and with the prior variance
+
+    .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
+
+    That of an average is the mixture of those of its members, zero where a member lacks the term.
+
+    Parameters
+    ----------
+    posterior : AveragePosterior, ExactPosterior or SparsePosterior
+    regressors : tuple of int
+        Regressors of the term, one of ``posterior.kernel.term_regressors()``.
+    X : ndarray (N, d)
+        The samples x_n.
+
+    Attributes
+    ----------
+    values : ndarray (N, P)
+        Mean of f at the samples; its own mean over them is not subtracted.
+    """
+
+    def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
+        self.mixture = posterior.mixture
+        self.terms = [
+            _MemberTerm(member, regressors, X) if regressors in member.kernel.term_regressors() else None
+            for member in posterior.members
+        ]
+        zero = np.zeros((len(X), self.mixture.shape[1]))
+        self.values = moments(self.mixture, [zero if term is None else term.values for term in self.terms])
+
+    def predict(self, X: Matrix, return_variance: bool = False) -> Any:
+        """Return the mean and, with ``return_variance``, the variance at X (n, d): (n, P) each."""
+        zero = np.zeros((len(X), self.mixture.shape[1]))
+        none = (zero, zero) if return_variance else zero
+        found = [none if term is None else term.predict(X, return_variance) for term in self.terms]
+        return moments(self.mixture, found, return_variance)
+
+
+class _MemberTerm:
+    """The centred term of a single posterior."""
+
+    def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
+        self.posterior = posterior.term(posterior.kernel.term(regressors))
+        self.X = X
+        outputs, kernel = range(posterior.kernel.n_outputs), self.posterior.kernel
+        loadings = [self.posterior.loading(i, X) for i in outputs]
+        self.values = np.column_stack([A @ b for A, b in loadings])
+        self._means = [A.mean(axis=0) for A, _ in loadings]
+        self._variances = [kernel.block(i, i, X, X).mean() for i in outputs]
+
+    def predict(self, X: Matrix, return_variance: bool = False) -> Any:
+        """Return the mean and, with ``return_variance``, the variance of g at X (n, d): (n, P) each."""
+        mean, variance = np.empty((2, len(X), len(self._means)))
+        for i, centre in enumerate(self._means):
+            A, b = self.posterior.loading(i, X)
+            A = A - centre
+            mean[:, i] = A @ b
+            if return_variance:
+                kernel = self.posterior.kernel
+                shared = kernel.block(i, i, X, self.X).mean(axis=1)
+                prior = np.maximum(kernel.block_diag(i, X) - 2 * shared + self._variances[i], 0.0)
+                variance[:, i] = unexplained_variance(prior, self.posterior.explained(i, A))
+        return (mean, variance) if return_variance else mean
+
+
+def training_inputs(posterior: Any) -> np.ndarray:
+    """Return the distinct inputs of the observed values of a posterior that is not compact, (n, d)."""
+    return np.unique(np.concatenate(posterior.samples().X), axis=0)

@@ -11,9 +11,10 @@ from scipy.optimize import brentq
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Seed
+from skdgp._compute.typing import Seed, Vector
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._sparse import SparsePosterior, maximize_features
+from skdgp.inference._search import maximize
+from skdgp.inference._sparse import SparsePosterior
 
 MAX_POINTS = 1000  # largest number of training inputs at which the change is measured
 PERTURBATION = 0.5  # of the same number of further points, in standard deviations of the regressors
@@ -192,3 +193,20 @@ def _ratio_bounds(divergence):
     low = brentq(excess, -1.0 - 2 * divergence, 0.0)
     high = brentq(excess, 0.0, np.log1p(4 * divergence + 2 * np.sqrt(divergence)) + 1e-9)
     return float(np.exp(low / 2)), float(np.exp(high / 2))
+
+
+def maximize_features(start: SparsePosterior, scale: Vector, *, max_iter: int, stage: str) -> tuple:
+    """Return the features that maximise the bound, from those of ``start``, and the Optimum.
+
+    Steps are in units of ``scale`` (d,), the standard deviations of the regressors, rounded to powers of two. The
+    search then does not depend on the units of the regressors, and the scaling causes no rounding.
+    """
+    kernel, features = start.kernel, start.features
+    unit = features.theta_scale(np.exp2(np.round(np.log2(scale))))
+
+    def bound(theta):
+        posterior = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
+        return posterior.log_marginal_likelihood, unit * posterior.bound_gradient()[-len(theta) :]
+
+    best = maximize(bound, features.theta / unit, features.bounds / unit[:, None], max_iter=max_iter, stage=stage)
+    return features.rebuild(kernel, unit * best.theta), best

@@ -12,11 +12,10 @@ from scipy.linalg.blas import dsyrk
 from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
 from skdgp._compute.threads import few_threads, n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
-from skdgp.inference._mixture import Single
-from skdgp.inference._posterior_paths import Paths, exact_paths
-from skdgp.inference._sparse import SparsePosterior
-from skdgp.inference._sums import shares_of
+from skdgp.inference._paths import Paths, exact_paths
+from skdgp.inference._sparse import SparsePosterior, shares_of
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
 FEW = 16  # up to this many points the mean is one matrix product instead of many tiles

@@ -1,23 +1,38 @@
-"""Fits: exact and sparse posteriors at the best hyperparameters."""
+"""Fits: exact and sparse posteriors at the best hyperparameters, and the average of posteriors of parts of a kernel."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.correlation import autocorrelation_time
-from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
-from skdgp._compute.parallel import sharing
+from skdgp._compute.linalg import (
+    check_memory,
+    cluster_centres,
+    column_scale,
+    covariance_root,
+    output_scale,
+)
+from skdgp._compute.parallel import fit_map, sharing
 from skdgp._compute.typing import Matrix, Seed
+from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import fit_drift_to_integrals
-from skdgp.inference._rows import held_out_rows, some_rows
-from skdgp.inference._search import NOISE_BOUNDS, NOISE_STEPS, Hyperparameters, input_noise_loading, noise_alone, search
-from skdgp.inference._sparse import SparsePosterior
-from skdgp.inference._sums import shares_of
+from skdgp.inference._search import (
+    NOISE_BOUNDS,
+    NOISE_STEPS,
+    Hyperparameters,
+    held_out_rows,
+    input_noise_loading,
+    noise_alone,
+    search,
+    some_rows,
+)
+from skdgp.inference._sparse import SparsePosterior, shares_of
 
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
 
@@ -244,3 +259,78 @@ def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any)
         return distinct
     subset = X[random_state.permutation(len(X))[: 50 * n_inducing]]
     return cluster_centres(subset, column_scale(X), n_inducing, random_state)
+
+
+# -- the average ---
+
+
+def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
+    """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
+
+    After Ctrl-C it is the fit of the whole kernel, interrupted.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the whole kernel to all rows.
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    n_jobs : int or None
+        Parts that are fitted side by side, as in joblib.
+
+    Returns
+    -------
+    Fit
+        With an AveragePosterior; the given fit if its kernel has one member.
+    """
+    parts = parts_of(fit.posterior.kernel)
+    if len(parts) == 1:
+        return fit
+    try:
+        loading = loading_of(fit, X)
+        of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading)
+        fits = [fit, *fit_map(of_part, [{"part": part} for part in parts[1:]], n_jobs)]
+        members, noises = [each.posterior for each in fits], [each.learned.noise for each in fits]
+        weights = None if any(each.interrupted for each in fits) else held_out_weights(members, noises, X, Y, loading)
+    except KeyboardInterrupt:
+        weights = None
+    if weights is None:
+        return fit.marked(interrupted=True)
+    posterior = AveragePosterior(members, parts, weights)
+    noise = np.sum(weights * noises, axis=0)
+    n_evaluations = sum(each.learned.n_evaluations for each in fits)
+    return fit._replace(posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations))
+
+
+def joined(fits: list[Fit]) -> Fit:
+    """Return the fit of the mean of averages, each of one search; the likelihood is that of the first.
+
+    Searches hold out other blocks and start at other values. What they find explains the log equally well, but predicts
+    other flights differently, so their mean predicts better than each (Breiman 1996).
+    """
+    if len(fits) == 1:
+        return fits[0]
+    posteriors, learned = [fit.posterior for fit in fits], [fit.learned for fit in fits]
+    posterior = AveragePosterior(
+        [member for each in posteriors for member in each.members],
+        [part for each in posteriors for part in each.parts],
+        np.concatenate([each.mixture for each in posteriors]) / len(fits),
+    )
+    roots = [each.root for each in learned if each.root is not None]
+    found = learned[0]._replace(
+        noise=np.mean([each.noise for each in learned], axis=0),
+        root=covariance_root(np.mean([root @ root.T for root in roots], axis=0)) if roots else None,
+        n_evaluations=sum(each.n_evaluations for each in learned),
+        interrupted=any(each.interrupted for each in learned),
+        converged=all(each.converged for each in learned),
+    )
+    return Fit(posterior, found, fits[0].value)
+
+
+def _of_part(fit, X, Y, loading, part) -> Fit:
+    """Return the fit of some terms of its kernel, with the noise that is best for them."""
+    kernel, features = of_terms(fit.posterior.kernel, part), None
+    if isinstance(fit.posterior, SparsePosterior):
+        features = of_terms(fit.posterior.features, part)
+    return with_noise_for(kernel, features, fit, X, Y, loading)

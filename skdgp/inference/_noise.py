@@ -9,22 +9,31 @@ Errors of neighbouring samples of a flight are correlated: gusts, lags and unmod
 interval. The residuals of a fit show this. `fit_drift_to_integrals` estimates the drift of an output from them, an
 Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T) within a flight, and zero between flights
 (Rasmussen & Williams 2006, equation 4.20 with nu = 1/2).
+
+Misfit is what the processes of a posterior cannot follow, seen where flights come back to the same regressors.
 """
 
 from __future__ import annotations
 
 from itertools import combinations_with_replacement
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
+from scipy.spatial import KDTree
 
+from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Matrix, Vector
 
 LONGEST_HORIZON = 10.0  # longest time over which residuals are integrated [s]
 N_HORIZONS = 12
 MODEL_ERROR = 0.3  # relative, of the variances of integrals
 LONGEST_GAP = 4.0  # a longer interval, over the median one, ends a record
+LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have independent noise [s]
+CANDIDATES, NEIGHBOURS = 40, 8  # nearest samples that are looked at, and largest number of those far in time
+MISFIT_ROWS = 15000  # largest number of samples
+PARTS = 16  # parts of the log whose means show the standard error of the whole
 
 
 class SampleNoise(NamedTuple):
@@ -160,3 +169,70 @@ def _mean_squared_integrals(residual, time, records, horizons):
             change = np.interp(elapsed[inside] + horizon, elapsed, integral) - integral[inside]
             total[k], count[k] = total[k] + change @ change, count[k] + len(change)
     return np.divide(total, count, out=np.full(len(horizons), np.nan), where=count > 0)
+
+
+# -- the misfit that residuals show ---
+
+
+def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:
+    r"""Return the variance of the misfit of each output, (P,), at the samples that a posterior has learned from.
+
+    Residuals e of two samples with near regressors share the error of the function, but no noise if they are from
+    different flights or 10 s apart. So their products have the mean square of this error as their mean. With the mean m
+    of n products and its standard error s, the least that they show is
+
+    .. math:: v_i = \max(0, m_i - s_i), \quad
+              m_i = \frac{1}{n} \sum_a e_{ia} \frac{1}{|N_a|} \sum_{b \in N_a} e_{ib}.
+
+    :math:`N_a` are at most 8 of the 40 samples nearest to a, by regressors over their standard deviations; a sample
+    without such neighbours does not count. s is the scatter over 16 parts of the log; it is multiplied by
+    :math:`\sqrt 2`, since two parts share the products of their samples. For the right model the mean product is the
+    negative posterior covariance, so v is zero but by chance. It is positive where the function has kinks or jumps that
+    the kernel's widths smooth away. Errors that change their sign within the distance of neighbours do not show.
+
+    Parameters
+    ----------
+    posterior : ExactPosterior, SparsePosterior or regressor
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    clock : ndarray (n, 2)
+        Time [s] and flight number of each sample.
+
+    Returns
+    -------
+    ndarray (P,)
+        In squared units of Y.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.linear_model import LinearRegression
+    >>> from skdgp.inference import misfit_variance
+    >>> rng = np.random.default_rng(0)
+    >>> x, time = rng.uniform(-1, 1, (4000, 1)), np.arange(4000.0)
+    >>> y = np.abs(x) + rng.normal(0, 0.5, x.shape)
+    >>> line = LinearRegression().fit(x, y)
+    >>> misfit = misfit_variance(line, x, y, np.column_stack([time, 0 * time]))
+    >>> float(np.sqrt(misfit[0]).round(1)), float(np.std(np.abs(x) - line.predict(x)).round(1))
+    (0.3, 0.3)
+    """
+    rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
+    rows = rows[:: -(-len(rows) // MISFIT_ROWS)]
+    X, residual, (time, flight) = X[rows], Y[rows] - posterior.predict(X[rows]), clock[rows].T
+    scaled = X / column_scale(X)
+    near: Any = KDTree(scaled).query(scaled, k=min(CANDIDATES, len(X)))[1]
+    apart = (np.abs(time[near] - time[:, None]) > LARGEST_LAG) | (flight[near] != flight[:, None])
+    sample, place = np.nonzero(apart & (np.cumsum(apart, axis=1) <= NEIGHBOURS))
+    neighbours = csr_array((np.ones(len(sample)), (sample, near[sample, place])), shape=(len(X), len(X)))
+    observed = np.isfinite(residual)
+    error = np.where(observed, residual, 0.0)
+    total, count = neighbours @ error, neighbours @ observed.astype(float)
+    variance = np.zeros(Y.shape[1])
+    for i in range(Y.shape[1]):
+        some = observed[:, i] & (count[:, i] > 0)
+        if some.sum() >= PARTS:
+            products = error[some, i] * total[some, i] / count[some, i]
+            parts = [part.mean() for part in np.array_split(products, PARTS)]
+            variance[i] = max(0.0, products.mean() - np.sqrt(2 / PARTS) * np.std(parts, ddof=1))
+    return variance

@@ -11,20 +11,20 @@ Stages learn from rows that ``_rows`` chooses.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from threading import Event
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import LbfgsInvHessProduct, minimize
 
 from skdgp._compute.linalg import column_scale, output_scale
-from skdgp._compute.threads import threads_for
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.progress import notify
+from skdgp._compute.threads import one_blas_thread, threads_for
+from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._likelihood import Data
-from skdgp.inference._objective import Objective, theta_bounds
-from skdgp.inference._optimize import GRID, Optimum, maximize
-from skdgp.inference._rows import HELD_OUT_ROWS, SEARCH_VALUES, some_rows, stratified
-from skdgp.inference._singles import fit_singles
+from skdgp.inference._likelihood import Data, couplings, log_likelihood
 
 REFINED = 4  # exact inference of many values learns from some of them first, and in the last fourth from all
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
@@ -212,3 +212,350 @@ def _initial_input_noise(noise, data, d):
     least, most = INPUT_BOUNDS
     start = np.full(d, np.clip(part, 10 * least, most / 10))
     return np.concatenate([0.5 * noise, start]), np.tile(INPUT_BOUNDS, (d, 1))
+
+
+# -- the rows that a search learns from ---
+
+SEARCH_VALUES, OUTPUT_VALUES = (1000, 1800), 300  # least and most values that a search learns from; of each output
+BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
+GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
+HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
+FEWEST_VALUES = 40  # values of each output below which nothing is held out: their error would be chance
+
+
+def stratified(rows: Any, n, random_state: Any):
+    """Return a stratified sample of n rows: one random row of each of n equal parts, since neighbours are redundant."""
+    if n >= len(rows):
+        return rows
+    edges = np.linspace(0, len(rows), n + 1)
+    return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
+
+
+def some_rows(Y: Matrix, random_state: Seed):
+    """Return rows that a search learns from, with an equal number of values for each output where it has them."""
+    observed, P = np.isfinite(Y), Y.shape[1]
+    quota = -(-int(np.clip(P * OUTPUT_VALUES, *SEARCH_VALUES)) // P)
+    rows = stratified(np.arange(len(Y)), max(2, P * quota * len(Y) // observed.sum()), random_state)
+    for output in observed.T:
+        n_missing = min(quota, output.sum()) - output[rows].sum()
+        rest = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)
+        rows = np.concatenate([rows, stratified(rest, max(n_missing, 0), random_state)])
+    return np.sort(rows)
+
+
+def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None]:
+    """Return rows to learn from and rows to hold out, for early stopping.
+
+    Held out is one block of rows at a random place in each of BLOCKS parts of the log, with a gap on either side. None
+    is held out where an output would have too few values.
+    """
+    observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
+    edges = np.linspace(0, len(observed), BLOCKS + 1)
+    length = HELD_OUT * len(observed) / BLOCKS
+    gap = GAP * length
+    starts = edges[:-1] + gap + (np.diff(edges) - length - 2 * gap) * random_state.uniform(size=BLOCKS)
+    place = np.arange(len(observed))
+    inside = (place >= starts[:, None]) & (place < starts[:, None] + length)
+    near = (place >= starts[:, None] - gap) & (place < starts[:, None] + length + gap)
+    held, rest = observed[inside.any(axis=0)], observed[~near.any(axis=0)]
+    if min(np.isfinite(Y[held]).sum(axis=0).min(), np.isfinite(Y[rest]).sum(axis=0).min()) < FEWEST_VALUES:
+        return some_rows(Y, random_state), None
+    return rest[some_rows(Y[rest], random_state)], held
+
+
+# -- each output alone ---
+
+SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
+WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
+TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
+TOLERANCE = 1e-5  # rise of the likelihood by one iteration, as a fraction for each process, below which it is the last
+
+
+class Singles(NamedTuple):
+    """Kernel and noise of a separate fit of each output, and the number of evaluations."""
+
+    kernels: list
+    noise: np.ndarray
+    n_evaluations: int
+
+
+class _SingleFit:
+    """The values of one output and the maximisation of its likelihood."""
+
+    def __init__(self, i, X, Y, noise, noise_bounds, seed, search):
+        rows = stratified(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
+        self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
+        self.noise, self.noise_bounds = noise[i : i + 1], noise_bounds[i : i + 1]
+        self.search = partial(search, stage=f"output {i + 1}")
+
+    def optimize(self, kernel, theta, step, max_iter):
+        """Return the kernel and the Optimum reached from theta, with every ``step``-th value."""
+        likelihood = Objective(kernel, Data.from_table(self.x[::step], self.y[::step]), 1)
+        bounds = theta_bounds(kernel, self.noise_bounds)
+        return kernel, self.search(likelihood, theta, bounds, max_iter=max_iter)
+
+    def try_widths(self, kernel, max_iter):
+        """Return the best kernel and Optimum of short searches from several widths, and their number of evaluations."""
+        step, max_iter = max(1, len(self.x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter)
+        trials: dict = {}  # by their start: a trend has no widths
+        for factor in WIDTH_FACTORS:
+            start = kernel.single_output().initialize(
+                self.x, self.y, np.random.RandomState(self.seed), width_factor=factor
+            )
+            theta = np.concatenate([start.theta, np.log(self.noise)])
+            if theta.tobytes() not in trials:
+                trials[theta.tobytes()] = self.optimize(start, theta, step, max_iter)
+        n_evaluations = sum(optimum.n_evaluations for _, optimum in trials.values())
+        return *max(trials.values(), key=lambda trial: trial[1].value), n_evaluations
+
+
+@one_blas_thread()  # and one after another: two threads gain nothing on small matrices
+def fit_singles(
+    kernel: Any,
+    noise: Vector,
+    noise_bounds,
+    X: Matrix,
+    Y: Matrix,
+    optimizer: Any,
+    max_iter: int,
+    random_state: Any,
+    stop: Event,
+) -> Singles:
+    """Return a separate fit of each output, with at most twice ``max_iter`` iterations each.
+
+    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
+    long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
+    """
+    tolerance = TOLERANCE * max(1, kernel.n_processes)
+    search = partial(maximize, optimizer=optimizer, stop=stop, tolerance=tolerance, grid=GRID)
+    seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
+    outputs = [_SingleFit(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
+    trials = [output.try_widths(kernel, max_iter) for output in outputs]
+    most = min(SINGLE_ITERATIONS, 2 * max_iter)
+    refined = [
+        output.optimize(single, optimum.theta, 1, most)
+        for output, (single, optimum, _) in zip(outputs, trials, strict=True)
+    ]
+    return Singles(
+        [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined],
+        np.concatenate([np.exp(optimum.theta[-1:]) for _, optimum in refined]),
+        sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
+    )
+
+
+# -- what is maximised, and the optimiser ---
+
+RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
+PATIENCE = 5  # iterations over which the held-out error must fall
+LEAST_GAIN = 0.01  # by this fraction
+GRID = 2.0**-14
+"""Spacing of the hyperparameters that a search evaluates, over the width of their bounds.
+
+Far from an optimum, each iteration of L-BFGS multiplies a difference between two searches by about 1.6. So data that
+differ by rounding alone, on another processor or of a mirrored flight, would lead to different optima within 60
+iterations. On the grid the difference is gone before it grows. The likelihood of 600 values at 234 hyperparameters
+changed by at most 0.005 nats in six roundings.
+"""
+WIDEST = 16.0  # width of bounds that counts
+GRADIENT = 1e-4  # [nats] below which a search has converged
+STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
+
+
+class Objective:
+    """The function [theta, log noise] -> log likelihood, and its gradient.
+
+    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
+    nothing couples outputs, this is the sum of their likelihoods: P^2 times faster. With ``common`` false it neglects
+    what errors of regressors have in common between outputs: widths and amplitudes hardly change, but the variances of
+    the regressors' noise must then be learned again.
+    """
+
+    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None, common: bool = True) -> None:
+        self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
+        coupled = any(couplings(kernel)) or (common and data.sample_noise is not None)
+        self.parts = [data] if coupled else data.by_output()
+        self.theta, self.weights = np.empty(0), [np.empty(part.n_values) for part in self.parts]
+        self.workspace = np.empty(max(part.n_values for part in self.parts) ** 2)
+
+    def __call__(self, theta):
+        candidate, noise = self._split(theta)
+        value, gradient = 0.0, np.zeros(len(theta))
+        for part, weights in zip(self.parts, self.weights, strict=True):
+            n = part.n_values
+            workspace = self.workspace[: n * n].reshape(n, n)
+            by_part = log_likelihood(candidate, noise, part, True, workspace, weights)
+            value, gradient = value + by_part[0], gradient + by_part[1]
+        self.theta = np.array(theta)
+        return value, gradient
+
+    def held_out_error(self, theta: Vector) -> float:
+        """Return the mean squared error of the held-out values, averaged over the outputs."""
+        if not np.array_equal(theta, self.theta):  # not the last point that was evaluated
+            self(theta)
+        kernel, held_out = self._split(theta)[0], self.held_out
+        weights = np.split(np.concatenate(self.weights), np.cumsum([len(y) for y in self.data.y])[:-1])
+        errors = []
+        for i, (X, y) in enumerate(zip(held_out.X, held_out.y, strict=True)):
+            pairs = [(j, Xj, w) for j, (Xj, w) in enumerate(zip(self.data.X, weights, strict=True))]
+            mean = sum(kernel.block(i, j, X, Xj) @ w for j, Xj, w in pairs if kernel.couples(i, j))
+            errors.append(np.mean((y - mean) ** 2) if len(y) else 0.0)
+        return float(np.mean(errors))
+
+    def _split(self, theta):
+        return self.kernel.clone_with_theta(theta[: -self.n_noise]), np.exp(theta[-self.n_noise :])
+
+
+def theta_bounds(kernel: Any, noise_bounds):
+    """Return the bounds of [theta, log noise]."""
+    return np.concatenate([kernel.bounds, np.log(noise_bounds)])
+
+
+class Optimum(NamedTuple):
+    """The result of a maximisation."""
+
+    theta: np.ndarray
+    value: float
+    n_iter: int
+    n_evaluations: int
+    interrupted: bool
+    remaining: float  # expected rise of the likelihood in as many iterations again [nats]
+    converged: bool  # stopped because the likelihood no longer rose, or the held-out error no longer fell
+
+
+class _Watched:
+    """The negative log likelihood for a minimiser; it keeps the best point and reports progress."""
+
+    def __init__(self, log_likelihood, theta, stage, stop):
+        self.log_likelihood, self.stage, self.stop = log_likelihood, stage, stop
+        self.theta, self.value, self.latest, self.n_evaluations = np.array(theta), -np.inf, -np.inf, 0
+        self.values: list[float] = []
+
+    def __call__(self, theta, eval_gradient=True):
+        if self.stop is not None and self.stop.is_set():
+            raise KeyboardInterrupt
+        try:
+            value, gradient = self.log_likelihood(theta)
+        except np.linalg.LinAlgError:
+            value, gradient = -np.inf, np.zeros_like(theta)
+        self.n_evaluations += 1
+        if not (np.isfinite(value) and np.isfinite(gradient).all()):
+            # A large finite value, so that the line search turns back.
+            value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
+        elif value > self.value:
+            self.theta, self.value = np.array(theta), value
+        self.latest = value
+        self.values.append(self.value)
+        notify(self.stage, self.n_evaluations, self.value)
+        return (-value, -gradient) if eval_gradient else -value
+
+    def rise_per_evaluation(self) -> float:
+        """Return the mean rise of the best value in the last evaluations, infinite if there is only one."""
+        last = [value for value in self.values[-RECENT:] if np.isfinite(value)]
+        return (last[-1] - last[0]) / (len(last) - 1) if len(last) > 1 else np.inf
+
+
+def maximize(
+    log_likelihood: Callable,
+    theta: Vector,
+    bounds: Any,
+    *,
+    optimizer: Any = "fmin_l_bfgs_b",
+    max_iter: int = 100,
+    tolerance: Any = 1e-5,
+    stage: str = "fit",
+    stop: Any = None,
+    held_out_error: Any = None,
+    grid: float = 0.0,
+) -> Optimum:
+    """Return the best point of a search that starts at ``theta``.
+
+    Parameters
+    ----------
+    log_likelihood : callable
+        theta (n,) -> value and gradient (n,).
+    theta : ndarray (n,)
+        Starting point.
+    bounds : ndarray (n, 2)
+    optimizer : "fmin_l_bfgs_b" or callable
+        A callable has scikit-learn's signature: (obj_func, initial_theta, bounds) -> theta, minimum.
+    max_iter : int
+    tolerance : float
+        Stop when one iteration raises the likelihood by less than this fraction.
+    stage : str
+        Name of the stage for progress listeners.
+    stop : threading.Event or None
+        Stops the search before the next evaluation when it is set. Ctrl-C sets it.
+    held_out_error : callable or None
+        theta (n,) -> error at data that ``log_likelihood`` does not know. The search stops when it has not fallen by
+        1 % over 5 iterations. It is not called for an ``optimizer`` of the user.
+    grid : float
+        Spacing of the points that are evaluated, over the width of the bounds, see ``GRID``. Zero: any points.
+
+    Returns
+    -------
+    Optimum
+        After Ctrl-C the best point so far, with ``interrupted``; the caller warns.
+    """
+    step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
+    step[step == 0.0] = 1.0
+
+    def rounded(theta):
+        nearest = step * np.round(theta / step) if grid else theta
+        return np.clip(nearest, bounds[:, 0], bounds[:, 1])
+
+    theta = rounded(theta)
+    if stop is not None and stop.is_set():
+        return Optimum(theta, -np.inf, 0, 0, True, np.inf, False)
+    objective = _Watched(log_likelihood, theta, stage, stop)
+    n_iter, interrupted, remaining, converged = 0, False, np.inf, False
+    errors: list[float] = []
+    before = -np.inf
+
+    def watch(theta):
+        nonlocal before
+        rise, before = objective.latest - before, objective.latest
+        if rise <= tolerance * max(1.0, abs(before), abs(before - rise)):
+            raise StopIteration
+        if held_out_error is None:
+            return
+        errors.append(held_out_error(rounded(theta)))
+        if len(errors) > PATIENCE and min(errors[-PATIENCE:]) > (1 - LEAST_GAIN) * min(errors[:-PATIENCE]):
+            raise StopIteration
+
+    try:
+        if callable(optimizer):
+            optimizer(objective, theta, bounds)
+            remaining, converged = 0.0, True  # an optimiser of the user has its own stopping rule
+        else:
+            first = objective(theta)
+            before = objective.latest
+            unit = float(np.linalg.norm(first[1])) or 1.0  # so that the first step has length one
+
+            def loss(other):
+                other = rounded(other)
+                value, gradient = first if np.array_equal(other, theta) else objective(other)
+                return value / unit, gradient / unit
+
+            options: Any = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "maxcor": 20, "ftol": 0.0}
+            options["gtol"] = GRADIENT / unit
+            end = minimize(loss, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options, callback=watch)
+            n_iter, converged = end.nit, bool(end.success) or end.status == STOPPED
+            remaining = 0.0
+            if not converged:
+                remaining = min(_newton_rise(end, unit, bounds), max(max_iter, 1) * objective.rise_per_evaluation())
+    except KeyboardInterrupt:
+        interrupted = True
+        if stop is not None:
+            stop.set()
+    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, remaining, converged)
+
+
+def _newton_rise(end: Any, unit: float, bounds: Any) -> float:
+    """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement.
+
+    ``end`` is of a loss in units of ``unit`` nats. Where L-BFGS has seen no curvature, H is one nat.
+    """
+    downhill = -unit * end.jac
+    blocked = ((end.x <= bounds[:, 0]) & (downhill < 0)) | ((end.x >= bounds[:, 1]) & (downhill > 0))
+    free = np.where(blocked, 0.0, downhill)
+    return float(0.5 * free @ LbfgsInvHessProduct(end.hess_inv.sk, unit * end.hess_inv.yk)(free))

@@ -28,7 +28,7 @@ from sklearn.base import clone
 from skdgp import DependentGPRegressor
 from skdgp._compute.linalg import JitterWarning
 from skdgp.inference import ExactPosterior
-from skdgp.inference._sums import data_from_shares
+from skdgp.inference._sparse import data_from_shares
 
 DOCUMENTED = (
     "The outputs .* are constant",

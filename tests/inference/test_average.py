@@ -12,7 +12,7 @@ from skdgp.inference import (
     AveragePosterior,
     Data,
     ExactPosterior,
-    _rows,
+    _search,
     average,
     compact,
     fit_exact,
@@ -244,7 +244,7 @@ def test_exact_inference_of_many_values_ends_its_search_with_all(monkeypatch):
     rng = np.random.default_rng(3)
     x = rng.uniform(-2, 2, (150, 1))
     y = np.sin(2 * x) + rng.normal(0, 0.1, x.shape)
-    monkeypatch.setattr(_rows, "SEARCH_VALUES", (50, 50))
+    monkeypatch.setattr(_search, "SEARCH_VALUES", (50, 50))
     fit = fit_exact(ConvolvedGaussian(0), x, y, optimizer="fmin_l_bfgs_b", max_iter=100, random_state=0)
     slope = log_likelihood(fit.posterior.kernel, fit.learned.noise, Data.from_table(x, y), eval_gradient=True)[1]
     assert np.abs(slope).max() < 1e-3 * len(y)
@@ -319,14 +319,14 @@ class TestHeldOut:
     def test_a_value_does_not_predict_itself(self, data, inference):
         X, Y = data
         fit, rows = fit_of(inference, X, Y), np.arange(N)
-        mean, variance = held_out(fit, X, Y, rows)
+        mean, variance = held_out(fit.posterior, fit.learned.noise, X, Y, rows)
         known = np.isfinite(Y)
         np.testing.assert_array_equal(np.isfinite(mean), known)
         for a, i in [(4, 0), (37, 1), (59, 0)]:
             a = a if known[a, i] else np.flatnonzero(known[:, i])[a // 2]
             other = Y.copy()
             other[a, i] += 100.0
-            again, same = held_out(fit, X, other, rows)
+            again, same = held_out(fit.posterior, fit.learned.noise, X, other, rows)
             assert again[a, i] == pytest.approx(mean[a, i], rel=1e-9, abs=1e-9)
             assert np.nanmax(np.abs(again - mean)) > 0.01  # others feel it
             np.testing.assert_allclose(same, variance, rtol=1e-9)
@@ -334,10 +334,12 @@ class TestHeldOut:
     def test_rows_that_are_whole_are_left_out_whole(self, data):
         X, Y = data[0], np.where(np.isfinite(data[1]), data[1], 0.0)
         fit = fit_of("exact", X, Y)
-        mean = held_out(fit, X, Y, np.arange(N))[0]
+        mean = held_out(fit.posterior, fit.learned.noise, X, Y, np.arange(N))[0]
         other = Y.copy()
         other[10, 0] += 100.0
-        assert held_out(fit, X, other, np.arange(N))[0][10, 1] == pytest.approx(mean[10, 1])
+        assert held_out(fit.posterior, fit.learned.noise, X, other, np.arange(N))[0][10, 1] == pytest.approx(
+            mean[10, 1]
+        )
 
     def test_of_an_output_with_gaps_the_other_one_says_something(self, data):
         X, Y = data
@@ -345,14 +347,14 @@ class TestHeldOut:
         a = np.flatnonzero(np.isfinite(Y[:, 1]))[5]
         other = Y.copy()
         other[a, 0] += 100.0
-        mean, again = (held_out(fit, X, values, np.arange(N))[0] for values in (Y, other))
+        mean, again = (held_out(fit.posterior, fit.learned.noise, X, values, np.arange(N))[0] for values in (Y, other))
         assert abs(again[a, 1] - mean[a, 1]) > 0.1
 
     def test_variances_are_those_of_measurements(self, data):
         """At least the noise, and no less than with all the values."""
         X, Y = data
         fit = fit_of("exact", X, Y)
-        known, found = np.isfinite(Y), held_out(fit, X, Y, np.arange(N))[1]
+        known, found = np.isfinite(Y), held_out(fit.posterior, fit.learned.noise, X, Y, np.arange(N))[1]
         assert (found[known] >= (fit.posterior.predict(X, True)[1] + fit.learned.noise)[known] * (1 - 1e-9)).all()
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import Data, log_likelihood
-from skdgp.inference._objective import Objective
+from skdgp.inference._search import Objective
 from skdgp.kernels import ConvolvedGaussian
 
 STD = 0.1, 0.01

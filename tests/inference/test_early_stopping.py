@@ -9,7 +9,7 @@ from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor, listening
-from skdgp.inference import Data, _optimize, _rows, fit_exact, log_likelihood, maximize
+from skdgp.inference import Data, _search, fit_exact, log_likelihood, maximize
 from skdgp.kernels import ConvolvedGaussian
 
 N = 300
@@ -45,8 +45,8 @@ def test_stops_earlier_and_has_converged(log, stopped):
 def test_the_noise_is_learned_to_the_end(log, monkeypatch):
     """Of exact inference, which does not estimate it from all samples: bands must not depend on where a search ends."""
     X, Y = log
-    monkeypatch.setattr(_optimize, "PATIENCE", 1)
-    monkeypatch.setattr(_optimize, "LEAST_GAIN", 1.0)  # the search ends after two iterations
+    monkeypatch.setattr(_search, "PATIENCE", 1)
+    monkeypatch.setattr(_search, "LEAST_GAIN", 1.0)  # the search ends after two iterations
     options = {"optimizer": "fmin_l_bfgs_b", "max_iter": 60, "random_state": 0}
     fit = fit_exact(ConvolvedGaussian(1), X, Y, stop_early=True, **options)
     data = Data.from_table(X, Y)
@@ -64,7 +64,7 @@ def test_same_seed_same_result(log, stopped):
 
 def test_the_posterior_knows_the_held_out_rows(log, stopped):
     X, Y = log
-    held = _rows.held_out_rows(Y, np.random.RandomState(0))[1]
+    held = _search.held_out_rows(Y, np.random.RandomState(0))[1]
     fewer = clone(stopped).set_params(optimizer=None).fit(X, Y)
     without = clone(fewer).fit(np.delete(X, held, axis=0), np.delete(Y, held, axis=0))
     assert fewer.predict(X[held], return_std=True)[1].mean() < without.predict(X[held], return_std=True)[1].mean()
@@ -126,20 +126,20 @@ def test_ctrl_c_keeps_the_best(log):
 class TestBlocks:
     @pytest.mark.parametrize("n", [250, 1000, 5000])
     def test_are_five_with_a_fifth_of_the_log_and_apart_from_what_is_learned(self, n):
-        learned, held = _rows.held_out_rows(np.zeros((n, 1)), np.random.RandomState(1))
+        learned, held = _search.held_out_rows(np.zeros((n, 1)), np.random.RandomState(1))
         blocks = np.split(held, np.flatnonzero(np.diff(held) > 1) + 1)
         assert len(blocks) == 5
         assert len(held) == pytest.approx(0.2 * n, abs=5)
         gap = 0.1 * len(held) / 5
         assert np.abs(np.subtract.outer(held, learned)).min() >= max(1, np.floor(gap))
-        assert len(learned) <= _rows.SEARCH_VALUES[0]
+        assert len(learned) <= _search.SEARCH_VALUES[0]
         for k, block in enumerate(blocks):  # one in each fifth of the log
             assert k * n / 5 <= block[0] <= block[-1] < (k + 1) * n / 5
 
     def test_hold_values_of_each_output_or_nothing(self):
         Y = np.zeros((500, 2))
         Y[40:, 1] = np.nan
-        rows, held = _rows.held_out_rows(Y, np.random.RandomState(0))
+        rows, held = _search.held_out_rows(Y, np.random.RandomState(0))
         assert held is None
         assert len(rows) == 500
 

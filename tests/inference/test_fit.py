@@ -7,7 +7,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from skdgp import listening
-from skdgp.inference import Data, _rows, _singles, fit_exact, fit_sparse, log_likelihood
+from skdgp.inference import Data, _search, fit_exact, fit_sparse, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 OPTIONS = {"optimizer": "fmin_l_bfgs_b", "max_iter": 100, "random_state": 0}
@@ -70,7 +70,7 @@ class TestFit:
 
     @pytest.mark.parametrize("threads", [1, 2])
     def test_seed_decides_and_threads_do_not(self, fit, drawn, threads, monkeypatch):
-        monkeypatch.setattr(_singles, "SINGLE_ITERATIONS", 3)
+        monkeypatch.setattr(_search, "SINGLE_ITERATIONS", 3)
         X, Y, *_ = drawn
         X, Y = X[::3], Y[::3]
         once = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 2})).posterior
@@ -163,7 +163,7 @@ def test_default_fits_are_good_fits():
 
 
 def test_a_rare_output_survives_the_subset_of_the_sparse_start(monkeypatch):
-    monkeypatch.setattr(_rows, "SEARCH_VALUES", (60, 60))
+    monkeypatch.setattr(_search, "SEARCH_VALUES", (60, 60))
     rng = np.random.default_rng(0)
     X = rng.normal(size=(900, 1))
     Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))

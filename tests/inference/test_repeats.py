@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from skdgp.inference import _rows, _singles, autocorrelation_time, fit_sparse
+from skdgp.inference import _search, autocorrelation_time, fit_sparse
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -33,8 +33,8 @@ def test_is_never_less_than_one(values):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(_rows, "SEARCH_VALUES", (600, 600))
-    monkeypatch.setattr(_singles, "SINGLE_VALUES", 300)
+    monkeypatch.setattr(_search, "SEARCH_VALUES", (600, 600))
+    monkeypatch.setattr(_search, "SINGLE_VALUES", 300)
 
 
 def fitted(X, Y):

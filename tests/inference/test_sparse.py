@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
 from skdgp._compute import threads as _threads
-from skdgp.inference import ExactPosterior, SparsePosterior, _sums, log_likelihood, shares_of
+from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood, shares_of
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
 Z = np.random.default_rng(6).normal(size=(7, 2))
@@ -138,7 +138,7 @@ class TestRows:
     def test_how_samples_are_cut_does_not_matter(self, problem, threads, monkeypatch):
         posterior = sparse(problem)
         expected = posterior.log_marginal_likelihood, posterior.bound_gradient(), *posterior.predict(NEW, True)
-        monkeypatch.setattr(_sums, "ROWS", 3)
+        monkeypatch.setattr(_sparse, "ROWS", 3)
         monkeypatch.setattr(_threads, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
             again = sparse(problem)

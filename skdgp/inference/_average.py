@@ -304,7 +304,7 @@ def _folds(Y):
         yield (turn % FOLDS == fold) & observed
 
 
-# -- one term of a sum of kernels ---
+# -- one term of a sum of kernels -------------------------------------------------------------------------------------
 
 
 class CentredTerm:

@@ -261,7 +261,7 @@ def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any)
     return cluster_centres(subset, column_scale(X), n_inducing, random_state)
 
 
-# -- the average ---
+# -- the average ------------------------------------------------------------------------------------------------------
 
 
 def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:

@@ -107,7 +107,7 @@ def noise_gradient(W, noise, data) -> np.ndarray:
     return np.concatenate([by_white, scale * by_scale])
 
 
-# -- the drift that residuals show ---------------------------------------------------------------------------------
+# -- the drift that residuals show ------------------------------------------------------------------------------------
 
 
 def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tuple[float, float, float]:
@@ -171,7 +171,7 @@ def _mean_squared_integrals(residual, time, records, horizons):
     return np.divide(total, count, out=np.full(len(horizons), np.nan), where=count > 0)
 
 
-# -- the misfit that residuals show ---
+# -- the misfit that residuals show -----------------------------------------------------------------------------------
 
 
 def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:

@@ -1,12 +1,12 @@
 """The search for hyperparameters, in stages.
 
-1. Each output alone (``_singles``).
+1. Each output alone (``fit_singles``).
 2. All outputs, with widths that they share.
 3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better; in exact inference of many
    values, the last iterations are of all of them.
 4. The noise alone, where the third stage left it to be learned.
 
-Stages learn from rows that ``_rows`` chooses.
+Stages learn from ``some_rows`` of all, or from those that ``held_out_rows`` leaves.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def input_noise_loading(posterior: Any, X: Matrix, root: Matrix) -> np.ndarray:
 class _Stages:
     """What the stages of a search of P outputs have in common.
 
-    A noise vector is [sigma^2 (P)], with learned noise of the regressors [sigma^2, s (d)]. ``common``: whether the
-    likelihood knows what errors of regressors have in common.
+    A noise vector is [sigma^2 (P)], with learned noise of the regressors [sigma^2, s (d)]. ``common`` is that of
+    `Objective`.
     """
 
     def __init__(self, P, held_out, optimizer, common, stop):
@@ -132,7 +132,7 @@ def search(
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
     noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     stop, singles, n_singles = Event(), None, 0
-    if optimizer is not None and P > 1 and not open_kernel.has_values():
+    if optimizer is not None and P > 1 and not open_kernel.has_values():  # stage 1
         singles, noise, n_singles = fit_singles(
             open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop
         )
@@ -143,9 +143,8 @@ def search(
     if optimizer is None:
         return stages.hyperparameters(kernel, noise, None if learned_root else root)
     data, bounds, n_iter = Data.from_table(X, Y), noise_bounds, 0
-    # First few hyperparameters (widths shared by all outputs), then all of them. This start needs few iterations and
-    # ends at optima that predict better than those reached from arbitrary widths. With noisy regressors, the slopes of
-    # the coarse model propagate their noise to the outputs.
+    # Stage 2. From widths that outputs share, stage 3 needs few iterations, and ends at optima that predict better than
+    # those reached from arbitrary widths. With noisy regressors, slopes of the coarse model propagate their noise.
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or root is not None:
@@ -157,6 +156,7 @@ def search(
     if learned_root:
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
+    # Stage 3.
     most, refined = max_iter - n_iter, exact and held_out is None and len(X) < len(whole[0])
     kernel, noise, best = stages.run(data, kernel, noise, bounds, most - refined * (most // REFINED))
     if refined and not stop.is_set():
@@ -166,7 +166,7 @@ def search(
     n_values = data.n_values
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
-        # That of all blocks; in sparse inference the white noise is learned again from all samples.
+        # Stage 4: the noise of all blocks; in sparse inference the white noise is learned again from all samples.
         some = some_rows(whole[1], random_state)
         noise_X, noise_Y = (whole[0][some], whole[1][some]) if exact else (X[::2], Y[::2])
         data = stages.hyperparameters(kernel, noise, root).data(noise_X, noise_Y, 1)
@@ -214,7 +214,7 @@ def _initial_input_noise(noise, data, d):
     return np.concatenate([0.5 * noise, start]), np.tile(INPUT_BOUNDS, (d, 1))
 
 
-# -- the rows that a search learns from ---
+# -- the rows that a search learns from -------------------------------------------------------------------------------
 
 SEARCH_VALUES, OUTPUT_VALUES = (1000, 1800), 300  # least and most values that a search learns from; of each output
 BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
@@ -263,7 +263,7 @@ def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None
     return rest[some_rows(Y[rest], random_state)], held
 
 
-# -- each output alone ---
+# -- each output alone ------------------------------------------------------------------------------------------------
 
 SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
 WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
@@ -343,7 +343,7 @@ def fit_singles(
     )
 
 
-# -- what is maximised, and the optimiser ---
+# -- what is maximised, and the optimiser -----------------------------------------------------------------------------
 
 RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
 PATIENCE = 5  # iterations over which the held-out error must fall

@@ -264,7 +264,7 @@ def _slopes_of(basis, at):
     return 0.5 * np.stack(change, axis=-2)
 
 
-# -- correlation of outputs ---
+# -- correlation of outputs -------------------------------------------------------------------------------------------
 
 
 def output_correlation(kernel: Any) -> Bunch:

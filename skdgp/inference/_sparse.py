@@ -319,7 +319,7 @@ def explained_variance(A, root: Matrix):
     return np.einsum("nc,nc->n", half, half)
 
 
-# -- shares of the samples ---
+# -- shares of the samples --------------------------------------------------------------------------------------------
 
 
 class SampleShare(NamedTuple):
@@ -380,7 +380,7 @@ def _independent(shares) -> bool:
     return all(share.loading.shape[2] == 0 for share in shares)
 
 
-# -- sums for conditioning --------------------------------------------------------------------------------------
+# -- sums for conditioning --------------------------------------------------------------------------------------------
 
 
 class Sums(NamedTuple):
@@ -502,7 +502,7 @@ def _share_sums(kernel, features, noise, Lu, share):
     return outer, inner, square, variance, log_determinant
 
 
-# -- the gradient of the bound -----------------------------------------------------------------------------------
+# -- the gradient of the bound ----------------------------------------------------------------------------------------
 
 
 def bound_gradient(posterior) -> np.ndarray:
@@ -560,7 +560,7 @@ def _share_slope(kernel, features, noise, weights, reduction, share):
     return total, diagonal, d_noise
 
 
-# -- common to both -------------------------------------------------------------------------------------------
+# -- common to both ---------------------------------------------------------------------------------------------------
 
 
 def row_slices(n):

@@ -14,8 +14,8 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp.kernels._pair import ExponentialRows
 from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, joint_paths
-from skdgp.kernels._strips import ExponentialRows
 
 JITTER = 1e-6  # variance of white noise in the inducing variables, over their variance; the bound remains a bound
 CANDIDATES = 2400  # candidates of each latent in a ranking

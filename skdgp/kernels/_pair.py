@@ -2,11 +2,20 @@
 
 Notation: A = 2 R R^T, Sigma = A_i (A_i + A_j)^-1 A_j = F F^T, and c is the maximum of the covariance for unit
 amplitudes. The first axis of all arrays runs over the latent processes, (m, ...).
+
+Exponentials of squared distances and their sums are computed in strips of rows that fit the cache.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
+from scipy.spatial.distance import cdist
+
+STRIP = 3 * 2**16  # doubles in one strip; fewer strips mean less waiting between threads
+FAR = 1e9  # |a|^2 / 2 or |b|^2 / 2 above which cancellation, about 1e-16 of them, becomes visible
 
 
 def diagonal_pair(li, lj):
@@ -70,3 +79,154 @@ def full_slopes(mass, second, F, R_both, R):
     G = -0.5 * T @ second @ np.swapaxes(T, -1, -2)
     G += mass[:, None, None] * (0.25 * inverse - 0.5 * np.linalg.inv(sum(precision(r) for r in R_both)))
     return 4.0 * G @ R  # A = 2 R R^T
+
+
+# -- exponentials of squared distances --------------------------------------------------------------------------------
+
+
+class Exponent(NamedTuple):
+    """Factors with left @ right.T = shift - |a - b|^2 / 2 for all rows a and b, so one matrix product is enough.
+
+    Far from the origin the product would lose digits; ``far`` then selects explicit differences.
+    """
+
+    left: np.ndarray
+    right: np.ndarray
+    shift: float
+    far: bool
+
+    @classmethod
+    def between(cls, a, b, shift=0.0) -> Exponent:
+        """Return the exponent of rows a (n_i, d) and b (n_j, d)."""
+        left, right = np.empty((len(a), a.shape[1] + 2)), np.empty((len(b), b.shape[1] + 2))
+        left[:, :-2], right[:, :-2] = a, b
+        left[:, -1], right[:, -2] = 1.0, 1.0
+        np.einsum("nk,nk->n", a, a, out=left[:, -2])
+        np.einsum("nk,nk->n", b, b, out=right[:, -1])
+        left[:, -2] *= -0.5
+        right[:, -1] *= -0.5
+        far = bool(len(a) and len(b) and max(-left[:, -2].min(), -right[:, -1].min()) > FAR)
+        right[:, -1] += shift
+        return cls(left, right, shift, far)
+
+    def exponential(self, rows, out):
+        """Return the exponentials of some rows, written to ``out``."""
+        if self.far:
+            out[:] = self.shift - 0.5 * cdist(self.left[rows, :-2], self.right[:, :-2], "sqeuclidean")
+        else:
+            np.matmul(self.left[rows], self.right.T, out=out)
+        return np.exp(out, out=out)
+
+
+def strips(n_rows, n_columns) -> Iterator[slice]:
+    """Return slices of the rows with about STRIP entries each."""
+    step = max(8, STRIP // max(n_columns, 1))
+    return (slice(a, min(a + step, n_rows)) for a in range(0, n_rows, step))
+
+
+def signed_sum(exponents, signs, shape) -> np.ndarray:
+    """Return sum_k sign_k exp(exponent_k), (n_i, n_j)."""
+    total = np.empty(shape) if exponents else np.zeros(shape)
+    buffer = np.empty(min(total.size, STRIP + 8 * shape[1]))
+    for rows in strips(*shape):
+        out = total[rows]
+        for k, (exponent, sign) in enumerate(zip(exponents, signs, strict=True)):
+            if k == 0:
+                exponent.exponential(rows, out)
+                if sign < 0:
+                    np.negative(out, out=out)
+            else:
+                E = exponent.exponential(rows, buffer[: out.size].reshape(out.shape))
+                (np.add if sign > 0 else np.subtract)(out, E, out=out)
+    return total
+
+
+def exponential_times(exponent, B, n_rows) -> np.ndarray:
+    """Return exp(exponent) @ B, (n_rows, k)."""
+    out = np.empty((n_rows, B.shape[1]))
+    buffer = np.empty(min(n_rows * len(B), STRIP + 8 * len(B)))
+    for rows in strips(n_rows, len(B)):
+        size = len(out[rows])
+        np.matmul(exponent.exponential(rows, buffer[: size * len(B)].reshape(size, len(B))), B, out=out[rows])
+    return out
+
+
+class Sums(NamedTuple):
+    """Row sums (n_i,), column sums (n_j,), G b (n_i, d) and G^T a (n_j, d) or None, for G = W * exp(exponent)."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    right: np.ndarray
+    left: np.ndarray | None
+
+
+def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
+    """Return the sums of G for each exponent; a is a list with one (n_i, d) for each exponent, b is (n_j, d)."""
+    (n_i, n_j), d = W.shape, b.shape[1]
+    padded = np.column_stack([b, np.ones(n_j)])
+    ones = np.ones(n_i)
+    products = np.empty((len(exponents), n_i, d + 1))
+    columns = np.zeros((len(exponents), n_j))
+    lefts = np.zeros((len(exponents), n_j, d)) if transposed else [None] * len(exponents)
+    buffer = np.empty(min(W.size, STRIP + 8 * n_j))
+    for rows in strips(n_i, n_j):
+        strip = W[rows]
+        G = buffer[: strip.size].reshape(strip.shape)
+        for k, exponent in enumerate(exponents):
+            exponent.exponential(rows, G)
+            np.multiply(G, strip, out=G)
+            np.matmul(G, padded, out=products[k, rows])
+            columns[k] += ones[rows] @ G
+            if transposed:
+                lefts[k] += G.T @ a[k][rows]
+    return [Sums(p[:, d], c, p[:, :d], left) for p, c, left in zip(products, columns, lefts, strict=True)]
+
+
+class ExponentialRows:
+    """Covariances of the outputs of a convolved Gaussian with given values of other outputs, as columns.
+
+    ``columns`` lists for each output pairs (j, Z): another output and its inputs (k, d). Each latent shared by the two
+    has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x relative to a central point, the square is |F x|^2,
+    which is the same for all columns of a pair and latent, plus a linear term.
+    """
+
+    def __init__(self, joint, columns):
+        self.sizes = np.array(
+            [sum(len(Z) * len(joint._pair(i, j)[1]) for j, Z in pairs) for i, pairs in enumerate(columns)]
+        )
+        self.joint = joint
+        self.columns = columns = [(i, j, Z) for i, pairs in enumerate(columns) for j, Z in pairs if len(Z)]
+        d = joint.n_features
+        self.middle = np.concatenate([Z for *_, Z in columns]).mean(axis=0) if columns else np.zeros(d)
+        roots, slopes, constants, counts = [], [], [], []
+        for i, j, Z in columns:
+            _, gains, _, F, shifts = joint._pair(i, j)
+            for gain, root, mu in zip(gains, F, shifts, strict=True):
+                root = np.diag(root) if root.ndim == 1 else root
+                b = (Z - self.middle + mu) @ root
+                roots.append(root)
+                slopes.append(b @ root.T)
+                constants.append(np.stack([-0.5 * np.einsum("kd,kd->k", b, b), np.full(len(b), gain)]))
+                counts.append(len(b))
+        self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
+        self.roots = np.array([np.diag(F) ** 2 for F in roots]).T if self.diagonal else np.hstack(roots)
+        self.slopes = np.concatenate([np.zeros((0, d)), *slopes]).T.copy()
+        self.constant, self.gain = np.hstack([np.zeros((2, 0)), *constants])
+        self.counts = np.array(counts, dtype=int)
+        self.far = -self.constant.min(initial=0.0) > FAR
+
+    def __call__(self, X) -> np.ndarray:
+        """Return all columns at X (n, d), (n, C)."""
+        if self.far:
+            return np.hstack([np.empty((len(X), 0)), *(self.joint.terms(i, j, X, Z) for i, j, Z in self.columns)])
+        x = X - self.middle
+        if self.diagonal:
+            squares = (x * x) @ self.roots
+        else:
+            squares = ((x @ self.roots).reshape(len(x), len(self.counts), -1) ** 2).sum(axis=2)
+        E = x @ self.slopes
+        E += self.constant
+        E -= np.repeat(0.5 * squares, self.counts, axis=1)
+        np.exp(E, out=E)
+        E *= self.gain
+        return E

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from skdgp.kernels._strips import ExponentialRows
+from skdgp.kernels._pair import ExponentialRows
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
 TILE = 512  # values in one block of covariances

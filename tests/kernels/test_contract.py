@@ -12,7 +12,7 @@ from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, Standar
 
 import skdgp.kernels
 from skdgp._compute.linalg import RowPairs
-from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, Trend, _strips
+from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, Trend, _pair
 
 
 def convolved(n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds):
@@ -286,7 +286,7 @@ class TestUse:
         W = np.random.default_rng(1).normal(size=(len(X[0]), len(X[last])))
         args = 0, last, X[0], X[last]
         block, slope = kernel.block(*args), kernel.block_gradient(*args, W)
-        monkeypatch.setattr(_strips, "STRIP", 1)
+        monkeypatch.setattr(_pair, "STRIP", 1)
         equal(kernel.block(*args), block)
         equal(kernel.block_gradient(*args, W), slope, rtol=1e-10, atol=1e-11)
 

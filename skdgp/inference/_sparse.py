@@ -65,7 +65,7 @@ class SparsePosterior(Single):
     """
 
     shares: Any
-    sums: Sums
+    sums: SampleSums
     statistics: Any  # list of Statistics, None if the noise is correlated
 
     def __init__(self, kernel: Any, features: Any, noise: Vector, shares: list) -> None:
@@ -134,7 +134,9 @@ class SparsePosterior(Single):
     def with_noise(self, noise: Vector) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
         noise = np.asarray(noise, dtype=float)
-        return self._with(self.shares, self.statistics, Sums.combine(self.features, noise, self.statistics), noise)
+        return self._with(
+            self.shares, self.statistics, SampleSums.combine(self.features, noise, self.statistics), noise
+        )
 
     def noise_seen(self) -> np.ndarray:
         """Return the expected mean squared residual of each output, (P,), for independent noise.
@@ -383,7 +385,7 @@ def _independent(shares) -> bool:
 # -- sums for conditioning --------------------------------------------------------------------------------------------
 
 
-class Sums(NamedTuple):
+class SampleSums(NamedTuple):
     """The sums V Pi V^T (K, K), V Pi y (K,) and ``rest`` over all values, with V = Lu^-1 Kuf and inverse noise Pi.
 
     ``rest`` is log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound.
@@ -394,7 +396,7 @@ class Sums(NamedTuple):
     rest: float
 
     @classmethod
-    def combine(cls, features, noise, statistics) -> Sums:
+    def combine(cls, features, noise, statistics) -> SampleSums:
         """Return the sums over outputs with independent noise."""
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
         for i, s in enumerate(statistics):
@@ -404,15 +406,15 @@ class Sums(NamedTuple):
             rest += s.n * np.log(2 * np.pi * noise[i]) + (s.square + s.unexplained) / noise[i]
         return cls(outer, inner, rest)
 
-    def plus(self, other: Sums) -> Sums:
+    def plus(self, other: SampleSums) -> SampleSums:
         """Return the sums over these and the other values."""
-        return Sums(self.outer + other.outer, self.inner + other.inner, self.rest + other.rest)
+        return SampleSums(self.outer + other.outer, self.inner + other.inner, self.rest + other.rest)
 
-    def packed(self, features, n_outputs) -> Sums:
+    def packed(self, features, n_outputs) -> SampleSums:
         """Return the sums with only the lower-triangular entries of ``outer`` that can differ from zero."""
         return self._replace(outer=self.outer[_nonzero(features, n_outputs)])
 
-    def unpacked(self, features, n_outputs) -> Sums:
+    def unpacked(self, features, n_outputs) -> SampleSums:
         """Return the sums with the full matrix ``outer``; the inverse of ``packed``."""
         lower = np.zeros((features.size, features.size))
         lower[_nonzero(features, n_outputs)] = self.outer
@@ -429,7 +431,7 @@ def _nonzero(features, n_outputs):
 
 
 class Statistics(NamedTuple):
-    """Sums over the n samples of one output at unit noise: V V^T (c, c), V y (c,), y y and var(y_i)."""
+    """SampleSums over the n samples of one output at unit noise: V V^T (c, c), V y (c,), y y and var(y_i)."""
 
     outer: np.ndarray
     inner: np.ndarray
@@ -448,7 +450,7 @@ def total_statistics(parts) -> Statistics:
     return Statistics(*(sum(part) for part in zip(*parts, strict=True)))
 
 
-def compute_sums(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statistics] | None]:
+def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[Statistics] | None]:
     """Return the sums over all values, and their parts by output if the noise is independent, else None."""
     if shares and not _independent(shares):
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
@@ -457,7 +459,7 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statis
             outer[np.ix_(columns, columns)] += part[0]
             inner[columns] += part[1]
             rest += part[4] + part[2] + part[3] - np.trace(part[0])
-        return Sums(outer, inner, rest), None
+        return SampleSums(outer, inner, rest), None
     parts = share_map(_share_sums, (kernel, features, np.ones(kernel.n_outputs), Lu), shares)
     statistics = []
     for i in range(kernel.n_outputs):
@@ -467,7 +469,7 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[Sums, list[Statis
             if share.outputs == (i,):
                 by_share.append(Statistics(part[0], part[1], part[2], part[3], len(share.X)))
         statistics.append(total_statistics(by_share))
-    return Sums.combine(features, noise, statistics), statistics
+    return SampleSums.combine(features, noise, statistics), statistics
 
 
 def _share_sums(kernel, features, noise, Lu, share):

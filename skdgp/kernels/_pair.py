@@ -151,7 +151,7 @@ def exponential_times(exponent, B, n_rows) -> np.ndarray:
     return out
 
 
-class Sums(NamedTuple):
+class WeightedSums(NamedTuple):
     """Row sums (n_i,), column sums (n_j,), G b (n_i, d) and G^T a (n_j, d) or None, for G = W * exp(exponent)."""
 
     rows: np.ndarray
@@ -160,7 +160,7 @@ class Sums(NamedTuple):
     left: np.ndarray | None
 
 
-def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
+def weighted_sums(exponents, W, a, b, transposed=False) -> list[WeightedSums]:
     """Return the sums of G for each exponent; a is a list with one (n_i, d) for each exponent, b is (n_j, d)."""
     (n_i, n_j), d = W.shape, b.shape[1]
     padded = np.column_stack([b, np.ones(n_j)])
@@ -179,7 +179,7 @@ def weighted_sums(exponents, W, a, b, transposed=False) -> list[Sums]:
             columns[k] += ones[rows] @ G
             if transposed:
                 lefts[k] += G.T @ a[k][rows]
-    return [Sums(p[:, d], c, p[:, :d], left) for p, c, left in zip(products, columns, lefts, strict=True)]
+    return [WeightedSums(p[:, d], c, p[:, :d], left) for p, c, left in zip(products, columns, lefts, strict=True)]
 
 
 class ExponentialRows:

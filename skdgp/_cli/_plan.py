@@ -19,13 +19,12 @@ from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
-from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
+from skdgp._excitation.wavetrain import AXES, Wavetrain
+from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv, write_flight_card
 from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS, abort_limits
 from skdgp.design._rehearsal import REACTION, RESPONSE
-from skdgp.design._wavetrain import AXES, Wavetrain
 from skdgp.design._write import surface_mixes
-from skdgp.report import write_flight_card
 
 DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
 """Of a pilot's controls [rad, or 1 of the throttle]."""

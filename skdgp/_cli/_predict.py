@@ -15,6 +15,7 @@ from skdgp._cli._identify import finish
 from skdgp._cli._output import Run, check_writable, table_writer
 from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
+from skdgp.design import flown_plan
 from skdgp.dynamics._equations.aerodynamics import turbulence_of
 from skdgp.identification import load_model, predict_flight
 from skdgp.identification import validate as judge
@@ -136,9 +137,10 @@ def validate(run: Run) -> None:
         known["external_forces"] = options.external_forces
     with listening(run.console.progress):
         model = read_model(options)
-        result = judge(
-            model, options.flight, plan=options.plan, horizons=options.horizons, **opt.reading(options), **known
-        )
+        result = judge(model, options.flight, horizons=options.horizons, **opt.reading(options), **known)
+        if options.plan is not None:
+            tables = [one.table for one in result.evaluations]
+            result = replace(result, supplements=[flown_plan(options.plan, model.pipeline, result.aircraft, tables)])
         finish(run, replace(result, command=run.command_line))
 
 

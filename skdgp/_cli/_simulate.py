@@ -14,6 +14,7 @@ from skdgp._cli._output import Run, check_writable, picture_writers, table_write
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import json_text, text_writer
+from skdgp._display.style import display_unit
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, WIND
 from skdgp._flight.checks import check_columns, check_names
 from skdgp.design import doublet
@@ -23,7 +24,6 @@ from skdgp.dynamics._simulation.trajectory import REASONS
 from skdgp.identification._flights import named_flights
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
-from skdgp.plotting._style import display_unit
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 DURATION = 10.0

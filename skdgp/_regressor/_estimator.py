@@ -142,6 +142,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         effects, and "trend".
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
+    interrupted_ : bool
+        Whether Ctrl-C ended the search.
     converged_ : bool
         Whether the search stopped because the likelihood no longer rose, or would rise by less than 0.05 nats for each
         value in ``max_iter`` further iterations. If not, ``fit`` warns.
@@ -300,7 +302,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self._root = learned.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
-        self.n_iter_, self.n_evaluations_, self.converged_ = learned.n_iter, learned.n_evaluations, learned.converged
+        self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
+        self.converged_, self.interrupted_ = learned.converged, learned.interrupted
         task.end()
         return self
 

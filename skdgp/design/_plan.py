@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array
+from skdgp._excitation.signals import Limits, Signal
+from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import QUANTITIES, quantities
 from skdgp.design._goals import weighted_error
 from skdgp.design._information import Information
 from skdgp.design._rehearsal import STEP
-from skdgp.design._signals import Limits, Signal
-from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim
 
 SAMPLES = 20
@@ -25,7 +25,7 @@ SAMPLES = 20
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flights that `plan` has chosen, and what they will teach; `skdgp.report.write_flight_card` draws them.
+    """Flights that `plan` has chosen, and what they will teach; `write_flight_card` draws them.
 
     Parameters
     ----------

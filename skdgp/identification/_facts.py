@@ -7,9 +7,7 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.calibration import CalibratedRegressor
-from skdgp.identification._pipeline import (
-    regressor_and_scale,
-)
+from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.preprocessing import FlightPathReconstruction
 
 
@@ -26,6 +24,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "iterations": int(regressor.n_iter_),
         "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter),
         "converged": bool(regressor.converged_),
+        "interrupted": bool(regressor.interrupted_),
         "evaluations": int(regressor.n_evaluations_),
         "noise_std": by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),

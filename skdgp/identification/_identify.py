@@ -10,10 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from sklearn.base import clone
-from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
 from skdgp._compute.progress import notify
@@ -21,9 +19,7 @@ from skdgp._compute.typing import Matrix, Seed
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
-from skdgp.design import FlownPlan, Plan, coefficient_noise, posterior_information
-from skdgp.design._flown import compare_with_plan, read_plan
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, as_aerodynamics
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _flights
 from skdgp.identification._assumed import (
     FULL_THROWS,
@@ -36,7 +32,6 @@ from skdgp.identification._assumed import (
 )
 from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
 from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
-from skdgp.identification._flights import Flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     check_aircraft,
@@ -212,7 +207,6 @@ def identify(
             **fit_facts(pipeline),
             **fit_least_squares(pipeline, X, targets),
             "seconds": round(seconds, 3),
-            "interrupted": any(message.startswith("The fit was interrupted") for message in messages),
             "flights": {name: len(part) for name, part in train.items()},
         }
         settings = {"samples": fit["samples"], **loads, **settings_of(pipeline, reconstruction, horizons)}
@@ -237,7 +231,6 @@ def validate(
     flights: Any,
     *,
     aircraft: Aircraft | str | os.PathLike | None = None,
-    plan: Plan | str | os.PathLike[str] | None = None,
     horizons: Sequence[float] = (2.0, 10.0),
     servos: Any = None,
     airborne: bool | float = True,
@@ -245,8 +238,7 @@ def validate(
 ) -> Identification:
     """Judge a model that exists on flights.
 
-    Raises ValueError if the model is not of ``identify``, a flight lacks a column of the model, or the plan is of
-    another aircraft, of other regressors, or was not flown.
+    Raises ValueError if the model is not of ``identify``, or a flight lacks a column of the model.
 
     Parameters
     ----------
@@ -256,10 +248,6 @@ def validate(
         The flights to predict and replay.
     aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
-    plan : Plan or path, optional
-        What was to be flown, or the plan.json of ``python -m skdgp plan``: what it expected is compared with what was
-        found (`Identification.plan`). Give the model that the plan was made with, or one learned from its flights and
-        these: its standard deviations stand beside those of the plan.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     servos, airborne
@@ -282,7 +270,6 @@ def validate(
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
         aircraft = read_aircraft(model.aircraft if aircraft is None else aircraft)
-        flown = None if plan is None else _flown_plan(plan, model.pipeline, aircraft, flights)
         fit = fit_facts(model.pipeline) | model.get("fit", {})
         evaluations = evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
@@ -294,19 +281,7 @@ def validate(
         train={},
         evaluations=evaluations,
         messages=messages,
-        plan=flown,
     )
-
-
-def _flown_plan(plan: Any, pipeline: Pipeline, aircraft: Aircraft, flights: Flights) -> FlownPlan:
-    """Return what a plan expected beside what was found in flights."""
-    record = read_plan(plan)
-    tables = [one.assign(**pipeline[: list(pipeline.named_steps).index("regressorselector")].transform(one))
-              for one in flights.values()]  # fmt: skip
-    names = list(as_aerodynamics(pipeline).regressors)
-    at = [record["at"].get(name, np.nan) for name in names]
-    information = posterior_information(pipeline, at, record["known"]["coefficients"])
-    return compare_with_plan(record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information)
 
 
 def read_aircraft(aircraft: Aircraft | str | os.PathLike) -> Aircraft:

@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
+from skdgp._display.style import check_matplotlib, legend_above
 from skdgp.metrics._scorers import predict_with_noise
-from skdgp.plotting._style import check_matplotlib, legend_above
 
 Names: TypeAlias = "str | Sequence[str] | None"
 

@@ -12,12 +12,12 @@ import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
 from skdgp._compute.typing import Indices, Vector
+from skdgp._display.style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 from skdgp._flight.channels import ELEVONS, SURFACES
 from skdgp._flight.checks import check_choice, check_columns, check_table
 from skdgp._flight.clock import flight_rows
 from skdgp.plotting._display import Display, Names, check_time, choose, panels
 from skdgp.plotting._lines import line_points
-from skdgp.plotting._style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 
 INPUTS = ("throttle", *SURFACES)
 COLOR_STEPS = 32

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.stats import norm
 
 from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
+from skdgp._display.style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice, check_columns
 from skdgp._flight.clock import true_runs
@@ -26,7 +27,6 @@ from skdgp.plotting._display import (
     predict_with_std,
 )
 from skdgp.plotting._lines import band_points, isolated, line_points, segment_starts
-from skdgp.plotting._style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, tidy
 
 LATERAL_STATES = ("v_east", "p", "r")  # the states of the paper's figure 7: east velocity, roll rate, yaw rate
 MAX_BAND = 0.6  # a band widens the vertical axis by at most this part of the lines' range, so that lines stay readable

@@ -22,7 +22,7 @@ from skdgp._compute.progress import listening
 from skdgp._excitation.wavetrain import AXES, Wavetrain
 from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv, write_flight_card
 from skdgp.design import plan as plan_flight
-from skdgp.design._envelope import OPTIONS, abort_limits
+from skdgp.design._envelope import OPTIONS
 from skdgp.design._rehearsal import REACTION, RESPONSE
 from skdgp.design._write import surface_mixes
 
@@ -140,7 +140,7 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     if not np.isnan(planned.risk):
         lines.append(f"{'':<7}  {'risk of the flight, of any of these':<{width + 10}}{planned.risk:>8.1%}")
     lines += [f"{speed:g} m/s: nothing planned there" for speed in sorted({*options.airspeed} - flown)]
-    limits = abort_limits(planned.limits).join(planned.expected(range(len(rows))), rsuffix="est")
+    limits = planned.abort_limits.join(planned.expected(range(len(rows))), rsuffix="est")
     until = f"expected, up to {RESPONSE:g} s after the inputs; the risk counts {REACTION:g} s"
     lines += ["", f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} {until}"]
     lines += [

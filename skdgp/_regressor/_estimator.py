@@ -32,8 +32,7 @@ from skdgp.inference import (
     residual_drift,
     slope_errors,
 )
-from skdgp.kernels import MultiOutputKernel
-from skdgp.kernels._convolved import COVARIANCE_TYPES
+from skdgp.kernels import COVARIANCE_TYPES, MultiOutputKernel
 
 EXACT_LIMIT = 1000
 """Largest number of observed values for which inference="auto" is exact: a search learns from no more."""

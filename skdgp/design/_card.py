@@ -18,7 +18,7 @@ from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
 from skdgp._display.svg import strip
 from skdgp._excitation.signals import Steps
 from skdgp._flight.channels import HAT
-from skdgp.design._envelope import GROWTH, QUANTITIES, abort_limits, quantities
+from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._html import (
     GOALS,
     MOST_LISTED,
@@ -215,7 +215,7 @@ def _limits(plan: Plan) -> str:
         "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the range of the training "
         "flights, with the growth that this plan allows (none of the floor). Asked: given for this plan.</p>"
     )
-    if not len(abort_limits(plan.limits)):
+    if not len(plan.abort_limits):
         words = (
             "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
             "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
@@ -230,7 +230,7 @@ def _limits(plan: Plan) -> str:
 
 def _limit_table(plan: Plan) -> str:
     """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
-    limits, kinds = abort_limits(plan.limits), _kinds(plan)
+    limits, kinds = plan.abort_limits, _kinds(plan)
     named = {name: rows for (name, *_), rows in kinds.items()}  # of two sizes the last
     if not len(named) == len(kinds) <= MOST_KINDS:
         named = {"all manoeuvres": [*range(len(plan.manoeuvres))]}
@@ -343,7 +343,7 @@ def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mappi
 
 def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
     flight = plan.flight[plan.flight["flight"] == k]
-    time, values, limits = flight["time"].to_numpy(float), quantities(flight), abort_limits(plan.limits)
+    time, values, limits = flight["time"].to_numpy(float), quantities(flight), plan.abort_limits
     end = plan.manoeuvres["duration"].iloc[k]
     fine = np.linspace(0.0, time[-1], 2000)
     panels = []

@@ -17,6 +17,7 @@ from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed
 from skdgp._excitation.signals import Limits
 from skdgp._excitation.wavetrain import wavetrain
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
@@ -43,7 +44,6 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 ENTRIES = 12
 """Number of aircraft and entries drawn, over which the information of a manoeuvre is averaged."""

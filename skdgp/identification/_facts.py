@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from sklearn.pipeline import Pipeline
 
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS, THRUST_FORCES
 from skdgp.calibration import CalibratedRegressor
 from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.preprocessing import FlightPathReconstruction
@@ -74,8 +74,7 @@ def thrust_sources(thrust, tables) -> list[str]:
     """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
     if thrust != "auto":
         return [thrust or "none"]
-    columns = {"thrust_x", "thrust_y", "thrust_z"}
-    return sorted({"columns" if columns & set(table.columns) else "propeller" for table in tables})
+    return sorted({"columns" if {*THRUST_FORCES} & set(table.columns) else "propeller" for table in tables})
 
 
 def by_coefficient(values) -> dict[str, float]:

@@ -19,6 +19,7 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import json_text, plain, text_writer, write_together
 from skdgp._compute.progress import notify
+from skdgp._compute.versions import software_versions
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
@@ -138,7 +139,7 @@ class Identification:
                 "format": FORMAT,
                 "created": self.created,
                 "command": self.command,
-                "versions": _model_file.software_versions(),
+                "versions": software_versions(),
                 "aircraft": self.aircraft.to_dict(),
                 "options": self.settings,
                 "held_out": self.held_out,
@@ -249,7 +250,7 @@ class Identification:
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,
                 correlation=regressor.output_correlation() if coupled else None,
-                versions=_model_file.software_versions(),
+                versions=software_versions(),
                 extra=self._remarks(),
             ),
             aircraft={

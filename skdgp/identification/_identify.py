@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -148,7 +147,7 @@ def identify(
         )
     with recorded_warnings() as messages:
         notify("reading")
-        aircraft = read_aircraft(aircraft)
+        aircraft = _aircraft(aircraft)
         servos = servos_for(servos, flights, test)
         aircraft = with_throw_errors(aircraft, servos)
         reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
@@ -269,7 +268,7 @@ def validate(
         flights = usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
-        aircraft = read_aircraft(model.aircraft if aircraft is None else aircraft)
+        aircraft = _aircraft(model.aircraft if aircraft is None else aircraft)
         fit = fit_facts(model.pipeline) | model.get("fit", {})
         evaluations = evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
@@ -282,19 +281,6 @@ def validate(
         evaluations=evaluations,
         messages=messages,
     )
-
-
-def read_aircraft(aircraft: Aircraft | str | os.PathLike) -> Aircraft:
-    """Return the aircraft, read from a file where a path is given."""
-    if not isinstance(aircraft, str | os.PathLike):
-        return check_aircraft(aircraft)
-    path = Path(aircraft)
-    if not path.exists():
-        raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
-    readers = {".json": Aircraft.from_json, ".toml": Aircraft.from_toml}
-    if path.suffix.lower() not in readers:
-        raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
-    return readers[path.suffix.lower()](path)
 
 
 @contextmanager
@@ -312,6 +298,11 @@ def recorded_warnings() -> Iterator[list[str]]:
 
         warnings.showwarning = record
         yield messages
+
+
+def _aircraft(aircraft: Any) -> Aircraft:
+    """Return the aircraft, read from a file where a path is given."""
+    return Aircraft.from_file(aircraft) if isinstance(aircraft, str | os.PathLike) else check_aircraft(aircraft)
 
 
 def _warn(message):

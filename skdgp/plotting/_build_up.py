@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
+from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import Matrix
 from skdgp._display.style import (
     PALETTE,
@@ -24,7 +25,6 @@ from skdgp._display.style import (
     tidy,
 )
 from skdgp._effects import Curve
-from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import Display, Names, choose
 
 N_LEVELS = 3  # contours of the standard deviation

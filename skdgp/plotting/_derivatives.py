@@ -8,10 +8,10 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
 from skdgp._flight.checks import check_choice
-from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import Display, Names, choose
 
 DEFAULT_DERIVATIVES = (

@@ -8,6 +8,7 @@ from typing import Any, Self
 import pandas as pd
 from scipy.stats import norm
 
+from skdgp._compute.intervals import check_level
 from skdgp._display.style import (
     PALETTE,
     axis_label,
@@ -21,7 +22,6 @@ from skdgp._display.style import (
     tidy,
 )
 from skdgp._effects import Curve, effects
-from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import Display, Names, choose
 
 OTHERS = ""  # key of the column of terms of several regressors

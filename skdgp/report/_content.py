@@ -12,11 +12,10 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Trim
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.plotting._display import check_time
-from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
 from skdgp.report._tables import HONEST, SCORES
 
 

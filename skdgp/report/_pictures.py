@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._display.flights import START_MARKERS, named_flights, start_marker
 from skdgp._display.style import display_unit, draw_curve, mark_samples, tidy
 from skdgp._display.svg import WIDTH, picture, strip
 from skdgp._flight.channels import COEFFICIENTS
@@ -20,7 +21,6 @@ from skdgp.plotting import (
     FlightDisplay,
     StateDisplay,
 )
-from skdgp.plotting._flight import START_MARKERS, named_flights, start_marker
 from skdgp.report._content import FlightResult, measured_states
 
 EXCERPT = 15.0

@@ -19,12 +19,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from skdgp import DependentGPRegressor
 from skdgp._cli import _console, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._main import COMMANDS
 from skdgp._cli._output import OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.design import coefficient_noise
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients

@@ -20,7 +20,7 @@ class Model:
     def __init__(self, path):
         with np.load(path, allow_pickle=False) as file:
             self.head, self.arrays = json.loads(file["model.json"]), {name: file[name] for name in file.files[1:]}
-        if self.head["format"] != "skdgp portable model" or self.head["version"] not in (1, 2):
+        if self.head["format"] != "skdgp portable model" or self.head["version"] != 2:
             raise ValueError(f"{path} is of the format {self.head['format']} {self.head['version']}")
 
     def regressors(self, table):
@@ -38,7 +38,7 @@ class Model:
         exact regressors, of a simulation. Measured ones without it have deviations that are several times too small.
         """
         a, P = self.arrays, len(self.head["outputs"])
-        mixture = a.get("mixture", np.ones((1, P)))
+        mixture = a["mixture"]
         z = (np.asarray(X, dtype=float) - a["shift"]) / a["scale"]
         p = np.column_stack([np.ones(len(z)), z - a["trend_center"]])
         means, variances = np.empty((2, len(z), *mixture.shape))

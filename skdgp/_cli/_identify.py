@@ -9,10 +9,11 @@ from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
+from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
 from skdgp.dynamics._vehicle.estimate import KINDS
-from skdgp.identification import Identification, default_regressor
+from skdgp.identification import Identification
 from skdgp.identification import identify as learn
 
 SIZES = {
@@ -103,7 +104,7 @@ def demo(run: Run) -> None:
 def _learn(run, train, aircraft, test, title=None, **known):
     options, console = run.options, run.console
     given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
-    regressor = default_regressor(
+    regressor = DependentGPRegressor(
         structure=options.structure,
         trend=opt.none_of(options.trend),
         inference=options.inference,

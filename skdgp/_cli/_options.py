@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from skdgp.preprocessing._selector import REGRESSOR_SETS
+from skdgp._flight.channels import REGRESSOR_SETS
 
 
 class FileName(str):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from skdgp._cli._options import FileName, Option, flag, option
 from skdgp._compute.files import read_toml
-from skdgp.identification._model_file import software_versions
+from skdgp._compute.versions import software_versions
 
 PROGRAM = "python -m skdgp"
 HEAD = f"# {PROGRAM} "

@@ -19,13 +19,12 @@ from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
-from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv
+from skdgp._excitation.wavetrain import AXES, Wavetrain
+from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv, write_flight_card
 from skdgp.design import plan as plan_flight
-from skdgp.design._envelope import OPTIONS, abort_limits
+from skdgp.design._envelope import OPTIONS
 from skdgp.design._rehearsal import REACTION, RESPONSE
-from skdgp.design._wavetrain import AXES, Wavetrain
 from skdgp.design._write import surface_mixes
-from skdgp.report import write_flight_card
 
 DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
 """Of a pilot's controls [rad, or 1 of the throttle]."""
@@ -141,7 +140,7 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     if not np.isnan(planned.risk):
         lines.append(f"{'':<7}  {'risk of the flight, of any of these':<{width + 10}}{planned.risk:>8.1%}")
     lines += [f"{speed:g} m/s: nothing planned there" for speed in sorted({*options.airspeed} - flown)]
-    limits = abort_limits(planned.limits).join(planned.expected(range(len(rows))), rsuffix="est")
+    limits = planned.abort_limits.join(planned.expected(range(len(rows))), rsuffix="est")
     until = f"expected, up to {RESPONSE:g} s after the inputs; the risk counts {REACTION:g} s"
     lines += ["", f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} {until}"]
     lines += [

@@ -15,12 +15,13 @@ from skdgp._cli._identify import finish
 from skdgp._cli._output import Run, check_writable, table_writer
 from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
+from skdgp.design import flown_plan
+from skdgp.dynamics import Aircraft
 from skdgp.dynamics._equations.aerodynamics import turbulence_of
 from skdgp.identification import load_model, predict_flight
 from skdgp.identification import validate as judge
 from skdgp.identification._evaluation import check_identified, usable_flights_of_model
 from skdgp.identification._flights import named_flights
-from skdgp.identification._identify import read_aircraft
 
 NOTABLE_GUSTS = 0.5
 """Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C."""
@@ -40,7 +41,7 @@ def read_model(options) -> Bunch:
             stacklevel=2,
         )
     if getattr(options, "aircraft", None) is not None:
-        model.aircraft = read_aircraft(options.aircraft)
+        model.aircraft = Aircraft.from_file(options.aircraft)
     return model
 
 
@@ -136,9 +137,10 @@ def validate(run: Run) -> None:
         known["external_forces"] = options.external_forces
     with listening(run.console.progress):
         model = read_model(options)
-        result = judge(
-            model, options.flight, plan=options.plan, horizons=options.horizons, **opt.reading(options), **known
-        )
+        result = judge(model, options.flight, horizons=options.horizons, **opt.reading(options), **known)
+        if options.plan is not None:
+            tables = [one.table for one in result.evaluations]
+            result = replace(result, supplements=[flown_plan(options.plan, model.pipeline, result.aircraft, tables)])
         finish(run, replace(result, command=run.command_line))
 
 

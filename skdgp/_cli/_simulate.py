@@ -14,7 +14,8 @@ from skdgp._cli._output import Run, check_writable, picture_writers, table_write
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import json_text, text_writer
-from skdgp._flight.channels import AIR_DATA, EULER, RATES, WIND
+from skdgp._display.style import display_unit
+from skdgp._flight.channels import AIR_DATA, EULER, RATES, THRUST_FORCES, THRUST_MOMENTS, WIND
 from skdgp._flight.checks import check_columns, check_names
 from skdgp.design import doublet
 from skdgp.dynamics import SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
@@ -23,7 +24,6 @@ from skdgp.dynamics._simulation.trajectory import REASONS
 from skdgp.identification._flights import named_flights
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
-from skdgp.plotting._style import display_unit
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 DURATION = 10.0
@@ -32,7 +32,7 @@ PULSE = 1.0
 OUT_OF_TRIM = 0.005
 """Largest difference of a table's first row to the trim without a warning [rad, or part of the throttle]; a guess."""
 START = (*AIR_DATA, *EULER, *RATES, "altitude")
-THRUST = ("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n")
+THRUST = (*THRUST_FORCES, *THRUST_MOMENTS)
 MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
 """Steps of a pipeline that estimate from sensors what the flight was."""
 

@@ -1,8 +1,8 @@
 """Fits side by side and sums over shares (chunks) of samples, on joblib's active backend.
 
 This process works alone unless ``n_jobs`` or ``joblib.parallel_config`` asks for others. Results keep the order of the
-tasks, so sums keep their bits wherever their parts are computed. What workers cannot finish is computed here, with a
-warning. Workers of Dask repeat by themselves what is lost with one of them.
+tasks, so sums keep their bits wherever their parts are computed. What others do not finish is computed here, with a
+warning.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import threading
 import warnings
 from asyncio import CancelledError
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
-from contextvars import ContextVar
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -25,10 +24,6 @@ from joblib.parallel import get_active_backend
 
 from skdgp._compute.progress import listening
 from skdgp._compute.threads import one_blas_thread, thread_map
-
-MAX_FAILURES = 3  # failed calls in a row after which workers are asked no more
-
-_summers: ContextVar[_Summers | None] = ContextVar("skdgp_summers", default=None)
 
 
 def check_n_jobs(n_jobs: Any) -> None:
@@ -43,64 +38,20 @@ def check_n_jobs(n_jobs: Any) -> None:
 
 
 def share_map(function: Callable, state: tuple, shares: Sequence) -> list:
-    """Return ``[function(*state, share) for share in shares]``, by threads, or by workers within ``sharing(shares)``.
+    """Return ``[function(*state, share) for share in shares]``, by processes that joblib offers, else by threads.
 
-    ``function`` is defined at module level; ``state`` changes from call to call, ``shares`` do not.
+    ``function`` is defined at module level. Errors are those of ``function``.
     """
-    summers = _summers.get()
-    if summers is not None and summers.shares is shares:
-        return summers.map(function, state)
-    return thread_map(lambda share: function(*state, share), shares)
-
-
-@contextmanager
-def sharing(shares: Sequence) -> Iterator[None]:
-    """Let the workers of joblib's active backend compute ``share_map`` of these shares within the block.
-
-    Workers of Dask are sent the shares once, the state with every call.
-    """
-    invited, client = _workers(None)
-    token = _summers.set(_Summers(client, shares) if invited else None)
-    try:
-        yield
-    finally:
-        _summers.reset(token)
-
-
-class _Summers:
-    """Workers that compute functions of the same shares again and again."""
-
-    def __init__(self, client: Any, shares: Sequence):
-        self.client, self.shares = client, shares
-        self.sent: list = []  # futures of Dask, the shares of one worker each
-        self.failures, self.warned = 0, False
-
-    def map(self, function: Callable, state: tuple) -> list:
-        n_workers = effective_n_jobs() if self.client is None else _n_cores(self.client)
-        n, error = min(n_workers, len(self.shares)), "no worker is left"
-        if n and self.failures < MAX_FAILURES:
-            try:
-                parts = self._compute(function, state, n)
-            except (Exception, CancelledError) as caught:
-                error, self.sent = _first_line(caught), []
-                self.failures += 1
-            else:
-                self.failures = 0
-                _raise_first_error(parts)
-                return [parts[k % n][k // n] for k in range(len(self.shares))]
-        if not self.warned:
-            self.warned = True
+    if len(shares) > 1 and _invited(None, threads=False):
+        n = min(effective_n_jobs(), len(shares))
+        try:
+            parts = Parallel()(delayed(_map_on_one_core)(function, state, shares[k::n]) for k in range(n))
+        except (Exception, CancelledError) as error:
             _warn_of_loss(error)
-        return thread_map(lambda share: function(*state, share), self.shares)
-
-    def _compute(self, function, state, n):
-        if self.client is None:
-            return Parallel()(delayed(_map_on_one_core)(function, state, self.shares[k::n]) for k in range(n))
-        if len(self.sent) != n:
-            self.sent = [_send(self.client, self.shares[k::n]) for k in range(n)]
-        state = _send(self.client, state)
-        tasks = [self.client.submit(_map_on_one_core, function, state, part, pure=False) for part in self.sent]
-        return self.client.gather(tasks)
+        else:
+            _raise_first_error(parts)
+            return [parts[k % n][k // n] for k in range(len(shares))]
+    return thread_map(lambda share: function(*state, share), shares)
 
 
 def _map_on_one_core(function, state, shares):
@@ -109,7 +60,7 @@ def _map_on_one_core(function, state, shares):
         with one_blas_thread():
             return [function(*state, share) for share in shares]
     except MemoryError:
-        raise  # another machine may have more
+        raise  # this process may have more
     except Exception as error:
         return error
 
@@ -120,8 +71,7 @@ def fit_map(fit: Callable, starts: Sequence[dict], n_jobs: int | None = None) ->
     What ``fit`` returns has ``interrupted`` and ``marked``, as :class:`skdgp.inference.Fit`. After Ctrl-C the list
     holds the best so far of every fit that had begun; a second Ctrl-C raises KeyboardInterrupt.
     """
-    invited, client = _workers(n_jobs, threads=True) if len(starts) > 1 else (False, None)
-    results = _fit_elsewhere(fit, starts, n_jobs, client) if invited else {}
+    results = _fit_elsewhere(fit, starts, n_jobs) if len(starts) > 1 and _invited(n_jobs, threads=True) else {}
     for k, start in enumerate(starts):
         if any(result.interrupted for result in results.values()):
             break
@@ -130,50 +80,33 @@ def fit_map(fit: Callable, starts: Sequence[dict], n_jobs: int | None = None) ->
     return [results[k] for k in sorted(results)]
 
 
-def _fit_elsewhere(fit, starts, n_jobs, client):
+def _fit_elsewhere(fit, starts, n_jobs):
     """Return by number the fits that workers finished or, after Ctrl-C, began."""
-    results, error, stop_name = {}, "interrupted there", f"skdgp-stop-{uuid4().hex}"
-    with _stop_at_interrupt(stop_name, client) as stopped:
+    results, stop_file = {}, Path(tempfile.gettempdir(), f"skdgp-stop-{uuid4().hex}")
+    unordered = getattr(get_active_backend()[0], "supports_return_generator", False)
+    parallel = Parallel(n_jobs=n_jobs, return_as="generator_unordered" if unordered else "list")
+    with _stop_at_interrupt(stop_file) as stopped:
         try:
-            for k, result in _results(fit, starts, n_jobs, client, stop_name):
-                results[k] = result
-        except (Exception, CancelledError) as caught:
-            error = _first_line(caught)
+            for k, result in parallel(delayed(_fit)(fit, k, start, stop_file) for k, start in enumerate(starts)):
+                results |= {} if result is None else {k: result}
+        except (Exception, CancelledError) as error:
+            if not stopped.is_set():
+                _warn_of_loss(error)
     _raise_first_error(results.values())
-    results = {k: result for k, result in results.items() if result is not None}
-    if stopped.is_set():
-        if not results:
-            raise KeyboardInterrupt
-        return {k: result.marked(interrupted=True) for k, result in results.items()}
-    if len(results) < len(starts):
-        _warn_of_loss(error)
-    return results
+    if stopped.is_set() and not results:
+        raise KeyboardInterrupt
+    return {k: result.marked(interrupted=True) for k, result in results.items()} if stopped.is_set() else results
 
 
-def _results(fit, starts, n_jobs, client, stop_name):
-    """Yield number and result of each fit as it ends."""
-    if client is None:
-        unordered = getattr(get_active_backend()[0], "supports_return_generator", False)
-        parallel = Parallel(n_jobs=n_jobs, return_as="generator_unordered" if unordered else "list")
-        yield from parallel(delayed(_fit)(fit, k, start, stop_name, False) for k, start in enumerate(starts))
-        return
-    from distributed import as_completed
-
-    fit = _send(client, fit)
-    tasks = [client.submit(_fit, fit, k, start, stop_name, True, pure=False) for k, start in enumerate(starts)]
-    yield from (task.result() for task in as_completed(tasks, loop=client.loop))
-
-
-def _fit(fit, k, start, stop_name, one_core):
+def _fit(fit, k, start, stop_file):
     """Return k and the fit, the error that it raises, or None where it is stopped before it has anything to keep."""
-    stop_file = _stop_file(stop_name)
 
     def stop_if_asked(*_):
         if stop_file.exists():
             raise KeyboardInterrupt
 
     try:
-        with one_blas_thread() if one_core else nullcontext(), listening(stop_if_asked):
+        with listening(stop_if_asked):
             return k, fit(**start)
     except KeyboardInterrupt:
         return k, None
@@ -184,11 +117,8 @@ def _fit(fit, k, start, stop_name, one_core):
 
 
 @contextmanager
-def _stop_at_interrupt(stop_name: str, client: Any) -> Iterator[threading.Event]:
-    """Let the first Ctrl-C set the event and write a file on each machine, at which the fits there stop.
-
-    In a terminal Ctrl-C reaches the workers too, and would end those of Dask: they ignore it meanwhile.
-    """
+def _stop_at_interrupt(stop_file: Path) -> Iterator[threading.Event]:
+    """Let the first Ctrl-C set the event and write the file, at which fits on this machine stop."""
     stopped, former = threading.Event(), signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(former):
         yield stopped
@@ -197,81 +127,40 @@ def _stop_at_interrupt(stop_name: str, client: Any) -> Iterator[threading.Event]
     def stop(*_):
         signal.signal(signal.SIGINT, former)
         stopped.set()
-        _ask_to_stop(stop_name, True)
-        # In another thread: the interrupted one may hold a lock that the client needs.
-        threading.Thread(target=_run_everywhere, args=(client, _ask_to_stop, stop_name, True), daemon=True).start()
+        stop_file.touch()
 
     signal.signal(signal.SIGINT, stop)
     try:
-        _run_everywhere(client, _ignore_interrupt, True)
         yield stopped
     finally:
         signal.signal(signal.SIGINT, former)
-        _run_everywhere(client, _ignore_interrupt, False)
-        _run_everywhere(client, _ask_to_stop, stop_name, False)
-        _ask_to_stop(stop_name, False)
+        stop_file.unlink(missing_ok=True)
 
 
-def _stop_file(name):
-    return Path(tempfile.gettempdir(), name)
+def _invited(n_jobs, threads):
+    """Return whether joblib offers workers; threads count only where ``threads`` is true.
 
-
-def _ask_to_stop(name, ask):
-    _stop_file(name).touch() if ask else _stop_file(name).unlink(missing_ok=True)
-
-
-def _ignore_interrupt(ignore):
-    with suppress(ValueError):  # a worker outside the main thread of its process never gets the signal
-        signal.signal(signal.SIGINT, signal.SIG_IGN if ignore else signal.default_int_handler)
-
-
-def _workers(n_jobs, threads=False):
-    """Return whether other workers are invited, and the client of Dask that has them, if one does."""
+    Inside a worker it is False: the outermost loop is the one that is distributed.
+    """
     backend, _ = get_active_backend()
-    client = getattr(backend, "client", None)
-    if n_jobs == 1 or backend.nesting_level or _inside_task_of_dask(client):
-        return False, None  # the outermost loop is the one that is distributed
+    if n_jobs == 1 or backend.nesting_level or _inside_task_of_dask(backend):
+        return False
     if getattr(backend, "supports_sharedmem", False) and not threads:
-        return False, None
-    try:
-        return effective_n_jobs(n_jobs) > 1, client
-    except TimeoutError as error:
-        _warn_of_loss(_first_line(error))
-        return False, None
-
-
-def _inside_task_of_dask(client):
-    if client is None:
         return False
-    from distributed import get_worker
-
     try:
-        get_worker()
-    except ValueError:
+        return effective_n_jobs(n_jobs) > 1
+    except TimeoutError as error:  # Dask has no worker
+        _warn_of_loss(error)
         return False
-    return True
 
 
-def _n_cores(client):
-    return sum(client.ncores().values()) if client.status == "running" else 0
+def _inside_task_of_dask(backend):
+    """Return whether this is a task of Dask, whose backend does not count how deep it is nested."""
+    if not hasattr(backend, "client"):
+        return False
+    from distributed.worker import thread_state
 
-
-def _run_everywhere(client, function, *args):
-    """Run a function at once in every worker process of Dask that can be reached."""
-    if client is not None and _n_cores(client):
-        client.run(function, *args, on_error="ignore")
-
-
-def _send(client, value):
-    """Return a future of the value: the result of a task, which Dask repeats when its worker is lost."""
-    import dask
-
-    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
-        return client.submit(_identity, value, pure=False)
-
-
-def _identity(value):
-    return value
+    return hasattr(thread_state, "execution_state")
 
 
 def _raise_first_error(results):
@@ -280,14 +169,10 @@ def _raise_first_error(results):
             raise result
 
 
-def _first_line(error):
-    return f"{type(error).__name__}: {error}".splitlines()[0]
-
-
 def _warn_of_loss(error):
     warnings.warn(
-        f"Work given to other processes or machines did not come back ({error}). It is done in this process instead, "
-        "with the same results.",
+        f"Work given to other processes or machines did not come back ({type(error).__name__}: "
+        f"{(str(error).splitlines() or [''])[0]}). It is done in this process instead, with the same results.",
         RuntimeWarning,
-        stacklevel=2,
+        stacklevel=3,
     )

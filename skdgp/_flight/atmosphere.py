@@ -11,7 +11,7 @@ from scipy.special import inv_boxcox
 GAS_CONSTANT = 287.05287
 """Of dry air [J/(kg K)]."""
 HEAT_RATIO = 1.4
-GRAVITY = 9.80665
+STANDARD_GRAVITY = 9.80665
 LOWEST, HIGHEST = -5000.0, 32000.0
 SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0
 """[kg/m^3, Pa]."""
@@ -86,8 +86,8 @@ def _pressure_and_temperature(altitude: ArrayLike) -> tuple[np.ndarray, np.ndarr
 
 def _pressure_ratio(altitude: np.ndarray, layer: np.ndarray) -> np.ndarray:
     """Return p / p_b. The Box-Cox power (1 + k x)^(1/k), k = -R L / g, is exp(x) where L = 0."""
-    scale_height = GAS_CONSTANT * _TEMPERATURE[layer] / GRAVITY
-    return inv_boxcox((BASE[layer] - altitude) / scale_height, -GAS_CONSTANT / GRAVITY * LAPSE[layer])
+    scale_height = GAS_CONSTANT * _TEMPERATURE[layer] / STANDARD_GRAVITY
+    return inv_boxcox((BASE[layer] - altitude) / scale_height, -GAS_CONSTANT / STANDARD_GRAVITY * LAPSE[layer])
 
 
 _TEMPERATURE = 288.15 + np.append(0.0, np.cumsum(LAPSE[:-1] * np.diff(BASE)))

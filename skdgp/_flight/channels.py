@@ -30,6 +30,7 @@ SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
 MIXED, ELEVONS = ("elevator", "aileron"), ("elevon_left", "elevon_right")
 """Two elevons move as elevator and aileron at once."""
+THRUST_FORCES, THRUST_MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
 
@@ -105,6 +106,12 @@ HAT = "_hat"
 """Ends the name of a non-dimensional rate."""
 RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
 ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
+REGRESSOR_SETS = {
+    "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
+    "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),
+    "paper": (*(*SPECIFIC_FORCE, *RATES, "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle", *SURFACES),),
+}
+"""Regressors by the names of :class:`skdgp.preprocessing.RegressorSelector`."""
 LEAST_GUST = 1e-3
 """Values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller."""
 SENSOR_GUST = 0.1

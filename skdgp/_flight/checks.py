@@ -9,11 +9,13 @@ from difflib import get_close_matches
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import ALL_SURFACES, EARTH_VELOCITY, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_codes, flight_segments
 
 LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
+WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
 ANGLE_NOISE = 0.05
 """Noise that may carry an angle over its largest value [rad]."""
 GYROS = {"phi": RATES, "psi": ("q", "r")}
@@ -287,3 +289,24 @@ def _any_finite(values: np.ndarray) -> bool:
 
 def _warn(text: str) -> None:
     warnings.warn(text, stacklevel=5)
+
+
+def numeric(table: pd.DataFrame, columns: Iterable[str]) -> Matrix:
+    """Return columns as floats (n, k); raise ValueError with the names of those that are not numeric."""
+    columns = list(columns)
+    try:
+        return table[columns].to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError):
+        kinds = {name: str(table[name].dtype) for name in columns if not pd.api.types.is_numeric_dtype(table[name])}
+        raise ValueError(f"Got columns of type {kinds}, but expected numbers: convert or drop them.") from None
+
+
+def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
+    """Return columns as floats (n, k), roll and heading without their jumps of 2 pi."""
+    names = list(names)
+    values = numeric(table, names).copy()
+    for j, name in enumerate(names):
+        if name in WRAPPED:
+            known = np.isfinite(values[:, j])
+            values[known, j] = np.unwrap(values[known, j])
+    return values

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.correlation import autocorrelation_time
-from skdgp._flight.atmosphere import GRAVITY as G
+from skdgp._flight.atmosphere import STANDARD_GRAVITY as G
 from skdgp._flight.channels import (
     ALL_SURFACES,
     BODY_VELOCITY,

@@ -32,8 +32,7 @@ from skdgp.inference import (
     residual_drift,
     slope_errors,
 )
-from skdgp.kernels import MultiOutputKernel
-from skdgp.kernels._convolved import COVARIANCE_TYPES
+from skdgp.kernels import COVARIANCE_TYPES, MultiOutputKernel
 
 EXACT_LIMIT = 1000
 """Largest number of observed values for which inference="auto" is exact: a search learns from no more."""
@@ -142,6 +141,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         effects, and "trend".
     n_iter_, n_evaluations_ : int
         Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
+    interrupted_ : bool
+        Whether Ctrl-C ended the search.
     converged_ : bool
         Whether the search stopped because the likelihood no longer rose, or would rise by less than 0.05 nats for each
         value in ``max_iter`` further iterations. If not, ``fit`` warns.
@@ -306,7 +307,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self._root = learned.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
-        self.n_iter_, self.n_evaluations_, self.converged_ = learned.n_iter, learned.n_evaluations, learned.converged
+        self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
+        self.converged_, self.interrupted_ = learned.converged, learned.interrupted
         if not own.all():
             self.posterior_ = posterior.scaled_noise(len(own) / own.sum())
             self.posterior_.measured = X[own], Z[own]

@@ -11,10 +11,10 @@ import pandas as pd
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold
 
+from skdgp._compute.predicting import predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
 from skdgp._flight.clock import flight_codes
-from skdgp.metrics._scorers import predict_observed
 from skdgp.model_selection import BlockSplit
 
 N_SPLITS = 5

@@ -15,14 +15,14 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.intervals import check_level
+from skdgp._compute.predicting import accepts, predict_with_noise, unwrap
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.tables import column_names
 from skdgp._compute.typing import Array, Seed
 from skdgp._regressor import check_targets
 from skdgp.calibration import _conformal as conformal
 from skdgp.inference._paths import Path, Paths
-from skdgp.metrics._metrics import check_level
-from skdgp.metrics._scorers import accepts, predict_with_noise, unwrap
 
 
 def _estimator_has(name: str) -> Callable[[Any], bool]:

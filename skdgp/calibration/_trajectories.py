@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from skdgp._compute.intervals import check_level
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.frames import wrapped
 from skdgp.calibration._conformal import ROUNDING, unit_weights, units_needed, weighted_quantile
 from skdgp.dynamics import trajectory_bands
-from skdgp.metrics._metrics import check_level
 
 GROUPS = {"velocity": EARTH_VELOCITY, "attitude": EULER, "rates": RATES}
 ONE_SIGMA = 0.6827  # probability of a normal variable within one standard deviation of its mean

@@ -12,15 +12,24 @@ from sklearn.utils import Bunch, check_random_state
 
 from skdgp._compute.sklearn_compat import Interval, validate_params
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, TRUTH_SUFFIX, WIND
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
+from skdgp._flight.channels import (
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    RATES,
+    SPECIFIC_FORCE,
+    THRUST_FORCES,
+    THRUST_MOMENTS,
+    TRUTH_SUFFIX,
+    WIND,
+)
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._flight_plans import FLIGHT_PLANS
 from skdgp.datasets._simulation import fly_plans
 from skdgp.dynamics import propeller_loads
 from skdgp.dynamics._equations.rigid_body import RATES as SPIN
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._simulation.trajectory import channels
-from skdgp.dynamics._vehicle.loads import FORCES, MOMENTS
 
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
@@ -157,8 +166,8 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
     known["time"] = np.broadcast_to(record.time[:, None], truth.density.shape)
     true = seen | {"gravity": np.full(truth.density.shape, STANDARD_GRAVITY), "psi": seen["psi"] % (2.0 * np.pi)}
     for columns, names, values in (
-        (known, FORCES, thrust[0]),
-        (known, MOMENTS, thrust[1]),
+        (known, THRUST_FORCES, thrust[0]),
+        (known, THRUST_MOMENTS, thrust[1]),
         (true, ("alpha_dot", "beta_dot"), truth.implicit),
         (true, [f"{name}_dot" for name in RATES], truth.derivative[..., SPIN]),
         (true, SPECIFIC_FORCE, truth.force / BRUMBY.mass),

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from skdgp._compute.typing import Array
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp.datasets._brumby import PROPELLER
 from skdgp.datasets._flight_plans import FlightPlan, scheduled
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 ALPHA = 0.085
 COMMANDS = ("elevator", "aileron", "rudder", "throttle")

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
-from skdgp.design import Steps, Wavetrain, doublet, multisine, three_two_one_one
+from skdgp._excitation.multisines import multisine
+from skdgp._excitation.signals import Steps, doublet, three_two_one_one
+from skdgp._excitation.wavetrain import Wavetrain
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,7 @@
-"""Design of flights: inputs that excite an aircraft, their sequences, and what they teach."""
+"""Design of flights: inputs that excite an aircraft, their sequences, what they teach, and what was flown of them."""
 
-from skdgp.design._bands import input_bands
-from skdgp.design._envelope import Envelope
-from skdgp.design._flown import FlownPlan
-from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
-from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
-from skdgp.design._plan import Plan
-from skdgp.design._planner import plan
-from skdgp.design._signals import (
+from skdgp._excitation.multisines import Multisine, multisine, orthogonal_multisines
+from skdgp._excitation.signals import (
     Chirp,
     Limits,
     Signal,
@@ -16,7 +10,14 @@ from skdgp.design._signals import (
     doublet,
     three_two_one_one,
 )
-from skdgp.design._wavetrain import Wavetrain, wavetrain
+from skdgp._excitation.wavetrain import Wavetrain, wavetrain
+from skdgp.design._bands import input_bands
+from skdgp.design._card import write_flight_card
+from skdgp.design._envelope import Envelope
+from skdgp.design._flown import FlownPlan, flown_plan
+from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
+from skdgp.design._plan import Plan
+from skdgp.design._planner import plan
 from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "coefficient_noise",
     "doublet",
     "expected_information",
+    "flown_plan",
     "input_bands",
     "multisine",
     "orthogonal_multisines",
@@ -43,5 +45,6 @@ __all__ = [
     "wavetrain",
     "write_ardupilot_lua",
     "write_csv",
+    "write_flight_card",
     "write_px4",
 ]

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp.design._information import regressors_of
 from skdgp.dynamics import Aerodynamics, Aircraft
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 OPTIONS = {
     "alpha": "--alpha", "beta": "--beta", "load_factor": "--load-factor", "bank": "--max-bank", "airspeed": "--speeds",
@@ -141,17 +141,6 @@ def flown_quantities(model: Aerodynamics) -> dict[str, tuple[float, float]]:
     """Return lowest and highest value of what an envelope limits in the flights of a model, where these changed it."""
     ends = quantities(pd.DataFrame(model.flown, index=["low", "high"]))
     return {str(name): (min(pair), max(pair)) for name, pair in ends.items() if np.ptp(pair) > 0}
-
-
-def abort_limits(limits: pd.DataFrame) -> pd.DataFrame:
-    """Return ``low``, ``high`` and ``source`` of the quantities that have a limit, the narrower of asked and flown."""
-    both = limits.groupby(lambda name: name.removeprefix(GROWTH)).agg({"low": "max", "high": "min"})
-    found = both.loc[list(QUANTITIES)]
-    found["low"] = found["low"].mask((found.index == "airspeed") & (found["low"] == 0.0), -np.inf)
-    finite, names = found.where(np.isfinite(found)), found.index
-    same = {word: finite.eq(limits.reindex(start + names).set_axis(names)) for word, start in SOURCES.items()}
-    found["source"] = [", ".join(word for word, is_of in same.items() if is_of.loc[name].any()) for name in names]
-    return found[found["source"] != ""]
 
 
 def option_of(limit: str, model: Aerodynamics) -> str:

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import pandas as pd
 from scipy.signal import oaconvolve
+from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_segments
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
-from skdgp.design._information import Information, expected_information
+from skdgp.design._html import flown_section
+from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
 from skdgp.design._plan import Plan, errors_of
 from skdgp.design._rehearsal import RESPONSE, STEP
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, as_aerodynamics
 
 LIKE = 0.85
 """Least correlation of recorded and planned deflections, over a manoeuvre and its ends, by which it counts as flown."""
@@ -55,6 +57,7 @@ class FlownPlan:
         How many of each kind were planned but not flown.
     """
 
+    name: ClassVar[str] = "plan"
     errors: pd.DataFrame
     manoeuvres: pd.DataFrame
     missed: dict[str, int]
@@ -65,6 +68,19 @@ class FlownPlan:
         with np.errstate(divide="ignore"):  # nothing was known before
             ratios = np.log(self.errors.div(self.errors["before"], axis=0)[["expected", "found", "model"]])
         return {str(name): float(np.exp(value)) for name, value in ratios.mean().items()}
+
+    def summary(self) -> list[str]:
+        """Return how much of the plan was flown, and what it taught, in a line each."""
+        n_missed, left = sum(self.missed.values()), (self.manoeuvres["left"] != "").sum()
+        words = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
+        return [
+            f"manoeuvres of the plan: {len(self.manoeuvres)} flown, {n_missed} not; {left} left a limit",
+            f"errors of the goal, of those before: {words}",
+        ]
+
+    def section(self) -> str:
+        """Return its section of the report on the flight, HTML."""
+        return flown_section(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
@@ -149,6 +165,43 @@ PARTS: dict[str, Callable[[Any], object]] = {
     "manoeuvres": _check_manoeuvres,
 }
 """What reads each part of a plan, as it is used."""
+
+
+def flown_plan(
+    plan: Plan | str | os.PathLike[str], pipeline: Pipeline, aircraft: Aircraft, flights: Sequence[pd.DataFrame]
+) -> FlownPlan:
+    """Return what a plan expected beside what was found in flights.
+
+    Parameters
+    ----------
+    plan : Plan or path
+        What was to be flown, or the plan.json of ``python -m skdgp plan``.
+    pipeline : Pipeline
+        Of :func:`skdgp.identification.identify`. Give the model that the plan was made with, or one learned from its
+        flights and these: its standard deviations stand beside those of the plan.
+    aircraft : Aircraft
+    flights : sequence of DataFrame
+        What was flown, at the full rate: the tables of ``validate(model, flights).evaluations``, for example.
+
+    Returns
+    -------
+    FlownPlan
+        Among the ``supplements`` of an Identification it is part of its report.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is no plan, the plan is of another aircraft or of other regressors, a column lacks, or no
+        manoeuvre was flown.
+    """
+    record = read_plan(plan)
+    first = pipeline[: list(pipeline.named_steps).index("regressorselector")]
+    tables = [one.assign(**first.transform(one)) for one in flights]
+    at = [record["at"].get(name, np.nan) for name in as_aerodynamics(pipeline).regressors]
+    information = posterior_information(pipeline, at, record["known"]["coefficients"])
+    return compare_with_plan(record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information)
 
 
 def compare_with_plan(

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from skdgp.design._multisines import orthogonal_multisines
-from skdgp.design._signals import ROUNDING, Limits, Signal, Steps, doublet, three_two_one_one
+from skdgp._excitation.multisines import orthogonal_multisines
+from skdgp._excitation.signals import ROUNDING, Limits, Signal, Steps, doublet, three_two_one_one
 
 WIDTHS = (1.0, 2.5)
 """Of pulses, in units of the suggested width."""

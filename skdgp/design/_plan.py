@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array
+from skdgp._excitation.signals import Limits, Signal
+from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.channels import HAT
-from skdgp.design._envelope import QUANTITIES, quantities
+from skdgp.design._envelope import GROWTH, QUANTITIES, SOURCES, quantities
 from skdgp.design._goals import weighted_error
 from skdgp.design._information import Information
 from skdgp.design._rehearsal import STEP
-from skdgp.design._signals import Limits, Signal
-from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim
 
 SAMPLES = 20
@@ -25,7 +25,7 @@ SAMPLES = 20
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flights that `plan` has chosen, and what they will teach; `skdgp.report.write_flight_card` draws them.
+    """Flights that `plan` has chosen, and what they will teach; `write_flight_card` draws them.
 
     Parameters
     ----------
@@ -153,6 +153,17 @@ class Plan:
             "weights": {name: value.tolist() for name, value in self.weights.items()},
             "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
         }
+
+    @property
+    def abort_limits(self) -> pd.DataFrame:
+        """``low``, ``high`` and ``source`` of the quantities that have a limit, the narrower of asked and flown."""
+        both = self.limits.groupby(lambda name: name.removeprefix(GROWTH)).agg({"low": "max", "high": "min"})
+        found = both.loc[list(QUANTITIES)]
+        found["low"] = found["low"].mask((found.index == "airspeed") & (found["low"] == 0.0), -np.inf)
+        finite, names = found.where(np.isfinite(found)), found.index
+        same = {word: finite.eq(self.limits.reindex(start + names).set_axis(names)) for word, start in SOURCES.items()}
+        found["source"] = [", ".join(word for word, is_of in same.items() if is_of.loc[name].any()) for name in names]
+        return found[found["source"] != ""]
 
     @property
     def confounded(self) -> pd.DataFrame:

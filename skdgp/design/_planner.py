@@ -15,6 +15,9 @@ from sklearn.utils import check_random_state
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed
+from skdgp._excitation.signals import Limits
+from skdgp._excitation.wavetrain import wavetrain
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_names
 from skdgp.design._bands import input_bands
@@ -31,8 +34,6 @@ from skdgp.design._information import (
 from skdgp.design._library import TICK, Inputs, duration_of, library, moves, scaled
 from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
-from skdgp.design._signals import Limits
-from skdgp.design._wavetrain import wavetrain
 from skdgp.dynamics import (
     Aircraft,
     SimulationWarning,
@@ -43,7 +44,6 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 
 ENTRIES = 12
 """Number of aircraft and entries drawn, over which the information of a manoeuvre is averaged."""

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._excitation.signals import ROUNDING, Limits, Steps
+from skdgp._excitation.wavetrain import Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
-from skdgp.design._signals import ROUNDING, Limits, Steps
-from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate
 
 STEP = 0.04

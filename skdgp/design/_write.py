@@ -12,10 +12,10 @@ import pandas as pd
 
 from skdgp._compute.files import write_atomically
 from skdgp._compute.tables import csv_writer
+from skdgp._excitation.multisines import Multisine
+from skdgp._excitation.signals import ROUNDING, Chirp, Limits, Signal, Steps
+from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.checks import check_names
-from skdgp.design._multisines import Multisine
-from skdgp.design._signals import ROUNDING, Chirp, Limits, Signal, Steps
-from skdgp.design._wavetrain import Wavetrain
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 PX4 = {"aileron": ("xyz[0]", 1.0), "elevator": ("xyz[1]", -1.0), "rudder": ("xyz[2]", -1.0)}

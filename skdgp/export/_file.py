@@ -16,7 +16,7 @@ from skdgp._compute.files import LARGEST, parse_json, sha256_of, write_atomicall
 from skdgp.dynamics import Aircraft
 from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
 
-FORMAT, VERSIONS = "skdgp portable model", (1, 2)  # all are read, the last one is written
+FORMAT, VERSION = "skdgp portable model", 2
 HEAD = "model.json"
 DIGITS = 64  # of the SHA-256 at the end of the file
 EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
@@ -91,7 +91,7 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
 def _write(path, model) -> None:
     head = {
         "format": FORMAT,
-        "version": VERSIONS[-1],
+        "version": VERSION,
         "outputs": list(model.outputs),
         "regressors": [asdict(regressor) for regressor in model.regressors],
         "aircraft": model.aircraft.to_dict(),
@@ -126,9 +126,9 @@ def _read(file: BinaryIO) -> PortableModel:
         if HEAD not in members or members[HEAD].file_size > LARGEST:
             raise ValueError(f"it has no {HEAD} of at most 16 MB")
         head = parse_json(archive.read(HEAD).decode(), f"{HEAD} is not JSON")
-        if not isinstance(head, dict) or head.get("format") != FORMAT or head.get("version") not in VERSIONS:
+        if not isinstance(head, dict) or head.get("format") != FORMAT or head.get("version") != VERSION:
             found = [head.get("format"), head.get("version")] if isinstance(head, dict) else head
-            raise ValueError(f"its format is {found}, but expected {FORMAT} {VERSIONS}")
+            raise ValueError(f"its format is {found}, but expected {FORMAT} {VERSION}")
         arrays = {
             name.removesuffix(".npy"): _array(archive, member) for name, member in members.items() if name != HEAD
         }
@@ -153,11 +153,11 @@ def _assembled(head, arrays) -> PortableModel:
     """Return the model of checked names and arrays."""
     regressors, outputs = tuple(_regressor(r) for r in head["regressors"]), tuple(map(str, head["outputs"]))
     d, P, n = len(regressors), len(outputs), int(head["n_readouts"])
-    arrays = {"mixture": np.ones((1, P))} | arrays
-    J = len(arrays["mixture"]) * P
+    sizes = {"d": d, "e": d + 1, "P": P, "4": 4}
+    _check_shape("mixture", arrays, SHAPES["mixture"], sizes)
+    J = sizes["J"] = sizes["K"] * P
     if not (0 < d <= MAX_NAMES and 0 < P <= MAX_NAMES and 0 < n <= J):
         raise ValueError(f"it has {d} regressors, {P} outputs and {n} readouts")
-    sizes = {"d": d, "e": d + 1, "P": P, "J": J, "4": 4}
     for name, letters in SHAPES.items():
         _check_shape(name, arrays, letters, sizes)
     _check_shape("block_root", arrays, "B d d" if np.ndim(arrays["block_root"]) == 3 else "B d", sizes)

@@ -29,13 +29,15 @@ from skdgp._flight.channels import (
     EULER,
     POSITION,
     RATES,
+    THRUST_FORCES,
+    THRUST_MOMENTS,
     TRUTH_SUFFIX,
     WIND,
 )
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics._equations.motion import CONTROLS, IMPLICIT, STATES
 from skdgp.dynamics._simulation.simulate import FASTEST, SLOWEST, SPINNING
-from skdgp.dynamics._vehicle.loads import CENTRED, FORCES, MOMENTS, thrust_control
+from skdgp.dynamics._vehicle.loads import CENTRED, thrust_control
 from skdgp.export._c import _array, _braces, _names, _template, c_files
 from skdgp.export._model import PortableModel
 from skdgp.export._text import changes_text, check_distinct
@@ -201,7 +203,7 @@ def _aircraft(model: PortableModel) -> Iterator[_Variable]:
     yield _Variable("dt", "p", TIME_STEP)
     yield from (_Variable(name, "d" if name.endswith("_std") else "o") for name in FOLLOWING)
     propulsion = _propulsion_control(model)
-    inputs = (*WIND, *FORCES, *MOMENTS, *([propulsion] if propulsion else []), *controls)
+    inputs = (*WIND, *THRUST_FORCES, *THRUST_MOMENTS, *([propulsion] if propulsion else []), *controls)
     yield from (_Variable(name, "i", start.get(name, 0.0)) for name in dict.fromkeys(inputs))
 
 
@@ -223,7 +225,7 @@ def _starts(model: PortableModel) -> dict[str, float]:
     lift = -model.predict(model.shift[None])[0, model.outputs.index("CZ")] if "CZ" in model.outputs else 0.0
     speed, aircraft = start.get("airspeed", START_AIRSPEED), model.aircraft
     if "airspeed" not in start and lift > 0:
-        speed = np.sqrt(2 * aircraft.mass * atmosphere.GRAVITY / (density * aircraft.wing_area * lift))
+        speed = np.sqrt(2 * aircraft.mass * atmosphere.STANDARD_GRAVITY / (density * aircraft.wing_area * lift))
     speed, alpha = float(np.clip(speed, SLOWEST_START, FASTEST_START)), start.get("alpha", 0.0)
     start |= {"u": speed * float(np.cos(alpha)), "w": speed * float(np.sin(alpha)), "theta": alpha, "airspeed": speed}
     return start | {"down": -altitude, "altitude": altitude, "density": density}
@@ -261,7 +263,7 @@ def _model_values(model: PortableModel, variables: list[_Variable], form: str) -
         "temperature": _braces(atmosphere._TEMPERATURE),
         "pressure": _braces(atmosphere._PRESSURE),
         "gas": repr(atmosphere.GAS_CONSTANT),
-        "gravity": repr(atmosphere.GRAVITY),
+        "gravity": repr(atmosphere.STANDARD_GRAVITY),
         "lowest": repr(atmosphere.LOWEST),
         "highest": repr(atmosphere.HIGHEST),
         "fastest": repr(FASTEST),

@@ -295,10 +295,7 @@ class PortableModel:
         return replace(self, regressors=tuple(regressors), outputs=tuple(names[name] for name in self.outputs)), names
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these.
-
-        A single posterior has no ``mixture``.
-        """
+        """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these."""
         d = len(self.regressors)
         places = [(b.output, b.first_centre, b.first_column, b.size) for b in self.blocks]
         depends = np.zeros((len(self.blocks), d), dtype=bool)
@@ -306,8 +303,7 @@ class PortableModel:
             row[list(block.regressors)] = True
         full = any(block.root.ndim == 2 for block in self.blocks)
         roots = [np.diag(b.root) if full and b.root.ndim == 1 else b.root for b in self.blocks]
-        single = {"mixture"} if len(self.mixture) == 1 else set()
-        named = [each.name for each in fields(self) if each.type in ARRAYS and each.name not in single]
+        named = [each.name for each in fields(self) if each.type in ARRAYS]
         return {
             **{name: getattr(self, name) for name in named},
             "block_place": np.array(places, dtype=np.int64).reshape(-1, 4),

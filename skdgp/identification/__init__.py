@@ -6,7 +6,6 @@ from skdgp.identification._identify import identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     FlightPipeline,
-    default_regressor,
     flight_noise,
     flight_regressors,
     make_identification_pipeline,
@@ -18,7 +17,6 @@ __all__ = [
     "FlightPipeline",
     "Identification",
     "ModelFileError",
-    "default_regressor",
     "flight_noise",
     "flight_regressors",
     "identify",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ALL_SURFACES
+from skdgp._flight.channels import ALL_SURFACES, THRUST_FORCES
 from skdgp.dynamics import Aircraft
 from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
 from skdgp.identification._flights import is_autopilot_log
@@ -64,7 +64,7 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
     """Return whether nothing gives the thrust of any flight, but a throttle explains it."""
     return thrust == "auto" and all(
         "throttle" in table
-        and not {"thrust_x", "thrust_y", "thrust_z"} & set(table)
+        and not {*THRUST_FORCES} & set(table)
         and not (aircraft.propeller is not None and "propeller_speed" in table)
         for table in tables
     )

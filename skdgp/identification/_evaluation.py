@@ -25,6 +25,7 @@ from skdgp._flight.channels import (
     RATES,
     TRUTH_SUFFIX,
 )
+from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._flight.smoothing import noise_level
@@ -33,7 +34,6 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_er
 from skdgp.identification._flights import Flights, regressor_columns, usable_flights
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
 from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
-from skdgp.preprocessing._table import unwrapped
 from skdgp.report import FlightResult
 
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}

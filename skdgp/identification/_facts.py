@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from sklearn.pipeline import Pipeline
 
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS, THRUST_FORCES
 from skdgp.calibration import CalibratedRegressor
-from skdgp.identification._pipeline import (
-    regressor_and_scale,
-)
+from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.preprocessing import FlightPathReconstruction
 
 
@@ -26,6 +24,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "iterations": int(regressor.n_iter_),
         "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter),
         "converged": bool(regressor.converged_),
+        "interrupted": bool(regressor.interrupted_),
         "evaluations": int(regressor.n_evaluations_),
         "noise_std": by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
@@ -75,8 +74,7 @@ def thrust_sources(thrust, tables) -> list[str]:
     """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
     if thrust != "auto":
         return [thrust or "none"]
-    columns = {"thrust_x", "thrust_y", "thrust_z"}
-    return sorted({"columns" if columns & set(table.columns) else "propeller" for table in tables})
+    return sorted({"columns" if {*THRUST_FORCES} & set(table.columns) else "propeller" for table in tables})
 
 
 def by_coefficient(values) -> dict[str, float]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ELEVONS, MIXED, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import ELEVONS, MIXED, RATES, REGRESSOR_SETS, SPECIFIC_FORCE, THRUST_FORCES
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
@@ -18,13 +18,12 @@ from skdgp._flight.frames import with_air_data
 from skdgp._flight.physics import block_means, find_contradictions
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck
-from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 Flights = dict[str, pd.DataFrame]
 
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
 """Columns that the coefficients follow from."""
-FORCES = (*MEASURED, "thrust_x", "thrust_y", "thrust_z", "propeller_speed")
+FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")
 """Columns that an unknown thrust depends on."""
 INTERCHANGEABLE = (*MIXED, *ELEVONS)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pandas as pd
@@ -19,8 +19,9 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import json_text, plain, text_writer, write_together
 from skdgp._compute.progress import notify
+from skdgp._compute.versions import software_versions
+from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import FlownPlan
 from skdgp.dynamics import Aircraft
 from skdgp.identification import _model_file
 from skdgp.identification._evaluation import (
@@ -36,7 +37,6 @@ from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.identification._verdict import judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.plotting._style import display_unit
 from skdgp.report import (
     FlightMechanics,
     FlightRecord,
@@ -64,6 +64,21 @@ N_WARNINGS = 3  # of the summary
 MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
 
 
+class Supplement(Protocol):
+    """A further part of what was found: plain values by its name, lines of the summary, a section of the report."""
+
+    name: ClassVar[str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+
+    def summary(self) -> list[str]:
+        """Return its lines of the summary."""
+
+    def section(self) -> str:
+        """Return its section of the report, HTML."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Identification:
     """Result of `identify`: a model of an aircraft, its evaluation on test flights, and the record of the fit.
@@ -83,8 +98,8 @@ class Identification:
         Warnings that arose.
     held_out : str or None
         What was held out because no test flight was named.
-    plan : FlownPlan or None
-        What a plan expected beside what was found.
+    supplements : sequence of Supplement
+        Further parts of metrics, summary and report: `skdgp.design.FlownPlan`.
     assumed : list of str
         What was assumed where flights and aircraft do not say, and what to measure; empty where all was told.
     title, command, created : str
@@ -99,7 +114,7 @@ class Identification:
     evaluations: list[Evaluation]
     messages: list[str]
     held_out: str | None = None
-    plan: FlownPlan | None = None
+    supplements: Sequence[Supplement] = ()
     assumed: list[str] = field(default_factory=list)
     title: str = ""
     command: str | None = None
@@ -124,7 +139,7 @@ class Identification:
                 "format": FORMAT,
                 "created": self.created,
                 "command": self.command,
-                "versions": _model_file.software_versions(),
+                "versions": software_versions(),
                 "aircraft": self.aircraft.to_dict(),
                 "options": self.settings,
                 "held_out": self.held_out,
@@ -142,7 +157,7 @@ class Identification:
                 "test_together": _score_metrics(self.evaluations),
                 "verdict": self.verdict.to_dict(),
                 "flight_mechanics": self.mechanics.to_dict(),
-                **({} if self.plan is None else {"plan": self.plan.to_dict()}),
+                **{each.name: each.to_dict() for each in self.supplements},
                 **({"assumed": self.assumed} if self.assumed else {}),
                 "messages": self.messages,
             }
@@ -167,7 +182,7 @@ class Identification:
                 lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
         paths = reconstruction_of(self.pipeline)
         facts = [f"flight paths {paths}"] if paths else []
-        facts += [] if self.plan is None else _plan_lines(self.plan)
+        facts += [line for each in self.supplements for line in each.summary()]
         text = "\n".join([*lines, "", *facts, "", *_verdict_lines(self.verdict)]).rstrip()
         return "\n".join([text, *_assumed_lines(self.assumed)])
 
@@ -235,7 +250,7 @@ class Identification:
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,
                 correlation=regressor.output_correlation() if coupled else None,
-                versions=_model_file.software_versions(),
+                versions=software_versions(),
                 extra=self._remarks(),
             ),
             aircraft={
@@ -247,7 +262,7 @@ class Identification:
             mechanics=self.mechanics,
             envelope=self._envelope(),
             effects=self._effects(),
-            plan=self.plan,
+            sections=[each.section() for each in self.supplements],
             assumed=self.assumed,
             units=getattr(self.pipeline, "control_units_", {}),
             messages=self.messages,
@@ -334,16 +349,6 @@ def _assumed_lines(assumed: list[str]) -> list[str]:
         return []
     indents: dict[str, Any] = {"initial_indent": "  - ", "subsequent_indent": "    "}
     return ["", "assumed, as nothing was told:", *(line for each in assumed for line in wrap(each, 110, **indents))]
-
-
-def _plan_lines(plan: FlownPlan) -> list[str]:
-    """Return how much of a plan was flown, and what it taught."""
-    n_missed, left = sum(plan.missed.values()), (plan.manoeuvres["left"] != "").sum()
-    words = ", ".join(f"{name} {value:.0%}" for name, value in plan.remaining.items())
-    return [
-        f"manoeuvres of the plan: {len(plan.manoeuvres)} flown, {n_missed} not; {left} left a limit",
-        f"errors of the goal, of those before: {words}",
-    ]
 
 
 def _score_table(evaluations) -> list[str]:

@@ -7,13 +7,10 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from sklearn.base import clone
-from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
 from skdgp._compute.progress import notify
@@ -21,9 +18,7 @@ from skdgp._compute.typing import Matrix, Seed
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
-from skdgp.design import FlownPlan, Plan, coefficient_noise, posterior_information
-from skdgp.design._flown import compare_with_plan, read_plan
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, as_aerodynamics
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _flights
 from skdgp.identification._assumed import (
     FULL_THROWS,
@@ -36,7 +31,6 @@ from skdgp.identification._assumed import (
 )
 from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
 from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
-from skdgp.identification._flights import Flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     check_aircraft,
@@ -153,7 +147,7 @@ def identify(
         )
     with recorded_warnings() as messages:
         notify("reading")
-        aircraft = read_aircraft(aircraft)
+        aircraft = _aircraft(aircraft)
         servos = servos_for(servos, flights, test)
         aircraft = with_throw_errors(aircraft, servos)
         reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
@@ -212,7 +206,6 @@ def identify(
             **fit_facts(pipeline),
             **fit_least_squares(pipeline, X, targets),
             "seconds": round(seconds, 3),
-            "interrupted": any(message.startswith("The fit was interrupted") for message in messages),
             "flights": {name: len(part) for name, part in train.items()},
         }
         settings = {"samples": fit["samples"], **loads, **settings_of(pipeline, reconstruction, horizons)}
@@ -237,7 +230,6 @@ def validate(
     flights: Any,
     *,
     aircraft: Aircraft | str | os.PathLike | None = None,
-    plan: Plan | str | os.PathLike[str] | None = None,
     horizons: Sequence[float] = (2.0, 10.0),
     servos: Any = None,
     airborne: bool | float = True,
@@ -245,8 +237,7 @@ def validate(
 ) -> Identification:
     """Judge a model that exists on flights.
 
-    Raises ValueError if the model is not of ``identify``, a flight lacks a column of the model, or the plan is of
-    another aircraft, of other regressors, or was not flown.
+    Raises ValueError if the model is not of ``identify``, or a flight lacks a column of the model.
 
     Parameters
     ----------
@@ -256,10 +247,6 @@ def validate(
         The flights to predict and replay.
     aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
-    plan : Plan or path, optional
-        What was to be flown, or the plan.json of ``python -m skdgp plan``: what it expected is compared with what was
-        found (`Identification.plan`). Give the model that the plan was made with, or one learned from its flights and
-        these: its standard deviations stand beside those of the plan.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     servos, airborne
@@ -281,8 +268,7 @@ def validate(
         flights = usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
-        aircraft = read_aircraft(model.aircraft if aircraft is None else aircraft)
-        flown = None if plan is None else _flown_plan(plan, model.pipeline, aircraft, flights)
+        aircraft = _aircraft(model.aircraft if aircraft is None else aircraft)
         fit = fit_facts(model.pipeline) | model.get("fit", {})
         evaluations = evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
@@ -294,32 +280,7 @@ def validate(
         train={},
         evaluations=evaluations,
         messages=messages,
-        plan=flown,
     )
-
-
-def _flown_plan(plan: Any, pipeline: Pipeline, aircraft: Aircraft, flights: Flights) -> FlownPlan:
-    """Return what a plan expected beside what was found in flights."""
-    record = read_plan(plan)
-    tables = [one.assign(**pipeline[: list(pipeline.named_steps).index("regressorselector")].transform(one))
-              for one in flights.values()]  # fmt: skip
-    names = list(as_aerodynamics(pipeline).regressors)
-    at = [record["at"].get(name, np.nan) for name in names]
-    information = posterior_information(pipeline, at, record["known"]["coefficients"])
-    return compare_with_plan(record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information)
-
-
-def read_aircraft(aircraft: Aircraft | str | os.PathLike) -> Aircraft:
-    """Return the aircraft, read from a file where a path is given."""
-    if not isinstance(aircraft, str | os.PathLike):
-        return check_aircraft(aircraft)
-    path = Path(aircraft)
-    if not path.exists():
-        raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
-    readers = {".json": Aircraft.from_json, ".toml": Aircraft.from_toml}
-    if path.suffix.lower() not in readers:
-        raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
-    return readers[path.suffix.lower()](path)
 
 
 @contextmanager
@@ -337,6 +298,11 @@ def recorded_warnings() -> Iterator[list[str]]:
 
         warnings.showwarning = record
         yield messages
+
+
+def _aircraft(aircraft: Any) -> Aircraft:
+    """Return the aircraft, read from a file where a path is given."""
+    return Aircraft.from_file(aircraft) if isinstance(aircraft, str | os.PathLike) else check_aircraft(aircraft)
 
 
 def _warn(message):

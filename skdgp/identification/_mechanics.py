@@ -11,6 +11,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._flight.channels import COEFFICIENTS, RATES
+from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
 from skdgp.dynamics import (
     Aerodynamics,
@@ -23,7 +24,6 @@ from skdgp.dynamics import (
     trim,
 )
 from skdgp.identification._evaluation import sensor_noise
-from skdgp.preprocessing._table import unwrapped
 from skdgp.report import THRESHOLDS, FlightMechanics
 
 N_PATHS = 100

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import warnings
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +16,7 @@ from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import sha256_of, write_atomically
+from skdgp._compute.versions import software_versions
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
@@ -116,17 +115,6 @@ def load_model(path: str | os.PathLike) -> Bunch:
             "again, and write it with skdgp.identification.save_model."
         )
     return model
-
-
-def software_versions() -> dict[str, str]:
-    """Return the versions of skdgp and of what its numbers depend on."""
-    found = {"skdgp": "unknown", "python": platform.python_version()}
-    for name in ("skdgp", "scikit-learn", "numpy", "scipy", "pandas"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # run from a folder that was never installed
-            continue
-    return found
 
 
 def _closing(file: BinaryIO, path) -> dict:

@@ -16,7 +16,7 @@ from skdgp._compute.linalg import (
     covariance_root,
     output_scale,
 )
-from skdgp._compute.parallel import fit_map, sharing
+from skdgp._compute.parallel import fit_map
 from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
 from skdgp.inference._exact import ExactPosterior
@@ -146,10 +146,9 @@ def fit_sparse(
     learned = search(kernel, X, Y, rows, **options)
     features, shares = learned.kernel.features(Z), shares_of(Data.from_table(X, Y))
     if optimizer is None:
-        with sharing(shares):
-            posterior = SparsePosterior(learned.kernel, features, learned.noise, shares)
-            value = posterior.log_marginal_likelihood
-            return _final_fit(learned, posterior, X, Y, np.ones(len(posterior.noise)), value)
+        posterior = SparsePosterior(learned.kernel, features, learned.noise, shares)
+        value = posterior.log_marginal_likelihood
+        return _final_fit(learned, posterior, X, Y, np.ones(len(posterior.noise)), value)
     learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
     return _final_fit(learned, posterior, X, Y, inflation, value)
 
@@ -161,12 +160,11 @@ def _with_converged_noise(learned, features, X, Y, shares):
     inflation (P,).
     """
     least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
-    with sharing(shares):
-        posterior = _converge_noise(SparsePosterior(learned.kernel, features, learned.noise, shares), 1.0, least)
-        value = posterior.log_marginal_likelihood
-        residual = Y - posterior.predict(X)
-        inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
-        posterior = _converge_noise(posterior, inflation, least)
+    posterior = _converge_noise(SparsePosterior(learned.kernel, features, learned.noise, shares), 1.0, least)
+    value = posterior.log_marginal_likelihood
+    residual = Y - posterior.predict(X)
+    inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
+    posterior = _converge_noise(posterior, inflation, least)
     return learned._replace(noise=posterior.noise / inflation), posterior, inflation, value
 
 
@@ -207,8 +205,7 @@ def _final_fit(learned, posterior, X, Y, inflation, value, loading=None) -> Fit:
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
         noise = np.maximum(learned.noise - propagated, MIN_WHITE_FRACTION * learned.noise)
         shares = shares_of(Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None]))
-        with sharing(shares):
-            posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
+        posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
         learned = learned._replace(noise=noise)
     return Fit(posterior, learned, value)
 

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from skdgp._flight.atmosphere import GRAVITY, standard_density
+from skdgp._flight.atmosphere import STANDARD_GRAVITY, standard_density
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES, SPECIFIC_FORCE, WIND
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import NOT_MEASURED, faults_message, find_faults
@@ -23,7 +23,7 @@ EARTH = {"NED": UPRIGHT, "NWU": TURNED, "ENU": Rotation.from_matrix([[0, 1, 0], 
 BODY = {"FRD": UPRIGHT, "FLU": TURNED}
 FRAMES = {f"{earth}/{body}": (EARTH[earth], BODY[body]) for earth in EARTH for body in BODY}
 """Earth and body axes of the poses: their rotations to north-east-down and from forward-right-down."""
-GRAVITY_NED = np.array([0.0, 0.0, GRAVITY])
+GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 UNIT = 1e-2
 """Quaternions are of length 1 but for this."""
 MOST_REPEATS = 0.3
@@ -117,7 +117,7 @@ def flight_from_poses(
     position, attitude = earth.apply(position), earth * Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]) * body
     _check_faults(time, names, position, attitude)
     rotation = smooth_rotation(time, attitude, segments)
-    motion = smooth_motion(time, position, segments, axes=rotation.attitude, gravity=GRAVITY)
+    motion = smooth_motion(time, position, segments, axes=rotation.attitude, gravity=STANDARD_GRAVITY)
     size = np.median(np.linalg.norm(motion.f, axis=1))
     if size > LARGEST_FORCE:
         raise ValueError(

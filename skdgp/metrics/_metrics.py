@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from numbers import Real
 from typing import TypeAlias
 
 import numpy as np
@@ -12,13 +11,11 @@ import pandas as pd
 from scipy.stats import norm
 from sklearn.exceptions import UndefinedMetricWarning
 
+from skdgp._compute.intervals import LEVELS, check_level, check_levels, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
 
 Average: TypeAlias = "str | ArrayLike"
 Score: TypeAlias = "float | Vector"
-
-LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
-"""Probabilities of the intervals that ``coverage_curve`` counts by default."""
 
 
 def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average") -> Score:
@@ -189,37 +186,6 @@ def coverage_curve(
     shares = shares_inside(standardized(*check_scored(y_true, y_pred, y_std, zero_std=True)), levels)
     names = output_names(y_true) or range(shares.shape[1])
     return pd.DataFrame(shares, index=pd.Index(levels, name="level"), columns=names)
-
-
-def standardized(y_true: Matrix, y_pred: Matrix, y_std: Matrix) -> Matrix:
-    """Return (y - m) / s; where s = 0, zero for a prediction that is right and infinite for one that is wrong."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = (y_true - y_pred) / y_std
-    z[(y_true == y_pred) & (y_std == 0)] = 0.0
-    return z
-
-
-def check_level(level: float) -> float:
-    """Return a probability strictly between 0 and 1."""
-    if not isinstance(level, Real) or not 0 < float(level) < 1:
-        raise ValueError(f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95.")
-    return float(level)
-
-
-def check_levels(levels: ArrayLike) -> Vector:
-    """Return probabilities inside (0, 1), rising."""
-    levels = np.atleast_1d(np.asarray(levels, dtype=float))
-    if levels.ndim != 1 or not ((levels > 0) & (levels < 1)).all():
-        raise ValueError(f"Got levels {levels}, but expected probabilities between 0 and 1, such as 0.95.")
-    return np.sort(levels)
-
-
-def shares_inside(z: Matrix, levels: Vector) -> Matrix:
-    """Return the share of standardized errors (n, P) inside each central interval, (L, P); NaN ones do not count."""
-    bounds = norm.ppf(0.5 + levels / 2)
-    columns = [np.sort(np.abs(column[~np.isnan(column)])) for column in z.T]
-    shares = [np.searchsorted(c, bounds, side="right") / len(c) if len(c) else np.nan * bounds for c in columns]
-    return np.column_stack(shares)
 
 
 def output_names(y: object) -> list:

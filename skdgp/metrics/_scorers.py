@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
 import warnings
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator
 from sklearn.exceptions import UndefinedMetricWarning
-from sklearn.frozen import FrozenEstimator
-from sklearn.pipeline import Pipeline
 
+from skdgp._compute.predicting import accepts, predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
@@ -174,59 +171,3 @@ def _scores(y, *predicted) -> dict[str, dict]:
         found |= {metric.__name__: metric(y, *predicted, multioutput="raw_values") for metric in PROBABILISTIC}
     names = list(getattr(y, "columns", [])) or range(len(found[POINT[0].__name__]))
     return {metric: dict(zip(names, values, strict=True)) for metric, values in found.items()}
-
-
-def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple:
-    """Return the rows where some target is observed, all if none is, and mean and std there.
-
-    The transformers of a pipeline get every row. Its last step gets only the observed rows, as deviations are costly,
-    unless it has an estimator inside, which may be a transformer.
-    """
-    observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
-    rows = np.flatnonzero(observed) if observed.any() else np.arange(len(observed))
-    if with_std:
-        check_predicts_std(estimator)
-    estimator = unwrap(estimator)
-    while type(estimator) is Pipeline:  # a subclass may know more of its rows
-        X, estimator = estimator[:-1].transform(X) if len(estimator) > 1 else X, unwrap(estimator[-1])
-    inside = estimator.get_params().values()
-    nested = isinstance(estimator, Pipeline) or any(isinstance(value, BaseEstimator) for value in inside)
-    X = X if nested else safe_indexing(X, rows)
-    predicted = predict_with_noise(estimator, X) if with_std else (estimator.predict(X),)
-    return rows, *([part[rows] for part in predicted] if nested else predicted)
-
-
-def predict_with_noise(estimator: Any, X: Any) -> tuple:
-    """Return mean and std, with the noise of measurements and regressors where the estimator can add it."""
-    check_predicts_std(estimator)
-    noise = {name: True for name in ("include_noise", "include_input_noise") if accepts(estimator, name)}
-    return tuple(np.asarray(part) for part in unwrap(estimator).predict(X, return_std=True, **noise))
-
-
-def check_predicts_std(estimator: Any) -> None:
-    """Raise TypeError if the estimator predicts no standard deviations."""
-    if not accepts(estimator, "return_std"):
-        raise TypeError(
-            f"Got {type(estimator).__name__}, whose predict takes no return_std, but this metric needs "
-            "predictive standard deviations: use DependentGPRegressor, also inside a Pipeline, or a metric of means."
-        )
-
-
-def unwrap(estimator: Any) -> Any:
-    """Return the fitted estimator inside a search or a frozen one, whose own predict takes no keywords."""
-    while True:
-        if isinstance(estimator, FrozenEstimator):
-            estimator = estimator.estimator
-        elif (best := getattr(estimator, "best_estimator_", None)) is not None:
-            estimator = best
-        else:
-            return estimator
-
-
-def accepts(estimator: Any, keyword: str) -> bool:
-    """Return whether ``predict`` of the last step takes the keyword."""
-    estimator = unwrap(estimator)
-    while isinstance(estimator, Pipeline):
-        estimator = unwrap(estimator.steps[-1][1])
-    parameters = inspect.signature(estimator.predict).parameters.values()
-    return any(p.name == keyword or p.kind is p.VAR_KEYWORD for p in parameters)

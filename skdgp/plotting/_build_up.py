@@ -9,11 +9,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
+from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import Matrix
-from skdgp._effects import Curve
-from skdgp.metrics._metrics import check_level
-from skdgp.plotting._display import Display, Names, choose
-from skdgp.plotting._style import (
+from skdgp._display.style import (
     PALETTE,
     ROLES,
     axis_label,
@@ -26,6 +24,8 @@ from skdgp.plotting._style import (
     symbol,
     tidy,
 )
+from skdgp._effects import Curve
+from skdgp.plotting._display import Display, Names, choose
 
 N_LEVELS = 3  # contours of the standard deviation
 

@@ -8,10 +8,11 @@ from typing import Any, Self
 import numpy as np
 from scipy.stats import norm
 
+from skdgp._compute.intervals import LEVELS, check_levels, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
+from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, symbol, tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice
-from skdgp.metrics._metrics import LEVELS, check_levels, shares_inside, standardized
 from skdgp.plotting._display import (
     Display,
     Names,
@@ -22,7 +23,6 @@ from skdgp.plotting._display import (
     names_of,
     predict_with_std,
 )
-from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, symbol, tidy
 
 N_BINS = 20
 

@@ -8,9 +8,9 @@ from typing import Any, Self
 import numpy as np
 
 from skdgp._compute.typing import ArrayLike, Matrix
+from skdgp._display.style import scale_beside, symbol
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting._display import names_of, panels
-from skdgp.plotting._style import scale_beside, symbol
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

@@ -8,11 +8,11 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._display.style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
 from skdgp._flight.checks import check_choice
-from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import Display, Names, choose
-from skdgp.plotting._style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
 
 DEFAULT_DERIVATIVES = (
     "CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_r", "Cm_elevator",

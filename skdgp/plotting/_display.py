@@ -7,9 +7,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from skdgp._compute.typing import ArrayLike, Matrix, Vector
-from skdgp.metrics._scorers import predict_with_noise
-from skdgp.plotting._style import check_matplotlib, legend_above
+from skdgp._compute.predicting import predict_with_noise
+from skdgp._compute.typing import ArrayLike, Matrix
+from skdgp._display.style import check_matplotlib, legend_above
 
 Names: TypeAlias = "str | Sequence[str] | None"
 
@@ -89,19 +89,6 @@ def _divide(ax: Any, shape: tuple[int, int], subplots: dict) -> np.ndarray:
             "which can be divided: give a Figure instead."
         )
     return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
-
-
-def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:
-    """Return ``time`` as finite floats, ``(n,)`` with n at least one."""
-    time = np.asarray(time, dtype=float)
-    if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
-        raise ValueError(
-            f"Got time of shape {time.shape} with {np.count_nonzero(~np.isfinite(time))} values that are not "
-            "finite, but expected (n,) seconds, n at least 1: drop the rows without a time."
-        )
-    if n_samples is not None and len(time) != n_samples:
-        raise ValueError(f"Got {len(time)} times for {n_samples} samples: give one per sample.")
-    return time
 
 
 def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = None) -> Matrix:

@@ -8,10 +8,8 @@ from typing import Any, Self
 import pandas as pd
 from scipy.stats import norm
 
-from skdgp._effects import Curve, effects
-from skdgp.metrics._metrics import check_level
-from skdgp.plotting._display import Display, Names, choose
-from skdgp.plotting._style import (
+from skdgp._compute.intervals import check_level
+from skdgp._display.style import (
     PALETTE,
     axis_label,
     check_matplotlib,
@@ -23,6 +21,8 @@ from skdgp.plotting._style import (
     symbol,
     tidy,
 )
+from skdgp._effects import Curve, effects
+from skdgp.plotting._display import Display, Names, choose
 
 OTHERS = ""  # key of the column of terms of several regressors
 

@@ -9,20 +9,16 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.integrate import cumulative_trapezoid
 
-from skdgp._compute.typing import Indices, Vector
+from skdgp._display.flights import ground_path, named_flights, start_marker
+from skdgp._display.style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 from skdgp._flight.channels import ELEVONS, SURFACES
-from skdgp._flight.checks import check_choice, check_columns, check_table
-from skdgp._flight.clock import flight_rows
-from skdgp.plotting._display import Display, Names, check_time, choose, panels
+from skdgp._flight.checks import check_choice
+from skdgp.plotting._display import Display, Names, choose, panels
 from skdgp.plotting._lines import line_points
-from skdgp.plotting._style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 
 INPUTS = ("throttle", *SURFACES)
 COLOR_STEPS = 32
-START_MARKERS = "os^Dv*"
-PATH_POINTS = 600  # of one flight; a picture resolves no more
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -175,22 +171,6 @@ class FlightDisplay(Display):
         return cls(flights=named_flights(flights)).plot(**plot_options)
 
 
-def named_flights(flights: pd.DataFrame | Mapping[Any, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """Return checked flight tables by name; one table is divided by its column ``flight``."""
-    if not isinstance(flights, Mapping):
-        table = check_table(flights)
-        if "flight" in table.columns:
-            flights = {name: table.iloc[rows] for name, rows in flight_rows(table["flight"]).items()}
-        else:
-            flights = {"flight": table}
-    if not flights:
-        raise ValueError("Got no flights, but expected at least one table.")
-    for name, table in flights.items():
-        check_columns(check_table(table, what=f"flight {name!r}"), ["time"], what=f"flight {name!r}")
-        check_time(table["time"])
-    return {str(name): table for name, table in flights.items()}
-
-
 def _draw_plain(ax, paths, color_by):
     lines = []
     for k, (name, path) in enumerate(paths.items()):
@@ -230,41 +210,9 @@ def _pieces(path, values, low, high):
     return pieces, low + (shade[edges[:-1]] + 0.5) * step if shade.size else np.full(len(pieces), low)
 
 
-def start_marker(k: int) -> str:
-    """Return the marker of the k-th flight; flights of one colour have different markers."""
-    return START_MARKERS[(k + k // len(CYCLE)) % len(START_MARKERS)]
-
-
 def _draw_start(ax, path, name, k):
     """Mark the first point of a flight; sizes differ, so that two markers at one point are both visible."""
     first, size = path.iloc[:1], max(5, 12 - 5 * k)
     style = {"marker": start_marker(k), "markersize": size, "markeredgecolor": "white", "linestyle": "none"}
     label = plain(f"{name}: start")
     return ax.plot(first["east"], first["north"], color=CYCLE[k % len(CYCLE)], zorder=3, label=label, **style)[0]
-
-
-def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
-    """Return time, north and east [m], and altitude where known, at no more than 600 points.
-
-    Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear across holes of the log.
-    """
-    time = flight["time"].to_numpy(dtype=float)
-    if {"north", "east"} <= set(flight.columns):
-        north, east = flight["north"].to_numpy(dtype=float), flight["east"].to_numpy(dtype=float)
-    else:
-        check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
-        velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both").to_numpy()
-        north, east = cumulative_trapezoid(velocity, time, axis=0, initial=0).T
-    points = {"time": time, "north": north, "east": east}
-    if "altitude" in flight.columns:
-        points["altitude"] = flight["altitude"].to_numpy(dtype=float)
-    return pd.DataFrame(points).iloc[_evenly_spread(north, east)]
-
-
-def _evenly_spread(north: Vector, east: Vector) -> Indices:
-    """Return indices at equal distances along the path."""
-    step = np.nan_to_num(np.hypot(np.diff(north), np.diff(east)))
-    distance = np.concatenate([[0.0], np.cumsum(step)])
-    if distance[-1] == 0:
-        return np.array([0])
-    return np.unique(np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(0, len(distance) - 1))

@@ -11,11 +11,11 @@ import pandas as pd
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
+from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, tidy
 from skdgp._flight.checks import check_names
-from skdgp.metrics._scorers import accepts
 from skdgp.plotting._display import Display, Names, choose
-from skdgp.plotting._style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, tidy
 
 PAIRS = (("alpha", "beta"), ("alpha", "elevator"), ("alpha", "q"), ("beta", "r"), ("beta", "rudder"), ("p", "aileron"))
 """Default panels; a rate may be the non-dimensional one."""

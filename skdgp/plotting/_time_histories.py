@@ -9,26 +9,25 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
+from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
+from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
+from skdgp._display.style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice, check_columns
 from skdgp._flight.clock import true_runs
-from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import (
     Display,
     Names,
     as_columns,
     check_std,
-    check_time,
     choose,
     grid_columns,
     names_of,
     predict_with_std,
 )
 from skdgp.plotting._lines import band_points, isolated, line_points, segment_starts
-from skdgp.plotting._style import PALETTE, ROLES, axis_label, check_matplotlib, display_unit, tidy
 
-LATERAL_STATES = ("v_east", "p", "r")  # the states of the paper's figure 7: east velocity, roll rate, yaw rate
 MAX_BAND = 0.6  # a band widens the vertical axis by at most this part of the lines' range, so that lines stay readable
 MAX_MARKS = 150  # restarts; more would be a grey bar
 
@@ -328,17 +327,6 @@ class StateDisplay(Display):
         return cls.from_predictions(
             rows["time"], flight[states], rows[states], std, window=rows["window"], **plot_options
         )
-
-
-def replay_rows(trajectory: pd.DataFrame, horizon: float | None) -> pd.DataFrame:
-    """Return the rows of one horizon of a replay; the longest, for None."""
-    check_columns(trajectory, ["horizon"], what="trajectory")
-    horizons = np.unique(trajectory["horizon"])
-    horizon = horizons[-1] if horizon is None else horizon
-    rows = trajectory[np.isclose(trajectory["horizon"], horizon)]
-    if len(rows) == 0:
-        raise ValueError(f"Got horizon={horizon!r} s, but the trajectory holds {horizons.tolist()} s.")
-    return rows
 
 
 class _Comparison(NamedTuple):

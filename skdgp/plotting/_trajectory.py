@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
+from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit, tidy
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics._simulation.trajectory import path_quantiles
-from skdgp.metrics._metrics import check_level
 from skdgp.plotting._display import Display
-from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit, tidy
 
 DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")
 MAX_PATHS = 40  # more would look like an area

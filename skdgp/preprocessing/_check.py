@@ -11,7 +11,7 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Vector
-from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.checks import WRAPPED, check_columns, check_table, numeric, unwrapped
 from skdgp._flight.clock import check_clock, flight_segments, part_restarts
 from skdgp._flight.faults import (
     POSSIBLE,
@@ -22,7 +22,7 @@ from skdgp._flight.faults import (
     usual_spacing,
     without_faults,
 )
-from skdgp.preprocessing._table import WRAPPED, TableTransformer, numeric, unwrapped, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
 NO_ERRORS = ("gap", "saturated")  # kinds in ``findings_`` of which no warning tells
 COLUMNS = ("flight", "channel", "kind", "start", "end", "n_samples", "message")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from skdgp._flight.channels import ELEVONS, MIXED
-from skdgp._flight.checks import check_columns
-from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
+from skdgp._flight.checks import check_columns, numeric
+from skdgp.preprocessing._table import TableTransformer, with_columns
 
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 

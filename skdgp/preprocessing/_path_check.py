@@ -11,11 +11,11 @@ import pandas as pd
 
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA
+from skdgp._flight.checks import numeric
 from skdgp._flight.frames import air_data
 from skdgp.preprocessing._path_equations import MIN_AIRSPEED, Log
 from skdgp.preprocessing._path_estimate import Estimate
 from skdgp.preprocessing._smoother import FlightSmoother
-from skdgp.preprocessing._table import numeric
 
 MAX_RATIO = 1.05
 """Largest error of reconstruction, relative to that of smoothing, with which it is used."""

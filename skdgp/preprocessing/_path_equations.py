@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.checks import numeric
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
 from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
-from skdgp.preprocessing._table import has_values, interpolate_missing, numeric
+from skdgp.preprocessing._table import has_values, interpolate_missing
 
 NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
 """Channels that a flight table must hold; alpha and beta are optional."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, RATE_LENGTHS, rate_factor
-from skdgp._flight.checks import check_columns
-from skdgp.preprocessing._table import TableTransformer, numeric, with_columns
+from skdgp._flight.checks import check_columns, numeric
+from skdgp.preprocessing._table import TableTransformer, with_columns
 
 
 class RateNondimensionalizer(TableTransformer):

@@ -12,18 +12,20 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import CHANNELS, ELEVONS, HAT, RATES, SPECIFIC_FORCE, SURFACES, TRUTH_SUFFIX, VANES
-from skdgp._flight.checks import check_columns
+from skdgp._flight.channels import (
+    CHANNELS,
+    ELEVONS,
+    HAT,
+    REGRESSOR_SETS,
+    SURFACES,
+    TRUTH_SUFFIX,
+)
+from skdgp._flight.checks import check_columns, numeric
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._elevons import MIXED
-from skdgp.preprocessing._table import TableTransformer, numeric
+from skdgp.preprocessing._table import TableTransformer
 
 OPTIONAL = ("throttle", *SURFACES)
-REGRESSOR_SETS = {
-    "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
-    "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),
-    "paper": (*(*SPECIFIC_FORCE, *RATES, "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle", *SURFACES),),
-}
 MAKERS = dict.fromkeys(("alpha_dot", "beta_dot"), "FlightSmoother()") | dict.fromkeys(
     ("p_dot", "q_dot", "r_dot"), "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])"
 )

@@ -8,9 +8,9 @@ from typing import Any
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import AIR_DATA, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.checks import check_columns, check_radians
+from skdgp._flight.checks import WRAPPED, check_columns, check_radians, numeric, unwrapped
 from skdgp._flight.smoothing import differentiate, noise_level, smooth
-from skdgp.preprocessing._table import WRAPPED, TableTransformer, numeric, unwrapped, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
 SMOOTHED = (*(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),)
 PARTNERS = {"rates": ("airspeed", *RATES), "inertial": ("airspeed", *RATES, *SPECIFIC_FORCE)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from typing import Any, Self
 
 import numpy as np
@@ -17,9 +16,7 @@ from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context, output_container, set_output_container
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import CHANNELS
-from skdgp._flight.checks import check_table
-
-WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
+from skdgp._flight.checks import check_table, numeric
 
 
 class TableTransformer(  # type: ignore[call-arg]
@@ -119,16 +116,6 @@ class TableTransformer(  # type: ignore[call-arg]
         return tags
 
 
-def numeric(table: pd.DataFrame, columns: Iterable[str]) -> Matrix:
-    """Return columns as floats (n, k); raise ValueError with the names of those that are not numeric."""
-    columns = list(columns)
-    try:
-        return table[columns].to_numpy(dtype=float, na_value=np.nan)
-    except (ValueError, TypeError):
-        kinds = {name: str(table[name].dtype) for name in columns if not pd.api.types.is_numeric_dtype(table[name])}
-        raise ValueError(f"Got columns of type {kinds}, but expected numbers: convert or drop them.") from None
-
-
 def has_values(table: pd.DataFrame, name: str) -> bool:
     """Return whether the table has the column, with a finite value."""
     return name in table and bool(np.isfinite(numeric(table, [name])).any())
@@ -141,17 +128,6 @@ def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
         known = np.isfinite(column)
         if not known.all():
             column[~known] = np.interp(time[~known], time[known], column[known])
-    return values
-
-
-def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
-    """Return columns as floats (n, k), roll and heading without their jumps of 2 pi."""
-    names = list(names)
-    values = numeric(table, names).copy()
-    for j, name in enumerate(names):
-        if name in WRAPPED:
-            known = np.isfinite(values[:, j])
-            values[known, j] = np.unwrap(values[known, j])
     return values
 
 

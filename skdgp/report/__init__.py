@@ -1,10 +1,8 @@
-"""The report of an identification and the card of a planned flight: each one HTML file to read, print and sign.
+"""The report of an identification: one HTML file to read, print and sign.
 
-Fill a `ReportContent` with arrays and pass it to `write_report`; pass a plan to `write_flight_card`. Both neither fit
-nor predict.
+Fill a `ReportContent` with arrays and pass it to `write_report`, which neither fits nor predicts.
 """
 
-from skdgp.report._card import write_flight_card
 from skdgp.report._content import (
     THRESHOLDS,
     FlightMechanics,
@@ -27,6 +25,5 @@ __all__ = [
     "Use",
     "Verdict",
     "render_report",
-    "write_flight_card",
     "write_report",
 ]

@@ -13,12 +13,13 @@ import pandas as pd
 from scipy.stats import norm
 
 from skdgp._compute.typing import Array, ArrayLike
+from skdgp._display.flights import ground_path
+from skdgp._display.html import symbol, text
+from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import FlightDisplay
-from skdgp.plotting._flight import ground_path
-from skdgp.plotting._style import display_unit
 from skdgp.report._content import FlightResult, ReportContent, measured_states
-from skdgp.report._tables import state, symbol, text
+from skdgp.report._tables import state
 
 TICK = 1e-4
 """Resolution of time [s]."""

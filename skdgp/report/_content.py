@@ -12,12 +12,10 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import FlownPlan
 from skdgp.dynamics import Trim
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.plotting._display import check_time
-from skdgp.plotting._time_histories import LATERAL_STATES, replay_rows
 from skdgp.report._tables import HONEST, SCORES
 
 
@@ -354,8 +352,8 @@ class ReportContent:
         What ``EnvelopeDisplay.compute`` returned: where the data are, and where the model knows nothing.
     effects : EffectsDisplay, optional
         What ``EffectsDisplay.compute`` returned: how each regressor changes each coefficient.
-    plan : FlownPlan, optional
-        What a plan expected beside what was found.
+    sections : sequence of str
+        Further sections, HTML.
     assumed : sequence of str
         What was assumed where nothing was told.
     units : mapping of str to str
@@ -377,7 +375,7 @@ class ReportContent:
     mechanics: FlightMechanics | None = None
     envelope: EnvelopeDisplay | None = None
     effects: EffectsDisplay | None = None
-    plan: FlownPlan | None = None
+    sections: Sequence[str] = ()
     assumed: Sequence[str] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     messages: Sequence[str] = ()

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from skdgp._display import html as figures
+from skdgp._display.html import DASH, THIN, number, percent, symbol, table, text
+from skdgp._display.style import CYCLE, PALETTE, display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.plotting._style import CYCLE, PALETTE, display_unit
 from skdgp.report import _charts as charts
-from skdgp.report import _figure_html as figures
 from skdgp.report import _pictures as pictures
 from skdgp.report._content import (
     THRESHOLDS,
@@ -23,22 +24,7 @@ from skdgp.report._content import (
     Verdict,
     measured_states,
 )
-from skdgp.report._tables import (
-    DASH,
-    SCORES,
-    THIN,
-    derivative,
-    error_table,
-    facts,
-    number,
-    percent,
-    regressor,
-    replay_table,
-    state,
-    symbol,
-    table,
-    text,
-)
+from skdgp.report._tables import SCORES, derivative, error_table, facts, regressor, replay_table, state
 
 _FLIGHT_COLORS = [name for color in CYCLE for name, value in PALETTE.items() if value == color]
 

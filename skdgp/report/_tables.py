@@ -1,42 +1,21 @@
-"""Tables and text as HTML; text from outside is escaped here."""
+"""Tables of the report as HTML."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from html import escape
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from skdgp._display.html import THIN, number, percent, symbol, table, text
+from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
-from skdgp.plotting._style import display_unit
 
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
 HONEST = (0.90, 0.99)
 """Coverage of a 95 % interval that is not marked."""
-THIN = "\u202f"
-DASH = "–"
-
-
-def text(value: object) -> str:
-    """Return ``value`` as escaped text."""
-    return escape(str(value), quote=True)
-
-
-def number(value: float, form: str = ".2f") -> str:
-    """Return a number with a true minus, a dash for NaN, and the sign for infinity."""
-    if value is None or np.isnan(value):
-        return DASH
-    if np.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    return f"{float(value):z{form}}".rstrip(".").replace("-", "−")
-
-
-def percent(value: float, form: str = ".1f") -> str:
-    """Return a fraction as a percentage without its sign."""
-    return number(None if value is None else 100 * value, form)
 
 
 def coverage(value: float) -> str:
@@ -47,11 +26,6 @@ def coverage(value: float) -> str:
     if value > HONEST[1]:
         return f'<span class="off" title="too wide">▲ {shown}</span>'
     return shown
-
-
-def symbol(name: str) -> str:
-    """Return a coefficient's name with its index lowered."""
-    return f"<i>C</i><sub>{name[1:]}</sub>" if name in COEFFICIENTS else text(name)
 
 
 REGRESSORS = {
@@ -72,21 +46,6 @@ def regressor(name: str) -> str:
 def derivative(coefficient: str, name: str) -> str:
     """Return a derivative's name with its indices lowered."""
     return f"<i>C</i><sub>{coefficient[1:]} {regressor(name)}</sub>"
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, classes: str = "") -> str:
-    """Return a table of ready HTML cells: the first of each row names it; a row of one cell heads a group."""
-    lines = [f'<div class="scroll"><table class="{classes}"><caption>{caption}</caption><thead><tr>']
-    lines += [f'<th scope="col">{cell}</th>' for cell in head]
-    lines.append("</tr></thead><tbody>")
-    for first, *rest in rows:
-        if not rest:
-            lines.append(f'<tr class="group"><th colspan="{len(head)}" scope="colgroup">{first}</th></tr>')
-            continue
-        cells = "".join(f"<td>{cell}</td>" for cell in rest)
-        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
-    lines.append("</tbody></table></div>")
-    return "".join(lines)
 
 
 class Score(NamedTuple):

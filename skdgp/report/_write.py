@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 from datetime import datetime
+from importlib.resources import files
 from pathlib import Path
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp.plotting._style import units_shown
+from skdgp._display.html import text
+from skdgp._display.page import can_draw, render_page
+from skdgp._display.style import units_shown
 from skdgp.report import _sections as sections
-from skdgp.report._card import flown_plan
 from skdgp.report._charts import thinning
 from skdgp.report._content import ReportContent
-from skdgp.report._page import can_draw, render_page
-from skdgp.report._tables import text
+
+SCRIPT = files("skdgp.report").joinpath("chart.js").read_text(encoding="utf-8")
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
@@ -45,7 +47,9 @@ def render_report(content: ReportContent) -> str:
     made = f"Made by skdgp{f' {text(version)}' if version else ''}."
     colophon = f"{made} SI units; degrees in pictures and in the table of states."
     with units_shown(content.units):
-        return render_page("Aerodynamic identification report", content.title, meta, _body(content), colophon)
+        return render_page(
+            "Aerodynamic identification report", content.title, meta, _body(content), colophon, script=SCRIPT
+        )
 
 
 def _body(content: ReportContent) -> str:
@@ -56,7 +60,7 @@ def _body(content: ReportContent) -> str:
     parts.append(sections.what_was_done(content))
     if not draw:
         parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
-    parts += [] if content.plan is None else [flown_plan(content.plan)]
+    parts += content.sections
     parts += sections.flights(content, every, draw)
     if draw and content.test:
         parts.append(sections.calibration(content))

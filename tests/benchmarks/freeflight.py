@@ -33,6 +33,7 @@ from _common import finish, parsed, parser_of
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, WIND
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
@@ -50,7 +51,6 @@ from skdgp.dynamics import (
     trajectory_bands,
     trim,
 )
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.identification import predict_flight
 from skdgp.io import read_flight
 from skdgp.model_selection import thin_targets

@@ -32,6 +32,7 @@ from freeflight import coverage_of, truth_of, windows
 from study import LOGGED, Results, coverage_table
 
 from skdgp import make_identification_pipeline
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, WIND
 from skdgp.datasets._example_flights import MEASURED, measure
 from skdgp.dynamics import (
@@ -42,7 +43,6 @@ from skdgp.dynamics import (
     euler_to_quaternion,
     simulate,
 )
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage
 

@@ -18,7 +18,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 from matplotlib.ticker import NullLocator
 
-from skdgp.plotting._style import PALETTE, tidy
+from skdgp._display.style import PALETTE, tidy
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = (

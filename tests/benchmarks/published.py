@@ -266,7 +266,7 @@ def picture(case, runs):
     """Draw the gaps: known and hidden values, skdgp with its band, and the process of the output alone."""
     import matplotlib.pyplot as plt
 
-    from skdgp.plotting._style import PALETTE, tidy
+    from skdgp._display.style import PALETTE, tidy
 
     figure, axes = plt.subplots(1, len(case.tested), figsize=(9.6, 3.2), layout="constrained", squeeze=False)
     for i, (ax, (name, k)) in enumerate(zip(axes[0], case.tested.items(), strict=True)):

@@ -37,6 +37,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import body_to_ned, ned_to_body
 from skdgp.dynamics import (
@@ -50,7 +51,6 @@ from skdgp.dynamics import (
     simulate,
     trajectory_bands,
 )
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.io import flight_from_poses
 from skdgp.metrics import normalized_rmse
 

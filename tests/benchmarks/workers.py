@@ -18,7 +18,7 @@ import numpy as np
 from _common import finish, interleaved, parser_of
 from joblib import parallel_config
 
-from skdgp._compute.parallel import share_map, sharing
+from skdgp._compute.parallel import share_map
 from skdgp.inference import Data, SparsePosterior, shares_of
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -49,12 +49,12 @@ def evaluation(X, Y, n_inducing, shares):
     return evaluate
 
 
-def seconds(call, shares, configs, repeats):
-    """Return the shortest time of a call under each configuration of joblib, the shares being there already."""
+def seconds(call, configs, repeats):
+    """Return the shortest time of a call under each configuration of joblib."""
     found = dict.fromkeys(configs, np.inf)
     for _ in range(repeats):
         for name, config in configs.items():
-            with parallel_config(**config) if config else nullcontext(), sharing(shares):
+            with parallel_config(**config) if config else nullcontext():
                 call()
                 found[name] = min(found[name], interleaved({name: call}, 2)[name])
     return {f"{name} [s]": value for name, value in found.items()}
@@ -86,10 +86,10 @@ def main(words=None):
             data = np.tile(X, (k, 1)), np.tile(Y, (k, 1))
             shares = shares_of(Data.from_table(*data))
             call = evaluation(*data, n_inducing, shares)
-            evaluations.append({"samples": len(data[0])} | seconds(call, shares, configs, options.repeats))
+            evaluations.append({"samples": len(data[0])} | seconds(call, configs, options.repeats))
         for n_features in (8 * n_inducing, 4 * n_inducing):
             call = price(n_features, shares)
-            prices.append({"features": n_features} | seconds(call, shares, configs, options.repeats))
+            prices.append({"features": n_features} | seconds(call, configs, options.repeats))
     finish(options, "workers", one_evaluation=evaluations, price_of_a_call=prices)
 
 

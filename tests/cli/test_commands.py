@@ -14,10 +14,9 @@ import pytest
 
 from skdgp._cli import _output, _plan, _predict, _simulate, main
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import _library
+from skdgp.design import _card, _library
 from skdgp.dynamics import Aircraft, Turbulence, stability_derivatives, trim
 from skdgp.identification import _identification, load_model, predict_flight, save_model
-from skdgp.report import _card
 
 
 @pytest.fixture(scope="module")

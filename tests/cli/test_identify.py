@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from skdgp import DependentGPRegressor
 from skdgp._cli import _console, main
 from skdgp._cli._console import CLEAR, Console
 from skdgp._cli._main import COMMANDS
@@ -27,7 +28,7 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.design import coefficient_noise
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import _evaluation, _identification, _identify, default_regressor, load_model, predict_flight
+from skdgp.identification import _evaluation, _identification, _identify, load_model, predict_flight
 from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
@@ -156,7 +157,7 @@ class TestIdentify:
         train = ["lateral.csv", "latlon.csv"]
         assert identify("--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
         printed = capsys.readouterr().out.splitlines()
-        regressor = default_regressor(n_latent=1, max_iter=3, random_state=0, structure="joint")
+        regressor = DependentGPRegressor(n_latent=1, max_iter=3, random_state=0, structure="joint")
         options = {"samples": 40, "horizons": [1.0], "regressor": regressor}
         with warnings.catch_warnings():
             warnings.simplefilter("default")

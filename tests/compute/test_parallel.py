@@ -6,7 +6,6 @@ import subprocess
 import sys
 import textwrap
 import time
-import warnings
 from threading import Lock, Thread
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ from joblib import Parallel, cpu_count, delayed, parallel_config
 from sklearn.model_selection import GridSearchCV
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.parallel import check_n_jobs, fit_map, share_map, sharing
+from skdgp._compute.parallel import check_n_jobs, fit_map, share_map
 from skdgp._compute.threads import n_threads
 
 SHARES = [np.full(3, float(k)) for k in range(7)]
@@ -75,12 +74,12 @@ SUMS = [share.sum() for share in SHARES]
 class TestWhoWorks:
     @pytest.mark.parametrize("config", [{}, {"backend": "threading", "n_jobs": 2}, {"backend": "loky", "n_jobs": 1}])
     def test_this_process_unless_others_are_asked(self, config):
-        with parallel_config(**config), sharing(SHARES):
+        with parallel_config(**config):
             found = share_map(processes(), (1.0,), SHARES)
         assert {pid for _, pid, _ in found} == {os.getpid()}
 
     def test_processes_of_the_active_backend(self):
-        with parallel_config(**LOKY), sharing(SHARES):
+        with parallel_config(**LOKY):
             found = share_map(processes(), (2.0,), SHARES)
             again = share_map(processes(), (3.0,), SHARES)
         assert values(found) == [2 * value for value in SUMS]
@@ -88,27 +87,19 @@ class TestWhoWorks:
         assert len({pid for _, pid, _ in found} - {os.getpid()}) == 2
         assert {threads for _, _, threads in found} == {1}
 
-    def test_only_the_shares_that_were_announced_and_only_inside(self):
-        other = list(SHARES)
-        with parallel_config(**LOKY):
-            with sharing(SHARES):
-                assert {pid for _, pid, _ in share_map(processes(), (1.0,), other)} == {os.getpid()}
-            assert {pid for _, pid, _ in share_map(processes(), (1.0,), SHARES)} == {os.getpid()}
-
     def test_no_more_workers_than_shares(self):
-        with parallel_config(**LOKY), sharing(SHARES[:1]):
+        with parallel_config(**LOKY):
             assert values(share_map(processes(), (1.0,), SHARES[:1])) == SUMS[:1]
-        with parallel_config(**LOKY), sharing([]):
+        with parallel_config(**LOKY):
             assert share_map(processes(), (1.0,), []) == []
 
     def test_a_worker_does_not_ask_for_workers_of_its_own(self):
         def nested(shares):
             import os
 
-            from skdgp._compute.parallel import fit_map, share_map, sharing
+            from skdgp._compute.parallel import fit_map, share_map
 
-            with sharing(shares):
-                inner = share_map(lambda share: os.getpid(), (), shares)
+            inner = share_map(lambda share: os.getpid(), (), shares)
             return {os.getpid(), *inner, *fit_map(lambda interrupted: os.getpid(), [], 2)}
 
         pids = Parallel(n_jobs=2)(delayed(nested)(SHARES) for _ in range(2))
@@ -116,7 +107,7 @@ class TestWhoWorks:
 
     def test_blas_is_given_back(self):
         before = n_threads()
-        with parallel_config(**LOKY), sharing(SHARES):
+        with parallel_config(**LOKY):
             share_map(processes(), (1.0,), SHARES)
         assert n_threads() == before
 
@@ -128,7 +119,7 @@ class TestLoss:
     @pytest.mark.parametrize("always", [False, True], ids=["one dies", "all die"])
     def test_what_a_killed_worker_had_is_done_here_and_the_next_call_has_new_ones(self, always, tmp_path):
         state = (os.getpid(), str(tmp_path / "died"))
-        with parallel_config(**LOKY), sharing(SHARES):
+        with parallel_config(**LOKY):
             with pytest.warns(RuntimeWarning, match=LOST):
                 found = share_map(deadly(always), state, SHARES)
             again = share_map(processes(), (1.0,), SHARES)
@@ -136,25 +127,22 @@ class TestLoss:
         assert {pid for _, pid in found} == {os.getpid()}
         assert os.getpid() not in {pid for _, pid, _ in again}
 
-    def test_what_cannot_travel_is_done_here_with_one_warning(self):
+    def test_what_cannot_travel_is_done_here_with_a_warning(self):
         lock = Lock()
 
         def at_home(share):
             with lock:
                 return share.sum(), os.getpid()
 
-        with warnings.catch_warnings(record=True) as caught, parallel_config(**LOKY), sharing(SHARES):
-            warnings.simplefilter("always")
-            assert [values(share_map(at_home, (), SHARES)) for _ in range(5)] == [SUMS] * 5
-        (warning,) = caught
-        assert "pickle" in str(warning.message)
+        with pytest.warns(RuntimeWarning, match="pickle"), parallel_config(**LOKY):
+            assert values(share_map(at_home, (), SHARES)) == SUMS
 
     @pytest.mark.parametrize("error", [np.linalg.LinAlgError("not positive definite"), ArithmeticError("in the work")])
     def test_an_error_of_the_work_itself_comes_through(self, error):
         def fail(share):
             raise error
 
-        with parallel_config(**LOKY), sharing(SHARES), pytest.raises(type(error), match=str(error)):
+        with parallel_config(**LOKY), pytest.raises(type(error), match=str(error)):
             share_map(fail, (), SHARES)
         with pytest.raises(type(error), match=str(error)):
             fit_map(fail, [{"share": 0}, {"share": 1}], 2)

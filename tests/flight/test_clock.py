@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from sklearn.dummy import DummyRegressor
 
+from skdgp._display.flights import named_flights
 from skdgp._flight.checks import check_flight
 from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, part_restarts, true_runs
 from skdgp._flight.faults import find_faults
@@ -16,7 +17,6 @@ from skdgp.identification._flights import flights_of
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.metrics import score_flights
 from skdgp.model_selection import BlockSplit
-from skdgp.plotting._flight import named_flights
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector, inspect_flight
 
 MISSING = [None, np.nan, pd.NA, pd.NaT, "", "  "]

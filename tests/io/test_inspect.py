@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 
 from skdgp._cli import main
+from skdgp._flight.channels import REGRESSOR_SETS
 from skdgp.dynamics._equations import inverse as _inverse
 from skdgp.identification._flights import named_flights
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS
 from skdgp.preprocessing import _path_equations
-from skdgp.preprocessing._selector import REGRESSOR_SETS
 
 SERVOS = {
     name: {"channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]]}

@@ -6,8 +6,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, ROLES, dashes
-from skdgp.report._page import STYLE
+from skdgp._display.page import STYLE
+from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, ROLES, dashes
 
 # Linear RGB as dichromats see it: Machado, Oliveira & Fernandes (2009), severity 1.
 VISION = {

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
+from skdgp._display import page as page_module
 from skdgp._effects import Curve
 from skdgp._flight.channels import COEFFICIENTS, LATERAL
 from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
@@ -28,7 +29,6 @@ from skdgp.report import (
     render_report,
     write_report,
 )
-from skdgp.report import _page as page_module
 from skdgp.report._charts import thinning
 from skdgp.report._sections import flights, flown_tables
 from skdgp.report._tables import SCORES, Score

@@ -10,13 +10,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array, Seed
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
 from skdgp.dynamics._control.slope_errors import LAGS, lag_of
 from skdgp.dynamics._control.trim import Trim
 from skdgp.dynamics._equations.motion import Instant, Motion
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.estimate import errors_of_sizes
 from skdgp.dynamics._vehicle.loads import Thrust

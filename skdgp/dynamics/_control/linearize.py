@@ -14,6 +14,7 @@ from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
 from skdgp._compute.typing import Array, Seed
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
@@ -21,7 +22,7 @@ from skdgp._flight.frames import cross_matrix, euler_per_rotation, quaternion_ra
 from skdgp.dynamics._control.slope_errors import Lag, draw_errors, lag_of
 from skdgp.dynamics._equations.error_covariance import ERRORS
 from skdgp.dynamics._equations.motion import Air, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust, thrust_control
 

@@ -10,18 +10,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
-from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, EULER, HAT, RATE_LENGTHS, TRUTH_SUFFIX, rate_factor
+from skdgp._flight.atmosphere import HIGHEST, LOWEST, STANDARD_GRAVITY, standard_density
+from skdgp._flight.channels import (
+    ACCELERATION_LENGTHS,
+    CHANNELS,
+    EULER,
+    HAT,
+    RATE_LENGTHS,
+    THRUST_FORCES,
+    THRUST_MOMENTS,
+    TRUTH_SUFFIX,
+    rate_factor,
+)
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust, aerodynamic_loads, propulsion_loads
 
 CONTROLS = (
     *("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle", "propeller_speed", "thrust"),
-    *("thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n", "gust"),
+    *THRUST_FORCES,
+    *THRUST_MOMENTS,
+    "gust",
 )
 """Channels that are set, not rebuilt from the state; a control may also have a name that is no channel."""
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")

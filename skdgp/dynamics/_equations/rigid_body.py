@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import GRAVITY as STANDARD_GRAVITY
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import cross
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 

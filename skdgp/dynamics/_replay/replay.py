@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.linalg import covariance_root
 from skdgp._compute.typing import Array, Indices
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import BODY_VELOCITY, COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
@@ -24,7 +25,7 @@ from skdgp.dynamics._equations.error_covariance import (
     start_errors,
     state_readouts,
 )
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, STANDARD_GRAVITY, VELOCITY, rigid_body_derivative, rk4_step
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY, rigid_body_derivative, rk4_step
 from skdgp.dynamics._simulation.inputs import table_states
 from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._vehicle.aircraft import Aircraft

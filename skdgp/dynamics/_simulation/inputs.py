@@ -12,7 +12,18 @@ import pandas as pd
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, CHANNELS, EARTH_VELOCITY, EULER, POSITION, RATES, WIND
+from skdgp._flight.channels import (
+    AIR_DATA,
+    BODY_VELOCITY,
+    CHANNELS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+    THRUST_FORCES,
+    THRUST_MOMENTS,
+    WIND,
+)
 from skdgp._flight.checks import check_columns, check_names, check_radians, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._equations import rigid_body
@@ -160,9 +171,7 @@ def perturbed(states: Array, std: Mapping[str, float] | None, n_paths: int, rand
     return drawn
 
 
-PROPULSION = (
-    *("throttle", "propeller_speed", "thrust", "thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m", "thrust_n"),
-)
+PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 WIND_STEP = 1e-3
 """Over which the wind of a function is differentiated [s]."""
 AirAt: TypeAlias = "Callable[[Any, Array], Air | None]"

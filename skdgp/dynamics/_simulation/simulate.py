@@ -12,6 +12,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import semidefinite_root
 from skdgp._compute.typing import Array, Seed, Vector
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, CHANNELS, HAT, RATE_LENGTHS, SENSOR_GUST, TRUTH_SUFFIX, WIND, rate_factor
 from skdgp._flight.channels import RATES as BODY_RATES
 from skdgp._flight.frames import body_to_ned, ned_to_body
@@ -26,7 +27,7 @@ from skdgp.dynamics._equations.error_covariance import (
     state_readouts,
 )
 from skdgp.dynamics._equations.motion import CONTROLS, Air, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, STANDARD_GRAVITY, VELOCITY, rk4_step
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
 from skdgp.dynamics._simulation.gusts import Gusts, GustyAir, dryden_gusts
 from skdgp.dynamics._simulation.inputs import (
     PROPULSION,

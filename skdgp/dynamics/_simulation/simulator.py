@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.typing import Array, Seed
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp.dynamics._equations.motion import Motion
-from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY, rk4_step
+from skdgp.dynamics._equations.rigid_body import rk4_step
 from skdgp.dynamics._simulation.inputs import as_starts, initial_states, perturbed, wind_field
 from skdgp.dynamics._simulation.simulate import FLYING, end_reasons
 from skdgp.dynamics._simulation.trajectory import beyond, channels

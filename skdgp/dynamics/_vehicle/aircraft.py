@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -155,6 +156,17 @@ class Aircraft:
         sizes: dict[str, Any] = {"wing_area": wing_area, "aspect_ratio": aspect_ratio, "chord": chord, "length": length}
         found = estimated(mass, span, kind=kind, inertia=inertia, **sizes)
         return cls(**{"name": name, "thrust_line": thrust_line, "propeller": propeller} | found)
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
+        """Read the aircraft from a file that ends in .json or .toml."""
+        path = Path(path)
+        if not path.exists():
+            raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
+        readers = {".json": cls.from_json, ".toml": cls.from_toml}
+        if path.suffix.lower() not in readers:
+            raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
+        return readers[path.suffix.lower()](path)
 
     @classmethod
     def from_json(cls, path: str | Path) -> Aircraft:

@@ -11,12 +11,12 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
+from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import cross
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine
 
-FORCES, MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m", "thrust_n")
 THRUST_CHOICES = ("auto", "columns", "propeller", None)
 CENTRED = ThrustLine()
 Thrust: TypeAlias = "str | Callable | None"
@@ -102,7 +102,7 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         raise ValueError(f"Got thrust={thrust!r}, but expected one of {THRUST_CHOICES}.")
     if thrust is None:
         return np.zeros((len(flight), 3)), np.zeros((len(flight), 3))
-    has_columns, propeller = any(name in flight for name in FORCES), aircraft.propeller
+    has_columns, propeller = any(name in flight for name in THRUST_FORCES), aircraft.propeller
     if thrust == "columns" and not has_columns:
         raise ValueError(
             "Got thrust='columns' for a flight without thrust_x, thrust_y or thrust_z [N]: add them, or say "
@@ -144,7 +144,7 @@ def propulsion_loads(
         return line.loads(newtons)
     if thrust != "auto":
         raise ValueError(f"Got thrust={thrust!r}, but expected 'auto', None or a function.")
-    if any(name in controls for name in FORCES):
+    if any(name in controls for name in THRUST_FORCES):
         return _loads_by_axis(controls, aircraft, np.shape(airspeed))
     if "thrust" in controls:
         return line.loads(controls["thrust"])
@@ -190,9 +190,9 @@ def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, A
 
 def _loads_by_axis(values: Mapping | pd.DataFrame, aircraft: Aircraft, shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Return the thrust of its columns or controls; without a moment, that of the force on the thrust line."""
-    force = _stacked(values, FORCES, shape)
-    if any(name in values for name in MOMENTS):
-        return force, _stacked(values, MOMENTS, shape)
+    force = _stacked(values, THRUST_FORCES, shape)
+    if any(name in values for name in THRUST_MOMENTS):
+        return force, _stacked(values, THRUST_MOMENTS, shape)
     return force, cross((aircraft.thrust_line or CENTRED).position, force)
 
 

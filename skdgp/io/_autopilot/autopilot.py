@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.atmosphere import GRAVITY
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_matrix
 from skdgp._flight.smoothing import differentiate
@@ -146,7 +146,7 @@ def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple
             change = differentiate(table[list(EARTH_VELOCITY)], table["time"], cutoff=RATE_CUTOFF * rate)
     except ValueError:  # the clock of the log is not sound, which coefficients refuse in their own words
         return table, origin
-    change[:, 2] -= GRAVITY
+    change[:, 2] -= STANDARD_GRAVITY
     attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
     force = np.einsum("nji,nj->ni", attitude, change)
     words = Origin("velocity and attitude, as no accelerometer is of use", rate)

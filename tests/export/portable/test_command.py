@@ -84,7 +84,7 @@ def test_of_samples(run, fitted_of, words, file, tmp_path, capsys, monkeypatch):
     assert {Path(written).name for written in said["files"]} == {Path(each).name for each in file.format(name).split()}
     assert all((tmp_path / "out" / written).stat().st_size for written in said["files"])
     assert words[0] == "jsbsim" or set(said["loss"]) == set(COEFFICIENTS)
-    portable = str(Path(__file__).with_name("portable_1.npz"))
+    portable = str(Path(__file__).with_name("stored.npz"))
     assert main(["export", portable, "--to", words[0], "-o", str(tmp_path / "no")]) == 1
     assert "expected the model.joblib" in capsys.readouterr().err
 

@@ -17,7 +17,7 @@ import pytest
 from skdgp.export import PortableFileError, load_portable, save_portable
 
 ROOT = Path(__file__).resolve().parents[3]
-STORED = [Path(__file__).with_name(f"portable_{version}.npz") for version in (1, 2)]
+STORED = Path(__file__).with_name("stored.npz")
 NO_PICKLE = """
 import pickle, pickletools, sys
 import numpy as np
@@ -110,11 +110,11 @@ def test_the_reader_imports_numpy_alone():
     assert set(re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)) == {"argparse", "json", "numpy"}
 
 
-@pytest.mark.parametrize(("stored", "members"), list(zip(STORED, (1, 3), strict=True)))
-def test_a_model_of_each_version_loads_for_ever(stored, members):
-    model = load_portable(stored)
-    assert len(model.mixture) == members
-    with np.load(stored.with_name(f"{stored.stem}_says.npz")) as said:
+def test_a_stored_model_predicts_what_it_did():
+    """Another format needs another version."""
+    model = load_portable(STORED)
+    assert len(model.mixture) == 3
+    with np.load(STORED.with_name("stored_says.npz")) as said:
         mean, std = model.predict(said["X"], return_std=True, include_input_noise=False)
         np.testing.assert_allclose(mean, said["mean"], rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(std, said["std"], rtol=1e-8)
@@ -136,7 +136,7 @@ def agrees(value, schema):
 
 def test_the_schema_of_the_page(path):
     schema = json.loads((ROOT / "docs" / "portable.schema.json").read_text())
-    for file in (path, *STORED):
+    for file in (path, STORED):
         with zipfile.ZipFile(file) as archive:
             head = json.loads(archive.read("model.json"))
         assert agrees(head, schema)

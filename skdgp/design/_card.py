@@ -1,4 +1,4 @@
-"""The flight card of a plan, to print and to fly from; and the plan beside the flight, for the report."""
+"""The flight card of a plan, to print and to fly from."""
 
 from __future__ import annotations
 
@@ -12,23 +12,32 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
+from skdgp._display.html import DASH, THIN, figure, number, percent, table, text
+from skdgp._display.page import can_draw, render_page
+from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
+from skdgp._display.svg import strip
+from skdgp._excitation.signals import Steps
 from skdgp._flight.channels import HAT
-from skdgp.design import FlownPlan, Plan, Steps
-from skdgp.design._envelope import GROWTH, QUANTITIES, abort_limits, quantities
-from skdgp.design._plan import errors_of
+from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
+from skdgp.design._html import (
+    GOALS,
+    MOST_LISTED,
+    by_coefficient,
+    derivative,
+    heading,
+    label_of,
+    milli,
+    name_of,
+    shown,
+    unit_of,
+)
+from skdgp.design._plan import Plan, errors_of
 from skdgp.design._rehearsal import REACTION, RESPONSE
-from skdgp.plotting._style import PALETTE, ROLES, display_unit, tidy
-from skdgp.report._figure_html import figure
-from skdgp.report._page import can_draw, render_page
-from skdgp.report._pictures import strip
-from skdgp.report._tables import DASH, THIN, number, percent, symbol, table, text
 
 QUICK = 0.5
 """Shortest step that a pilot can time by counting [s]."""
 SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")
 """Responses that are drawn; altitude stands in the table of limits."""
-MOST_LISTED = 16
-"""Derivatives in one list; more stand in a table of coefficients by regressors."""
 NEAR = 0.6
 """A limit is drawn if it is nearer to the response than this part of its range."""
 DIRECTIONS = {
@@ -37,14 +46,7 @@ DIRECTIONS = {
 }  # fmt: skip
 SOME = 0.95
 """Part of an error that is left, above which a manoeuvre teaches nothing worth naming."""
-GOALS = {
-    "function": ("all coefficients", "over the flown range, each in units of its spread"),
-    "free-flight": ("free flight", "after 2 s: of alpha, beta, bank and pitch [rad]"),
-}
-"""In words: the goals that are no derivatives."""
 NAMED = ". Before is std_unmerged of the command derivatives, std now is std: with what alpha_dot and beta_dot may hold"
-LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.rad2deg(1.0)), "deg")}
-NO_BREAK = "\u00a0"
 CREW = ("Date", "Place, aircraft", "Pilot", "Ground station", "Engineer", "Wind at 6 m, gusts", "Mass", "Go or no-go")
 FLOWN = ("Flown at", "Remarks", "Signed")
 MOST_KINDS = 4
@@ -89,9 +91,8 @@ def write_flight_card(
     >>> import tempfile
     >>> from pathlib import Path
     >>> import numpy as np
-    >>> from skdgp.design import plan
+    >>> from skdgp.design import plan, write_flight_card
     >>> from skdgp.dynamics import Aerodynamics, Aircraft
-    >>> from skdgp.report import write_flight_card
     >>> def linear(X):
     ...     alpha, q, elevator = X.T
     ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
@@ -114,48 +115,8 @@ def write_flight_card(
     meta += f" · planned {created:%d %B %Y, %H:%M}"
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
-    page = render_page("Flight card", title, meta, "\n".join(body), colophon, script=False)
+    page = render_page("Flight card", title, meta, "\n".join(body), colophon)
     return write_atomically(path, text_writer(page))
-
-
-def flown_plan(plan: FlownPlan) -> str:
-    """Return what a plan expected beside what was found, a section of the report on the flight."""
-    names = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
-    errors = plan.errors
-    if len(errors) <= MOST_LISTED:
-        rows = [[_derivative(str(name)), *(_milli(row[key]) for key in names)] for name, row in errors.iterrows()]
-        head, classes, each = ["", *names.values()], "narrow", ""
-    else:
-        (head, rows), classes = _by_coefficient(errors, ("found", "expected", "before")), ""
-        each = " Each cell: found and, in grey, expected and before."
-    caption = (
-        "Standard errors of derivatives, in thousandths. Expected: by the plan. Found: by the same formula, from what "
-        "the flight recorded during its manoeuvres. Of the model: of the one judged here, which knows of this flight "
-        "only if it learned from it. Geometric mean, of those before: "
-    )
-    caption += ", ".join(f"{name} {percent(value, '.0f')}{THIN}%" for name, value in plan.remaining.items())
-    tables = table(head, rows, caption=f"{caption}.{each}", classes=classes)
-    rows = [
-        [
-            f"{text(row['name'])}<br><em>{text(row['flight'])}, {number(row['start'], '.1f')}{THIN}s</em>",
-            percent(row["size"], ".0f"), number(row["likeness"], ".2f"),
-            *(f"{_range(name, row, '')}<br><em>{_range(name, row, 'expected_')}</em>" for name in QUANTITIES),
-            f'<span class="off">{text(row["left"])}</span>' if row["left"] else "none",
-        ]
-        for _, row in plan.manoeuvres.iterrows()
-    ]  # fmt: skip
-    head = ["manoeuvre", "size<br>[%]", "like<br>the plan", *map(_heading, QUANTITIES), "limits<br>left"]
-    caption = "Manoeuvres of the plan that were flown: the range of each response and, in grey, the expected one."
-    tables += table(head, rows, caption=caption)
-    if plan.missed:
-        words = ", ".join(f"{n} of {name}" for name, n in plan.missed.items())
-        tables += f'<p class="note">Planned, but not found in the flights: {text(words)}.</p>'
-    return f"<section><h2>The plan and the flight</h2>{tables}</section>"
-
-
-def _range(name: str, row: pd.Series, kind: str) -> str:
-    low, high = (row[f"{name}_{kind}{end}"] for end in ("low", "high"))
-    return DASH if np.isnan(low) else f"{_shown(name, low)} … {_shown(name, high)}"
 
 
 def _kinds(plan: Plan) -> dict[tuple, list[int]]:
@@ -209,13 +170,13 @@ def _go(plan: Plan) -> str:
 
 def _entry(plan: Plan) -> str:
     axes = list(dict.fromkeys(name for one in plan.trims for name in one.controls))
-    head = ["", *map(_heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes)), "pause<br>[s]"]
+    head = ["", *map(heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes)), "pause<br>[s]"]
     pauses = plan.manoeuvres.groupby("train")["start"].first()
     rows = [
         [
             _train(plan, k),
-            *(_shown(name, getattr(one, name)) for name in ("airspeed", "altitude", "phi", "alpha", "theta")),
-            *(_shown(name, one.controls.get(name, np.nan)) for name in axes),
+            *(shown(name, getattr(one, name)) for name in ("airspeed", "altitude", "phi", "alpha", "theta")),
+            *(shown(name, one.controls.get(name, np.nan)) for name in axes),
             number(pauses[k], ".1f"),
         ]
         for k, one in enumerate(plan.trims)
@@ -254,7 +215,7 @@ def _limits(plan: Plan) -> str:
         "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the range of the training "
         "flights, with the growth that this plan allows (none of the floor). Asked: given for this plan.</p>"
     )
-    if not len(abort_limits(plan.limits)):
+    if not len(plan.abort_limits):
         words = (
             "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
             "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
@@ -269,7 +230,7 @@ def _limits(plan: Plan) -> str:
 
 def _limit_table(plan: Plan) -> str:
     """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
-    limits, kinds = abort_limits(plan.limits), _kinds(plan)
+    limits, kinds = plan.abort_limits, _kinds(plan)
     named = {name: rows for (name, *_), rows in kinds.items()}  # of two sizes the last
     if not len(named) == len(kinds) <= MOST_KINDS:
         named = {"all manoeuvres": [*range(len(plan.manoeuvres))]}
@@ -278,7 +239,7 @@ def _limit_table(plan: Plan) -> str:
     for name in QUANTITIES:
         ends = (_value(name, limits, end) for end in ("low", "high"))
         ranges = (f"{_value(name, one, 'low')} … {_value(name, one, 'high')}" for one in expected.values())
-        lines.append([_name(name), _unit(name), *ends, limits["source"].get(name, "no limit"), *ranges])
+        lines.append([name_of(name), unit_of(name), *ends, limits["source"].get(name, "no limit"), *ranges])
     head = ["", "unit", "abort<br>below", "abort<br>above", "limit is", *(f"expected:<br>{text(n)}" for n in expected)]
     of = "95 % of the aircraft and gusts drawn" if "alpha_low" in plan.flight else "the mean of the model"
     caption = (
@@ -301,7 +262,7 @@ def _teaching(plan: Plan) -> str:
     if len(errors) <= MOST_LISTED:
         known = np.isfinite(errors["before"]) & (errors["before"] > 0)
         rows = [
-            [_derivative(str(name)), *map(_milli, row.drop("left")), percent(row["left"], ".0f")]
+            [derivative(str(name)), *map(milli, row.drop("left")), percent(row["left"], ".0f")]
             for name, row in errors.assign(left=(errors["after"] / errors["before"]).where(known)).iterrows()
         ]
         head = ["", *errors.rename(columns={"std": "std now"}), "left [%]"]
@@ -311,7 +272,7 @@ def _teaching(plan: Plan) -> str:
         caption += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
         shown = table(head, rows, caption=caption, classes="narrow")
     else:
-        head, rows = _by_coefficient(errors, ("after", "before", *(["std"] if plan.merged else [])))
+        head, rows = by_coefficient(errors, ("after", "before", *(["std"] if plan.merged else [])))
         caption = "Standard errors of the derivatives, in thousandths: after the flight and, in grey, before it"
         caption += f", and std now{NAMED}." if plan.merged else "."
         shown = table(head, rows, caption=caption)
@@ -338,7 +299,7 @@ def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw:
     trim = plan.trims[int(row["train"])]
     facts = [
         f"No. {', '.join(str(k + 1) for k in rows)} of the order, at {starts}.",
-        f"Entry: {_train(plan, int(row['train']))}, altitude {_shown('altitude', trim.altitude)}{THIN}m.",
+        f"Entry: {_train(plan, int(row['train']))}, altitude {shown('altitude', trim.altitude)}{THIN}m.",
     ]
     if not np.isnan(row["risk"]):
         facts.append(f"Risk of leaving a limit: {percent(row['risk'])}{THIN}%.")
@@ -358,20 +319,20 @@ def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mappi
     if quick < QUICK:
         by_hand = f"By the autopilot: steps of {number(quick, '.2f')}{THIN}s are too quick for a hand."
     sticks = bool(set(inputs) & set(full))
-    head = [_name(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by", "to"]
+    head = [name_of(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by", "to"]
     head += ["of full<br>deflection [%]"] if sticks else []
     rows, said = [], []
     for axis, signal in inputs.items():
-        unit = f"{THIN}{_unit(axis)}".rstrip()
+        unit = f"{THIN}{unit_of(axis)}".rstrip()
         for time, level, hold in zip(signal.edges, [*signal.levels, 0.0], [*signal.durations, np.nan], strict=True):
             way = DIRECTIONS.get(axis, ("up", "down"))[int(level < 0)] if level else "back to trim"
             trim = controls.get(axis, 0.0)
-            cells = [_signed(level, _shown(axis, level)) + unit, _shown(axis, trim + level) + unit]
+            cells = [_signed(level, shown(axis, level)) + unit, shown(axis, trim + level) + unit]
             part = 100.0 * level / full.get(axis, np.nan)
             stick = [_signed(level, number(part, ".0f")) if axis in full else ""] if sticks else []
-            what = way if len(inputs) == 1 else f"{_name(axis)}: {way}"
-            size = f" {_shown(axis, abs(level))}{unit}, {way}, for {number(round(hold, 2), 'g')}{THIN}s"
-            said.append(_name(axis) + (size if level else f" {way}"))
+            what = way if len(inputs) == 1 else f"{name_of(axis)}: {way}"
+            size = f" {shown(axis, abs(level))}{unit}, {way}, for {number(round(hold, 2), 'g')}{THIN}s"
+            said.append(name_of(axis) + (size if level else f" {way}"))
             rows.append((time, [what, number(time, ".2f"), number(hold, ".2f"), *cells, *stick]))
     rows.sort(key=lambda one: one[0])
     if quick >= QUICK:
@@ -382,7 +343,7 @@ def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mappi
 
 def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
     flight = plan.flight[plan.flight["flight"] == k]
-    time, values, limits = flight["time"].to_numpy(float), quantities(flight), abort_limits(plan.limits)
+    time, values, limits = flight["time"].to_numpy(float), quantities(flight), plan.abort_limits
     end = plan.manoeuvres["duration"].iloc[k]
     fine = np.linspace(0.0, time[-1], 2000)
     panels = []
@@ -392,7 +353,7 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
         ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.5)
 
     def draw_response(ax, name):
-        factor = _label(name)[1]
+        factor = label_of(name)[1]
         if f"{name}_low" in flight:
             low, high = (factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high"))
             ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
@@ -408,12 +369,12 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
         def draw(ax, name=name):
             draw_input(ax, name) if name in inputs else draw_response(ax, name)
             ax.axvline(end, color=PALETTE["grey"], linewidth=0.5)
-            label, _, unit = _label(name)
+            label, _, unit = label_of(name)
             ax.set_ylabel(f"{label} [{unit}]" if unit else label)
             ax.set_xlabel("time [s]")
             tidy(ax)
 
-        label = f"{_label(name)[0]} against time" + ("" if name in inputs else ": expected, with its 95 % band")
+        label = f"{label_of(name)[0]} against time" + ("" if name in inputs else ": expected, with its 95 % band")
         panels.append(strip(draw, label=label, bottom=n >= len(names) - 2))
     key = [("purple", "input, deviation from trim", ""), ("blue", "expected", "")]
     key += [("sky", "95 % of the aircraft drawn", "area")] if "alpha_low" in flight else []
@@ -432,8 +393,8 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
     after = errors_of(sum((plan.parts[k] for k in rows), plan.before), plan.weights)[goal]
     left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
     shown = [
-        f"{percent(left[name], '.0f')}{THIN}% of the error of {_derivative(name)}"
-        if left[name] > 0 else f"{_derivative(name)} known to ±{number(after[name], '.2g')}"
+        f"{percent(left[name], '.0f')}{THIN}% of the error of {derivative(name)}"
+        if left[name] > 0 else f"{derivative(name)} known to ±{number(after[name], '.2g')}"
         for name in map(str, left.index[:most]) if left[name] < SOME
     ]  # fmt: skip
     turns = ", ".join(percent(-plan.manoeuvres["gain"].iloc[k], ".0f") for k in rows)
@@ -447,67 +408,18 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
 
 def _train(plan: Plan, k: int) -> str:
     trim = plan.trims[k]
-    bank = f", bank {_shown('phi', trim.phi)}°" if abs(trim.phi) > np.deg2rad(0.5) else ""
+    bank = f", bank {shown('phi', trim.phi)}°" if abs(trim.phi) > np.deg2rad(0.5) else ""
     return f"{number(trim.airspeed, 'g')}{THIN}m/s{bank}"
-
-
-def _label(name: str) -> tuple[str, float, str]:
-    return LABELS.get(name, (name.replace("_", " "), *display_unit(name)))
-
-
-def _name(name: str) -> str:
-    return text(_label(name)[0])
-
-
-def _unit(name: str) -> str:
-    return text(_label(name)[2])
-
-
-def _heading(name: str, unit: bool = True) -> str:
-    named = {"phi": "bank", "theta": "pitch"}.get(name, _name(name))
-    return f"{named}<br>[{_unit(name)}]" if unit and _unit(name) else named
-
-
-def _shown(name: str, value: float) -> str:
-    _, factor, unit = _label(name)
-    return number(factor * value, ".0f" if name == "altitude" else ".2f" if not unit else ".1f")
 
 
 def _value(name: str, frame: pd.DataFrame, end: str) -> str:
     value = frame[end].get(name, np.nan)
-    return _shown(name, value) if np.isfinite(value) else DASH
-
-
-def _derivative(name: str) -> str:
-    coefficient, _, regressor = name.partition("_")
-    if not regressor:  # another goal
-        return text(GOALS[name][0])
-    return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
+    return shown(name, value) if np.isfinite(value) else DASH
 
 
 def _signed(value: float, shown: str) -> str:
     return f"+{shown}" if value > 0 else shown
 
 
-def _by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
-    """Return heads and rows of a table of coefficients by regressors; all names but the first stand in grey."""
-    pairs = [name.split("_", 1) for name in errors.index if "_" in name]
-    regressors = list(dict.fromkeys(second for _, second in pairs))
-    rows = []
-    for coefficient in dict.fromkeys(first for first, _ in pairs):
-        keys = [f"{coefficient}_{name}" for name in regressors]
-        shown = [[_milli(errors[name][key]) for name in names] if key in errors.index else [""] for key in keys]
-        cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in shown]
-        rows.append([symbol(coefficient), *cells])
-    return ["", *(_heading(name, unit=False) for name in regressors)], rows
-
-
 def _count(n: int, name: str) -> str:
     return f"{n} {name}{'' if n == 1 else 's'}"
-
-
-def _milli(value: float) -> str:
-    """Return a thousandth's number with two digits that count, never in powers of ten."""
-    if not np.isfinite(value):
-        return number(value)
-    return np.format_float_positional(float(f"{1e3 * value:.2g}"), trim="-")

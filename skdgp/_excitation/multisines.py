@@ -15,7 +15,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed, Vector
-from skdgp.design._signals import ROUNDING, Limits, Signal, check_periods, checked_band, freeze
+from skdgp._excitation.signals import ROUNDING, Limits, Signal, check_periods, checked_band, freeze
 
 POWERS = (4, 8, 16, 32, 64, 128, 256)
 """Of the norms that approach the peak in the search for phases."""

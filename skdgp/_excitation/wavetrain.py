@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
+from skdgp._excitation.signals import ROUNDING, Limits, Signal, Steps
 from skdgp._flight.checks import check_names
-from skdgp.design._signals import ROUNDING, Limits, Signal, Steps
 
 AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
 MOST_ROWS = 1_000_000

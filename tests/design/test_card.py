@@ -8,10 +8,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.design import Envelope, Information, Plan, Wavetrain, doublet, orthogonal_multisines, wavetrain
+from skdgp._display import page
+from skdgp.design import (
+    Envelope,
+    Information,
+    Plan,
+    Wavetrain,
+    doublet,
+    orthogonal_multisines,
+    wavetrain,
+    write_flight_card,
+)
 from skdgp.design._envelope import QUANTITIES
 from skdgp.dynamics import Aerodynamics, Aircraft, trim
-from skdgp.report import _page, write_flight_card
 
 NAMES = ("alpha", "q_hat", "elevator", "rudder")
 PAUSE = 2.0
@@ -166,7 +175,7 @@ def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):
 
 
 def test_without_posterior_or_matplotlib_it_says_so(plan, tmp_path, monkeypatch):
-    monkeypatch.setattr(_page, "find_spec", lambda name: None)
+    monkeypatch.setattr(page, "find_spec", lambda name: None)
     bare = plan.flight[[name for name in plan.flight if not name.endswith(("_low", "_high"))]]
     write_flight_card(
         tmp_path / "card.html", replace(plan, flight=bare, manoeuvres=plan.manoeuvres.assign(risk=np.nan))

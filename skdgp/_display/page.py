@@ -8,14 +8,11 @@ from importlib.resources import files
 from importlib.util import find_spec
 from string import Template
 
-from skdgp.report._tables import text
+from skdgp._display.html import text
 
-_HERE = files("skdgp.report")
-STYLE = _HERE.joinpath("report.css").read_text(encoding="utf-8")
-SCRIPT = _HERE.joinpath("chart.js").read_text(encoding="utf-8")
-_DIGEST = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
-POLICY = f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{_DIGEST}'"
-"""The browser allows this script and nothing else: no other file, no network."""
+STYLE = files("skdgp._display").joinpath("page.css").read_text(encoding="utf-8")
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'"
+"""The browser allows the page's own script and nothing else: no other file, no network."""
 PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -44,17 +41,18 @@ $script
 """)
 
 
-def render_page(kind: str, title: str, meta: str, body: str, colophon: str, *, script: bool = True) -> str:
-    """Return the document; title and kind are text, the rest is HTML."""
+def render_page(kind: str, title: str, meta: str, body: str, colophon: str, *, script: str = "") -> str:
+    """Return the document; title and kind are text, ``script`` is JavaScript, the rest is HTML."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return PAGE.substitute(
         kind=text(kind),
         title=text(title),
-        policy=POLICY,
+        policy=POLICY.format(digest),
         style=STYLE,
         meta=meta,
         body=body,
         colophon=colophon,
-        script=f"<script>{SCRIPT}</script>" if script else "",
+        script=f"<script>{script}</script>" if script else "",
     )
 
 

@@ -1,0 +1,81 @@
+"""Text, numbers, tables and figures as HTML; text from outside is escaped here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import numpy as np
+
+from skdgp._flight.channels import COEFFICIENTS
+
+THIN = "\u202f"
+DASH = "–"
+
+
+def text(value: object) -> str:
+    """Return ``value`` as escaped text."""
+    return escape(str(value), quote=True)
+
+
+def number(value: float, form: str = ".2f") -> str:
+    """Return a number with a true minus, a dash for NaN, and the sign for infinity."""
+    if value is None or np.isnan(value):
+        return DASH
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    return f"{float(value):z{form}}".rstrip(".").replace("-", "−")
+
+
+def percent(value: float, form: str = ".1f") -> str:
+    """Return a fraction as a percentage without its sign."""
+    return number(None if value is None else 100 * value, form)
+
+
+def symbol(name: str) -> str:
+    """Return a coefficient's name with its index lowered."""
+    return f"<i>C</i><sub>{name[1:]}</sub>" if name in COEFFICIENTS else text(name)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, classes: str = "") -> str:
+    """Return a table of ready HTML cells: the first of each row names it; a row of one cell heads a group."""
+    lines = [f'<div class="scroll"><table class="{classes}"><caption>{caption}</caption><thead><tr>']
+    lines += [f'<th scope="col">{cell}</th>' for cell in head]
+    lines.append("</tr></thead><tbody>")
+    for first, *rest in rows:
+        if not rest:
+            lines.append(f'<tr class="group"><th colspan="{len(head)}" scope="colgroup">{first}</th></tr>')
+            continue
+        cells = "".join(f"<td>{cell}</td>" for cell in rest)
+        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
+    lines.append("</tbody></table></div>")
+    return "".join(lines)
+
+
+def key_of(entries) -> str:
+    """Return a list of samples and names; a sample is a line (""), an area, a hatched area, or a marker's sign."""
+    lines = ""
+    for color, name, kind in entries:
+        sample = f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
+        lines += f'<li style="color: var(--{color})">{sample}<span>{text(name)}</span></li>'
+    return f'<ul class="key">{lines}</ul>' if lines else ""
+
+
+def still(words: str) -> str:
+    """Return words on the pictures, shown where no chart is."""
+    return f'<span class="still">{words}</span>'
+
+
+def figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:
+    """Return a figure of panels side by side; ``key`` holds colour, name and kind of each sample.
+
+    On a screen a script makes a ``chart`` in their place; without panels there is nothing else, and nothing on paper.
+    """
+    if not panels:
+        return f'<figure class="chart screen">{chart}<figcaption>{caption}</figcaption></figure>' if chart else ""
+    classes = f"panels {layout}" if len(panels) > 1 else layout or "single"
+    pictures = f'{key_of(key)}<div class="{classes}">{"".join(panels)}</div>'
+    if chart:
+        pictures = f'<div class="static">{pictures}</div>'
+    kind = ' class="chart"' if chart else ""
+    return f"<figure{kind}>{pictures}{chart}<figcaption>{caption}</figcaption></figure>"

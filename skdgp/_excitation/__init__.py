@@ -1,0 +1,1 @@
+"""Inputs that excite an aircraft, as functions of time; `skdgp.design` shows them to users."""

@@ -139,7 +139,7 @@ def validate(run: Run) -> None:
         model = read_model(options)
         result = judge(model, options.flight, horizons=options.horizons, **opt.reading(options), **known)
         if options.plan is not None:
-            tables = [one.table for one in result.evaluations]
+            tables = [one.table for one in result.evaluations if one.table is not None]
             result = replace(result, supplements=[flown_plan(options.plan, model.pipeline, result.aircraft, tables)])
         finish(run, replace(result, command=run.command_line))
 

@@ -82,7 +82,8 @@ def fit_map(fit: Callable, starts: Sequence[dict], n_jobs: int | None = None) ->
 
 def _fit_elsewhere(fit, starts, n_jobs):
     """Return by number the fits that workers finished or, after Ctrl-C, began."""
-    results, stop_file = {}, Path(tempfile.gettempdir(), f"skdgp-stop-{uuid4().hex}")
+    results: dict = {}
+    stop_file = Path(tempfile.gettempdir(), f"skdgp-stop-{uuid4().hex}")
     unordered = getattr(get_active_backend()[0], "supports_return_generator", False)
     parallel = Parallel(n_jobs=n_jobs, return_as="generator_unordered" if unordered else "list")
     with _stop_at_interrupt(stop_file) as stopped:

@@ -79,17 +79,6 @@ def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
     return np.column_stack([time, codes])
 
 
-def check_image(image: Any, used: np.ndarray) -> np.ndarray:
-    """Return which of the used samples, a mask (n,), are no images of others."""
-    image = np.zeros(len(used), dtype=bool) if image is None else np.asarray(image)
-    if image.shape != used.shape or image.dtype != bool or image.all():
-        raise ValueError(
-            f"Got image of shape {image.shape} and type {image.dtype}, but expected ({len(used)},) of bool, one for "
-            "each row of X, and samples that are no images."
-        )
-    return ~image[used]
-
-
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
     """Raise a ValueError if powers of columns of Z (n, k) overflow or vanish in double precision; NaN is ignored."""
     size = np.nanmax(np.abs(Z), axis=0, initial=0.0)

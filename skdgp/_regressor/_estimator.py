@@ -217,7 +217,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     # -- fitting ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None, image: Any = None) -> DependentGPRegressor:
+    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
 
         Parameters
@@ -238,9 +238,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             ``skdgp.identification.FlightPipeline`` does it itself.
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None: one flight.
-        image : array (n,) of bool or None
-            Whether a sample is the image of another, as of a flight in a mirror. The function is that of all samples,
-            standard deviations are those that the others alone would have.
 
         Returns
         -------
@@ -273,7 +270,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         clock = _checks.check_clock(time, flight, len(X))
         used = np.isfinite(Y).any(axis=1)
         X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
-        own = _checks.check_image(image, used)
         _checks.check_observed(Y, self.output_names_)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
@@ -297,21 +293,16 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
-            misfit = misfit_variance(posterior, X[own], Z[own], clock[own])
+            misfit = misfit_variance(posterior, X, Z, clock)
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
-        total, misfit = learned.noise * self._scale**2, misfit * self._scale**2
-        self.misfit_variance_ = np.minimum(misfit, LARGEST_MISFIT * total)
-        self.noise_variance_ = total - self.misfit_variance_
+        self._divide_noise(learned.noise * self._scale**2, misfit * self._scale**2)
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
         self._root = learned.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
         self.converged_, self.interrupted_ = learned.converged, learned.interrupted
-        if not own.all():
-            self.posterior_ = posterior.scaled_noise(len(own) / own.sum())
-            self.posterior_.measured = X[own], Z[own]
         task.end()
         return self
 
@@ -731,6 +722,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """Fitted hyperparameters, in the form of the argument of ``log_marginal_likelihood``."""
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
+
+    def _divide_noise(self, total, misfit):
+        """Divide variances of what the search took for noise, (P,), into misfit and noise."""
+        self.misfit_variance_ = np.minimum(misfit, LARGEST_MISFIT * total)
+        self.noise_variance_ = total - self.misfit_variance_
 
     def _loading(self, X, factor):
         """Return J R times the root of ``factor``, (n, P, r), for noisy regressors; r is zero for exact regressors."""

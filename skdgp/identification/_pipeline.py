@@ -22,6 +22,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
 from skdgp.identification._mirror import mirrored, named_targets
+from skdgp.inference import misfit_variance
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -285,10 +286,14 @@ class FlightPipeline(Pipeline):
         time, numbers = X["time"].to_numpy(float), pd.factorize(X["flight"] if "flight" in X else np.zeros(len(X)))[0]
         clock = {"time": np.tile(time, 2), "flight": np.concatenate([numbers, numbers + numbers.max() + 1])}
         words = {key.removeprefix(f"{name}__"): np.tile(value, 2) for key, value in params.items()}
-        words |= {key: value for key, value in clock.items() if key in words}
-        if isinstance(last, DependentGPRegressor):
-            words["image"] = np.arange(len(Z)) >= len(own)
-        last.fit(Z, Y, **words)
+        last.fit(Z, Y, **words | {key: value for key, value in clock.items() if key in words})
+        if isinstance(last, DependentGPRegressor):  # each sample counts once
+            if "time" in words:  # the noise of a mirrored sample is that of the sample
+                misfit = misfit_variance(last, own, targets.to_numpy(float), np.column_stack([time, numbers]))
+                last._divide_noise(last.noise_variance_ + last.misfit_variance_, misfit)
+            rows = np.flatnonzero(targets.notna().any(axis=1))
+            last.posterior_ = last.posterior_.scaled_noise(2.0)
+            last.posterior_.measured = own[rows], (targets.to_numpy(float)[rows] - last._center) / last._scale
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.

@@ -14,7 +14,6 @@ from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.progress import notify
-from skdgp._compute.typing import Matrix
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
@@ -34,9 +33,7 @@ from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     check_aircraft,
-    clock_of,
     flight_noise,
-    flown_turbulence,
     make_identification_pipeline,
 )
 from skdgp.io import FULL_THROW
@@ -183,7 +180,8 @@ def identify(
             model.set_params(regressorselector__extra=["airspeed"])
         model.control_units_ = control_units(servos)
         began = time.monotonic()
-        X = _fit(model, table, targets)
+        groups = {"calibratedregressor__groups": table["flight"]} if calibrate else {}
+        X = model.fit_regressors(table, targets, **groups)
         model.noise_ = flight_noise(model, table, aircraft, regressors=X, **loads)
         seconds = time.monotonic() - began
 
@@ -310,17 +308,6 @@ def _check_calibration(train, symmetric) -> None:
             "Got calibrate with symmetric=True, but expected one or the other: calibration is by flights held out, "
             "which a symmetric model would learn from twice."
         )
-
-
-def _fit(pipeline, table, targets) -> Matrix:
-    """Fit a pipeline as its ``fit`` does, and return the regressors (n, d), which are not computed twice."""
-    if pipeline.symmetric:
-        return pipeline.fit(table, targets)[:-1].transform(table)
-    groups = {"groups": table["flight"]} if isinstance(pipeline[-1], CalibratedRegressor) else {}
-    X = pipeline[:-1].fit_transform(table, targets)
-    pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
-    pipeline.turbulence_ = flown_turbulence(pipeline, table)
-    return X
 
 
 def _n_samples(samples, regressor, n_rows) -> int:
